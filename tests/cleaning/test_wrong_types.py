@@ -19,7 +19,7 @@ MISTAKES: dict[str, tuple[Callable[..., Any], str]] = {
     "a recipe's file": (lambda: becalm.clean(ROWS, "a.toml"), "A Recipe is needed; 'a.toml' came. Load one"),  # type: ignore[arg-type]
     "a number for wishes": (lambda: becalm.tune(ROWS, wishes=3), "Wishes are needed; 3 came. Make some"),  # type: ignore[arg-type]
     "a list for a recording": (lambda: becalm.clean([1, 2]), "A Recording is needed; list came"),  # type: ignore[arg-type]
-    "a threshold as text": (lambda: Gate("5"), "threshold = '5' is no gate"),  # type: ignore[arg-type]
+    "a threshold as text": (lambda: Gate("5"), "threshold = '5' is not a threshold"),  # type: ignore[arg-type]
     "half a reject": (lambda: Gate(5.0, 2.5), "agree = 2.5 and at_most = "),  # type: ignore[arg-type]
 }
 

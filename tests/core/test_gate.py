@@ -75,13 +75,13 @@ def test_the_threshold_is_never_so_narrow_that_it_costs_good_readings() -> None:
 
 @pytest.mark.parametrize("rates", [(0.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (1.0, np.inf)])
 def test_what_is_no_rate_is_refused(rates: tuple[float, float]) -> None:
-    with pytest.raises(ModelError, match="is no rate"):
+    with pytest.raises(ModelError, match="is not a rate"):
         threshold_for(*rates)
 
 
 @pytest.mark.parametrize("gate", [(0.0, 5, 50), (np.nan, 5, 50), (5.0, 1, 50), (5.0, 6, 5)])
 def test_what_is_no_gate_is_refused(gate: tuple[float, int, int]) -> None:
-    with pytest.raises(ModelError, match=r"came|no gate"):
+    with pytest.raises(ModelError, match=r"came|not a threshold"):
         Gate(*gate)
 
 

@@ -399,5 +399,5 @@ def test_rows_that_wait_and_are_not_those_of_a_lag_are_refused(name: str, damage
     limits = Limits(outliers=find_outlier_rule(noise()))
     ahead = LookAhead(limits, 3)
     ahead.push(noise(rows=5), np.ones(5))
-    with pytest.raises(ModelError, match="rows that wait"):
+    with pytest.raises(ModelError, match="waiting rows"):
         LookAhead(limits, 3).restore(ahead.saved() | {f"ahead_{name}": damaged})

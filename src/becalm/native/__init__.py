@@ -1,6 +1,7 @@
-"""The filter in C99, compiled when becalm is built, and the door to it.
+"""Call the C99 filter of one channel, which is compiled when becalm is built.
 
-`kernel.h` describes the structs; here they are NumPy's. Buffers go in and out; only a stepper keeps its own.
+`kernel.h` describes the structs; here they are NumPy structured arrays. The functions work on the caller's arrays; only
+a stepper keeps its own.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ kernel.channel_forget_counts.argtypes, kernel.channel_forget_counts.restype = [c
 kernel.channel_is_sound.argtypes, kernel.channel_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
 kernel.likelihood_add.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_int64, ctypes.c_void_p]
 kernel.likelihood_add.restype = None
-_locked = ctypes.PyDLL(str(LIBRARY))  # holds Python's lock: one row takes less time than to let others in
+_locked = ctypes.PyDLL(str(LIBRARY))  # keeps Python's lock, because releasing it takes longer than one row
 _locked.channel_call.restype = None
 
 STATE, _SCORE = map(layout_of, ("state", "score"))
@@ -48,7 +49,7 @@ def start(settings: NDArray[np.void]) -> NDArray[np.void]:
     return state
 
 
-def begin_after(  # noqa: PLR0913  (each by its name)
+def begin_after(  # noqa: PLR0913  (keyword arguments)
     settings: NDArray[np.void],
     coefficients: NDArray[np.void],
     state: NDArray[np.void],
@@ -59,20 +60,20 @@ def begin_after(  # noqa: PLR0913  (each by its name)
     least: float,
     most: float,
 ) -> None:
-    """Say what went before the first row: the first measurement, rows, steps, and between what they lay, in unit."""
+    """Set the history before the first row: first measurement, number of rows, steps, least and greatest, in unit."""
     channel = settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data
     kernel.channel_begin_after(*channel, first, rows, steps, least, most)
 
 
 def reduced(settings: NDArray[np.void], state: NDArray[np.void], *, alive: bool) -> NDArray[np.void]:
-    """Return a state with only what later estimates depend on; of a sensor that is alive, but for its hops."""
+    """Return a copy of the state with only what later estimates depend on; if `alive`, also without open hops."""
     own = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())  # copy() would copy the fields alone
     kernel.channel_reduce(settings.ctypes.data, own.ctypes.data, alive)
     return own
 
 
 def forget_counts(state: NDArray[np.void]) -> None:
-    """Count verdicts and faults from 0 again."""
+    """Reset the counts of verdicts and faults."""
     kernel.channel_forget_counts(state.ctypes.data)
 
 
@@ -82,7 +83,7 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
     Parameters
     ----------
     settings, coefficients, state : () structured array
-        Of the channel; the state changes.
+        Those of the channel; the state changes.
     **rows : array
         z, elapsed, signal, sigma, innovation, deviation (B,), F, Q (u, n, n) of float64; step (B,) of int32, each below
         u; verdict (B,) of int8; x (B, n) of float64, or none. All are C-contiguous. See `block_t` and `estimate_t`.
@@ -90,7 +91,7 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
     Raises
     ------
     ValueError
-        If they are not of these types, or do not fit each other: C would read beyond their ends.
+        If the arrays have other types, or do not fit each other; otherwise C would read beyond their ends.
     """
     block, estimate = checked(settings, rows)
     kernel.channel_process(
@@ -109,22 +110,22 @@ def stepper(
     F: NDArray[np.float64],
     Q: NDArray[np.float64],
 ) -> Callable[[float], tuple[float, float]]:
-    """Return what takes a reading, one step after the last, and returns signal and sigma; the state changes.
+    """Return a fast function that takes a reading, one step after the last, and returns signal and sigma.
 
     Parameters
     ----------
     settings, coefficients, state : () structured array
-        Of the channel.
+        Those of the channel; the state changes with each call.
     F, Q : (1, n, n) float64 array
-        Of the step.
+        Those of the step.
     """
-    numbers = array("d", [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # an array of Python is read and written sooner than NumPy's
+    numbers = array("d", [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # Python's array is faster than NumPy for single numbers
     names = "z", "elapsed", "signal", "sigma", "innovation", "deviation"
     rows = {name: np.frombuffer(numbers)[k : k + 1] for k, name in enumerate(names)}
     rows |= {"step": np.zeros(1, np.int32), "verdict": np.zeros(1, np.int8), "F": F, "Q": Q}
     block, estimate = checked(settings, rows)
-    of_channel = (one.ctypes.data for one in (settings, coefficients, state))
-    call = ctypes.pointer(_Call(*of_channel, ctypes.addressof(block), ctypes.addressof(estimate)))
+    pointers = (struct.ctypes.data for struct in (settings, coefficients, state))
+    call = ctypes.pointer(_Call(*pointers, ctypes.addressof(block), ctypes.addressof(estimate)))
     kept, run = (block, estimate, settings, coefficients, state, rows), _locked.channel_call
 
     def step(reading: float, _kept: Any = kept) -> tuple[float, float]:
@@ -136,12 +137,12 @@ def stepper(
 
 
 def packed_size(states: int) -> int:
-    """Return the bytes of a channel's state, without the room that its arrays do not need."""
+    """Return the number of bytes of a channel's state, without the unused part of its arrays."""
     return int(kernel.channel_packed_size(states))
 
 
 def saved(settings: NDArray[np.void], state: NDArray[np.void]) -> NDArray[np.int8]:
-    """Return the bytes of a channel's state, as few as it needs."""
+    """Return the bytes of a channel's state, without the unused part of its arrays."""
     kept = np.empty(packed_size(int(settings["states"])), np.int8)
     kernel.channel_pack(state.ctypes.data, kept.ctypes.data)
     return kept
@@ -153,7 +154,7 @@ def loaded(settings: NDArray[np.void], kept: NDArray[np.int8]) -> NDArray[np.voi
     Raises
     ------
     ModelError
-        If these are not the bytes of such a channel.
+        If the bytes are not a state of this channel.
     """
     states = int(settings["states"])
     if kept.dtype != np.int8 or kept.shape != (packed_size(states),):
@@ -161,34 +162,34 @@ def loaded(settings: NDArray[np.void], kept: NDArray[np.int8]) -> NDArray[np.voi
     bytes_in_one_piece, state = kept.copy(), np.zeros((), STATE)
     kernel.channel_unpack(states, bytes_in_one_piece.ctypes.data, state.ctypes.data)
     if not kernel.channel_is_sound(settings.ctypes.data, state.ctypes.data):
-        raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
+        raise ModelError("The state of a snapshot has impossible values; pass what snapshot() returned.")
     return state
 
 
 def score(
     settings: NDArray[np.void], coefficients: NDArray[np.void], scored_from: int, **rows: Any
 ) -> tuple[float, float, int]:
-    """Return what makes the likelihood of a record's rows from `scored_from` on: sums of nu^2 / S and log S; how many.
+    """Return the sums of nu^2 / S and log S over a record's rows from `scored_from` on, and the number of measurements.
 
     Parameters
     ----------
     settings, coefficients : () structured array
-        Of the channel.
+        Those of the channel.
     scored_from : int
-        Rows before only start the filter.
+        The first row that counts; earlier rows only start the filter.
     **rows : array
-        z, elapsed, F, Q and step, as of `process`; z holds NaN where no measurement may enter.
+        z, elapsed, F, Q and step, as in `process`; z holds NaN where no measurement may enter.
 
     Raises
     ------
     ValueError
-        If they do not fit each other.
+        If the arrays do not fit each other.
     """
     block, _ = checked(settings, rows, writes=False)
-    found = np.zeros((), _SCORE)
-    found["product"] = 1.0
+    sums = np.zeros((), _SCORE)
+    sums["product"] = 1.0
     kernel.likelihood_add(
-        settings.ctypes.data, coefficients.ctypes.data, ctypes.byref(block), scored_from, found.ctypes.data
+        settings.ctypes.data, coefficients.ctypes.data, ctypes.byref(block), scored_from, sums.ctypes.data
     )
-    log_det = np.log(found["product"]) + found["exponent"] * np.log(2.0)
-    return float(found["squares"]), float(log_det), int(found["used"])
+    log_det = np.log(sums["product"]) + sums["exponent"] * np.log(2.0)
+    return float(sums["squares"]), float(log_det), int(sums["used"])

@@ -1,4 +1,5 @@
-/* What later rows say of a row of one channel. Equations are numbered as in core/reference/kalman.py. */
+/* Smooth the rows of one channel with the information of later rows. Equations are numbered as in
+   core/reference/kalman.py. */
 #ifndef BECALM_BACKWARD_H
 #define BECALM_BACKWARD_H
 
@@ -6,8 +7,8 @@
 #include "opening.h"
 #include "pack.h"
 
-/* Smooth a row that gathers information, by the row after it; or, of the last one, by itself. Return 0 where that does
-   not tell it. */
+/* Smooth a row while information is still gathered, with the row after it; the last row stands alone. Return 0 if this
+   does not determine the state. */
 INLINE int smooth_gathering(const int n, const coefficients_t *model, const filter_t *row, const real *Q,
                             future_t *future, real *signal, real *sigma) {
     const real nothing[N_MAX] = {0};
@@ -30,8 +31,8 @@ INLINE int smooth_gathering(const int n, const coefficients_t *model, const filt
     return 1;
 }
 
-/* Smooth one row: add to its filtered signal what later rows say. Return 0 where only the smoothed row after it, which
-   is not known, would say it with all digits. */
+/* Smooth one row: add the information of later rows to its filtered signal. Return 0 if digits are lost, because only
+   the smoothed row after it, which is not known, would give all of them. */
 INLINE int smooth_row(const int n, const coefficients_t *model, const filter_t *row, const real *Q, future_t *future,
                       real *signal, real *sigma) {
     real smoothed[NN_MAX], Pr[N_MAX];
@@ -49,14 +50,14 @@ INLINE int smooth_row(const int n, const coefficients_t *model, const filter_t *
     return !lost || known;
 }
 
-/* Carry what later rows say through the update of a row, and through the step before it. */
+/* Carry the information of later rows back through the update of a row, and through the step before it. */
 INLINE void step_back(const int n, const real *h, const real S, const real *K, const real *F, const real innovation,
                       future_t *future) {
     real A[NN_MAX], g[N_MAX], G[N_MAX];
     const int used = !isnan(innovation);
     const real nu = used ? innovation : 0;
     see_through(n, 1, h, F, g);
-    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* what is known exactly tells nothing new */
+    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* S = 0: nothing new */
     if (used)
         close_loop(n, 1, F, K, g, A);
     else
@@ -65,11 +66,11 @@ INLINE void step_back(const int n, const real *h, const real S, const real *K, c
     pull_back(n, 1, A, G, g, future->M);
 }
 
-/* Go on to the row before one that was smoothed, once it was stepped back over. */
+/* Move from a smoothed row to the row before, after `step_back`. */
 INLINE void leave_row(const int n, const real *F, const real *Q, const int8_t verdict, const int8_t start,
                       future_t *future) {
-    if (start == ANEW) forget_future(n, future);         /* rows before it know nothing of it */
-    if (verdict == STEP) future->later = NOTHING_LATER; /* Q is not all that lies between */
+    if (start == ANEW) forget_future(n, future);         /* rows before a restart do not use it */
+    if (verdict == STEP) future->later = NOTHING_LATER; /* a jump adds more than Q */
     copy(n * n, F, future->F), copy(n * n, Q, future->Q);
 }
 

@@ -1,7 +1,7 @@
-/* One channel, row by row: limits, gap, predict, gate, update, monitor, estimate.
+/* Process one channel row by row: limits, gap, predict, gate, update, monitor, estimate.
 
-   A block passes three times: its measurements are judged, filtered, and their innovations watched. No pass knows what
-   is in the block but by its rows, so that a stream gives the same bits wherever it is cut.
+   Three passes run over a block: they check the measurements, filter them, and monitor their innovations. Each pass
+   works row by row, so that the cuts between blocks change no bit.
 
    Equations are numbered as in core/reference/kalman.py. */
 #include <string.h>

@@ -1,9 +1,9 @@
-/* The clock of a stream: how many steps passed before each row, and which stamps cannot be. Row by row, so that no cut
-   matters. */
+/* The clock of a stream: count the steps before each row, and detect impossible stamps. It works row by row, so that
+   cuts between blocks change nothing. */
 #include "kernel.h"
 
-#define PULL ((real)0.75)     /* of a stamp's distance from the even grid, by which that follows it */
-#define PULL_PACE ((real)0.1) /* and the sender's pace */
+#define PULL ((real)0.75)     /* share of a stamp's distance by which the even grid follows it */
+#define PULL_PACE ((real)0.1) /* the same for the sender's pace */
 #define LEAST_PACE ((real)0.98)
 #define GREATEST_PACE ((real)1.02)
 #define WHOLE_FROM ((real)4503599627370496) /* 2^52: numbers from here on are whole */
@@ -14,7 +14,7 @@ static real nearest_whole(const real x) {
     return whole > x + (real)0.5 ? whole - 1 : whole;
 }
 
-/* Hold a stamp back that cannot be, until so many agree that it is the clock that jumped. */
+/* Hold back an impossible stamp; after AGREEING such stamps that agree, the clock has jumped. */
 static int8_t hold_back(stamps_t *state, const real t, real *elapsed) {
     const real passed = t - state->last;
     const int agrees = state->held > 0 && t > state->held_last && t - state->held_last <= state->farthest;
@@ -28,7 +28,7 @@ static int8_t hold_back(stamps_t *state, const real t, real *elapsed) {
     return CLOCK_RESET;
 }
 
-/* Count the steps to a stamp that is not before the last: whole ones where it lies on the grid. */
+/* Count the steps to a stamp that is not before the last one; a whole number if the stamp lies on the grid. */
 static int8_t count_steps(stamps_t *state, const real t, const int doubled, real *elapsed) {
     const real steps = (t - state->grid) / state->step, off = steps - state->pace;
     const real whole = nearest_whole(steps / state->pace);

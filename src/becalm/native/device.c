@@ -1,4 +1,4 @@
-/* A channel at its own rate, one row at a time. It filters nothing itself: see channel.c. */
+/* Run a channel at its own rate, one row at a time; the filter itself is in channel.c. */
 #include "device.h"
 
 #include "doubling.h"
@@ -6,7 +6,7 @@
 #include "opening.h"
 #include "sensor.h"
 
-#define LONG ((real)1e9) /* steps: a filter that was reset has been so for as long */
+#define LONG ((real)1e9) /* steps: assumed time at the signal that a filter starts at */
 
 void device_start(const device_t *device, device_state_t *state) {
     channel_start(&device->settings, &state->channel);
@@ -33,7 +33,7 @@ void device_start_at(const device_t *device, device_state_t *state, const real s
     state->sigma = widened(settings, model->R, &state->channel.sensor, signal, filter->sigma, 1);
 }
 
-/* Take a row after a step; return what the filter makes of it, NaN where that is nothing. */
+/* Process one row after a step; return the signal, NaN if there is no estimate. */
 static real take(const device_t *device, device_state_t *state, const real z, const real elapsed, const real *F,
                  const real *Q, int8_t *verdict) {
     const int32_t step = 0;
@@ -45,7 +45,7 @@ static real take(const device_t *device, device_state_t *state, const real z, co
     return signal;
 }
 
-/* Return what the model predicts, whatever that is worth; NaN where nothing tells it. */
+/* Return the model's prediction, however uncertain; NaN while the signal is undetermined. */
 static real predicted(const device_t *device, const filter_t *filter) {
     const int n = (int)device->settings.states;
     real signal = NOT_A_NUMBER, sigma;

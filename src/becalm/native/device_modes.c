@@ -1,4 +1,4 @@
-/* Several modes of a channel at its own rate, one row at a time. It filters nothing itself: see imm.c. */
+/* Run a channel with several modes at its own rate, one row at a time; the filter itself is in imm.c. */
 #include "device_modes.h"
 
 #include <string.h>
@@ -6,7 +6,7 @@
 #include "doubling.h"
 #include "sensor.h"
 
-enum { SINGLE = 1000 }; /* rows of a gap that are taken one by one: by then the modes are as probable as in the long run */
+enum { SINGLE = 1000 }; /* rows of a gap processed one by one; then the modes have their long-term probabilities */
 enum { ROOM = 2 * ((MODES_MAX + 1) / 2 * (4 * NN_MAX + 3 * N_MAX) + NN_MAX) };
 
 static imm_state_t *modes_of(device_modes_state_t *state) { return (imm_state_t *)(void *)state->now; }
@@ -15,7 +15,7 @@ static const real *probabilities(const device_modes_state_t *state) {
     return ((const imm_state_t *)(const void *)state->now)->beliefs;
 }
 
-/* Forget all that was measured. */
+/* Discard all measurements so far. */
 static void forget(const device_modes_t *device, device_modes_state_t *state) {
     imm_state_t *now = modes_of(state);
     memset(state->now, 0, sizeof state->now);
@@ -29,7 +29,7 @@ void device_modes_start(const device_modes_t *device, device_modes_state_t *stat
     state->sigma = INFINITE;
 }
 
-/* Take a row after a step; return what the modes make of it, NaN where that is nothing, and what they believe of it. */
+/* Process one row after a step; return the signal, NaN if there is none, and write the filter's own estimate. */
 static real take(const device_modes_t *device, device_modes_state_t *state, const real z, const real elapsed,
                  const real *F, const real *Q, const real *T, int8_t *verdict, real *believed) {
     const settings_t *settings = &device->settings;
@@ -69,7 +69,7 @@ void device_modes_start_at(const device_modes_t *device, device_modes_state_t *s
     (void)device_modes_step(device, state, signal, &told);
 }
 
-/* Write T^rows: how probable modes are after so many steps. */
+/* Write T^rows, the transition probabilities over this many steps. */
 static void switch_often(const int m, const real *T, uint32_t rows, real *power) {
     real B[MODES_MAX * MODES_MAX], more[MODES_MAX * MODES_MAX];
     copy(m * m, T, B);

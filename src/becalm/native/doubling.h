@@ -1,10 +1,10 @@
-/* Many steps as one, by doubling. */
+/* Combine many equal steps into one by repeated doubling. */
 #ifndef BECALM_DOUBLING_H
 #define BECALM_DOUBLING_H
 
 #include "linear.h"
 
-/* Write the step, A and W, that is so many of another, F and Q. */
+/* Write A and W, the matrices of one step that equals `rows` steps with F and Q. */
 static inline void many_steps(const int n, const real *F, const real *Q, uint32_t rows, real *A, real *W) {
     real B[NN_MAX], V[NN_MAX], BB[NN_MAX], more[NN_MAX];
     copy(n * n, F, B), copy(n * n, Q, V);

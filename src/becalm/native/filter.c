@@ -1,4 +1,4 @@
-/* The filter of one channel: rows whose measurements were judged, and whose starts were found.
+/* The filter of one channel, for rows whose measurements and restarts are already checked.
 
    Equations are numbered as in core/reference/kalman.py. */
 #include "filter.h"
@@ -11,7 +11,7 @@
 #include "settling.h"
 
 
-/* Take one row with its covariance; return what the gate says of its measurement. */
+/* Filter one row and its covariance; return the gate's verdict on the measurement. */
 INLINE int filter_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                       const real *F, const real *Q, const real elapsed, const real z, const int jumps, real *innovation,
                       real *deviation) {
@@ -67,13 +67,13 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     const real variance = dot(n, model->c, Pc);
     state->sigma = variance > 0 ? sqrt(variance) : 0;
     notice(n, h, F, state, verdict == STEP ? -2 : elapsed, complete);
-    if (verdict == STEP) state->last_step = -1; /* its covariance is that of no other row */
+    if (verdict == STEP) state->last_step = -1; /* no other row has this covariance */
     return verdict;
 }
 
-/* Take rows with the gain that has settled, until one is missing, rejected, or comes after another step; return how
-   many were taken. What moves is the predicted state, F s + L nu (14) with its loop closed: s = A s + L z, A = F - L h.
-   That is the least that a row waits for. */
+/* Filter rows with the steady-state gain, until one is missing, rejected, or has another step; return how many. The
+   recursion is that of the predicted state, F s + L nu (14), in closed-loop form: s = A s + L z, A = F - L h. This is
+   the shortest dependency from row to row. */
 INLINE int64_t filter_settled(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                               const real *F, const block_t *block, int64_t row, const pass_t *pass,
                               const estimate_t *estimate) {
@@ -136,7 +136,7 @@ void filter_begin_after(const settings_t *settings, const coefficients_t *model,
     limits->now = limits->last = steps, limits->measurements = rows;
 }
 
-/* Take one row while measurements do not determine the state: their information is gathered. */
+/* Filter one row while measurements do not determine the state: add its information. */
 static void open_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                      const real *F, const real *Q, const real elapsed, const real z, real *signal, real *sigma) {
     *signal = NOT_A_NUMBER, *sigma = INFINITE;
@@ -175,7 +175,7 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
             const int64_t taken = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
             row += taken;
             if (taken) continue;
-            unsettle(state); /* so that what follows does not depend on when the gain has settled */
+            unsettle(state); /* so that later rows do not depend on when the gain settled */
         }
         if (state->phase != DETERMINED) {
             estimate->innovation[row] = estimate->deviation[row] = NOT_A_NUMBER;

@@ -1,4 +1,4 @@
-/* What a channel, a smoother and a likelihood have in common: the filter of one channel, block by block. */
+/* The filter of one channel, block by block; a channel, a smoother and a likelihood all use it. */
 #ifndef BECALM_FILTER_H
 #define BECALM_FILTER_H
 
@@ -6,29 +6,29 @@
 
 #include "kernel.h"
 
-enum { BLOCK = SMOOTHED, FIRST_CHECK = 32 }; /* rows; rows until a gain may have settled */
+enum { BLOCK = SMOOTHED, FIRST_CHECK = 32 }; /* rows in a block; rows before the first check of the gain */
 
-enum { GOES_ON = 16 }; /* measurements used since a jump: before so many a rejected one still belongs to it */
+enum { GOES_ON = 16 }; /* a reject after fewer measurements since a jump belongs to the jump */
 
-#define WIDE 1000000000 /* times R, the most that a jump adds: a measurement then keeps some digits */
+#define WIDE 1000000000 /* largest variance that a jump adds, over R; measurements then keep some digits */
 #define BEYOND_ANY_SENSOR ((real)1e100)
 
-enum { ANEW = 1, JUMPS = 2 }; /* the filter starts anew before a row; a measurement that is rejected is a jump at once */
+enum { ANEW = 1, JUMPS = 2 }; /* the filter restarts before this row; a rejected measurement is a jump at once */
 
-/* What the passes over a block hand on to each other. */
+/* Data from one pass over a block to the next. */
 typedef struct {
     real usable[BLOCK]; /* measurements, NaN where none may enter the filter */
     int8_t starts[BLOCK]; /* ANEW, JUMPS or 0 */
 } pass_t;
 
-/* Forget all that was measured. */
+/* Discard all measurements so far. */
 void filter_forget(filter_t *state);
-/* Say what went before the first row: the first measurement, and how many rows and steps, all measured. */
+/* Set the history before the first row: the first measurement, and the number of rows and steps, none missing. */
 void filter_begin_after(const settings_t *settings, const coefficients_t *model, limits_t *limits, filter_t *state,
                         real first, int64_t rows, real steps);
-/* Return what measurements are relative to: the first of them, unless that would round their noise away. */
+/* Return the level that measurements count from: the first one, unless this would round their noise away. */
 real filter_level(const settings_t *settings, const coefficients_t *model, real first);
-/* Return at most so many rows of a block from one on, and where what is estimated of them goes. */
+/* Return at most `count` rows of a block from `row` on; the next function does so for their estimates. */
 static inline block_t rows_from(const block_t *block, const int64_t row, const int64_t count) {
     block_t part = *block;
     part.z += row, part.elapsed += row, part.step += row;
@@ -46,7 +46,7 @@ static inline estimate_t estimate_from(const estimate_t *estimate, const int64_t
 /* Filter at most BLOCK rows. */
 void filter_block(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
                   const estimate_t *estimate, pass_t *pass);
-/* The same where all measurements of a part may enter, and it was found where the filter starts anew, or jumps. */
+/* The same for a part whose measurements may all enter, and whose restarts and jumps are already known. */
 void filter_part(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *part,
                  const estimate_t *estimate, const int8_t *starts);
 

@@ -1,29 +1,29 @@
-/* Fixed-lag smoother of one channel: each row is smoothed by those up to a lag after it.
+/* Fixed-lag smoother of one channel: smooth each row with the rows up to a lag after it.
 
-   Rows that wait are filtered again from the state before them when later ones come, so that this state is all that is
-   kept. While one gain holds, what later rows say is a weighted sum of their innovations. Equations are numbered as in
-   core/reference/kalman.py. */
+   When later rows come, the waiting rows are filtered again from the state before them, so that only this state is
+   kept. While the gain is constant, the information of later rows is a weighted sum of their innovations. Equations are
+   numbered as in core/reference/kalman.py. */
 #include "backward.h"
 #include "gap.h"
 
-/* Rows, how they were filtered, and what is estimated of them. */
+/* The rows of a block, their filtered states, and their estimates. */
 typedef struct {
     const settings_t *settings;
     const coefficients_t *model;
     const block_t *block;
     const estimate_t *estimate;
     const int8_t *starts;
-    real *states;    /* packed, one a row */
-    int64_t *place;  /* of each row: which of them has its gain and covariance */
-    int64_t *alike;  /* rows up to each that one settled gain was used for, without a break */
+    real *states;    /* packed, one per place */
+    int64_t *place;  /* for each row, the row whose gain and covariance it has */
+    int64_t *alike;  /* for each row, how many rows up to it used one steady-state gain */
 } rows_t;
 
-/* What later rows say of one whose gain, and theirs, is that of one stretch. */
+/* The weights of later rows for a row in the same stretch of constant gain. */
 typedef struct {
-    int64_t stretch; /* rows before its first; -1: none */
+    int64_t stretch; /* number of rows before the stretch; -1: none */
     real sigma;
     real Pc[N_MAX], P[NN_MAX];
-    real *weights;   /* of their innovations, n each: r = sum of weight nu */
+    real *weights;   /* weights of innovations, n each: r = sum of weight nu */
 } steady_t;
 
 int64_t lag_room(const int64_t states, const int64_t rows, const int64_t lag) {
@@ -46,7 +46,7 @@ static void filter_one(const int n, const rows_t *rows, filter_t *state, const i
     rows->alike[row] = state->settled ? 1 + (goes_on ? rows->alike[row - 1] : 0) : 0;
 }
 
-/* Filter the rows from one up to another. */
+/* Filter the rows from `row` to before `until`. */
 static void filter_until(const int n, const rows_t *rows, filter_t *state, int64_t row, const int64_t until) {
     while (row < until) {
         const int64_t count = !state->settled ? 1 : until - row < SMOOTHED ? until - row : SMOOTHED;
@@ -69,20 +69,20 @@ static void filter_until(const int n, const rows_t *rows, filter_t *state, int64
     }
 }
 
-/* Smooth a row, of which all that later ones say is known. */
+/* Smooth a row, given the information of the later rows. */
 INLINE int smooth_at(const int n, const rows_t *rows, const int64_t row, future_t *future, real *signal, real *sigma,
                      real *x) {
     filter_t state;
     unpack(n, rows->states + rows->place[row] * packed_size(n), &state);
-    if (x && state.phase == DETERMINED) copy(n, x, state.x); /* its own, not that of its place */
+    if (x && state.phase == DETERMINED) copy(n, x, state.x); /* the row's own state, not that of its place */
     const real *Q = steps_of(n, rows->block, rows->block->Q, row);
     const int kept = smooth_row(n, rows->model, &state, Q, future, signal, sigma);
     if (x && kept && future->later) copy(n, future->x, x);
     return kept;
 }
 
-/* Smooth a row by those up to another, all of which are smoothed for it: that keeps digits. With `every` they are told,
-   too. */
+/* Smooth row `from` with the rows up to `last`; the rows between are smoothed, too, which keeps digits. With `every`
+   their estimates are written, too. */
 static void smooth_all(const int n, const rows_t *rows, const int64_t from, const int64_t last, const int every,
                        real *signal, real *sigma, real *x) {
     const estimate_t *out = rows->estimate;
@@ -104,7 +104,7 @@ static void smooth_all(const int n, const rows_t *rows, const int64_t from, cons
     }
 }
 
-/* Smooth a row by those up to another. */
+/* Smooth a row with the rows up to `last`. */
 INLINE void smooth_by(const int n, const rows_t *rows, const int64_t row, const int64_t last, real *signal,
                       real *sigma, real *x) {
     const int gathers = packed_phase(rows->states + rows->place[row] * packed_size(n)) != DETERMINED;
@@ -123,7 +123,7 @@ INLINE void smooth_by(const int n, const rows_t *rows, const int64_t row, const 
     smooth_all(n, rows, row, last, 0, signal, sigma, x);
 }
 
-/* Note what a stretch has in common: sigma, and how much of each later innovation is added to a state. */
+/* Compute the constants of a stretch: sigma, and the weights of later innovations in a smoothed state. */
 static void note_stretch(const int n, const rows_t *rows, const int64_t row, const int64_t lag, steady_t *steady) {
     const real *packed = rows->states + rows->place[row] * packed_size(n);
     const real *F = steps_of(n, rows->block, rows->block->F, row);
@@ -145,7 +145,7 @@ static void note_stretch(const int n, const rows_t *rows, const int64_t row, con
 
 INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, const int64_t told, steady_t *steady) {
     const estimate_t *out = rows->estimate;
-    const int64_t whole = rows->block->rows > lag ? rows->block->rows - lag : 0; /* rows with so many after them */
+    const int64_t whole = rows->block->rows > lag ? rows->block->rows - lag : 0; /* rows with a full lag after them */
     if (told > whole) smooth_all(n, rows, whole, rows->block->rows - 1, 1, NULL, NULL, NULL);
     for (int64_t row = 0; row < told && row < whole; row++) {
         const int64_t last = row + lag;
@@ -194,7 +194,7 @@ static void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t l
     memcpy(&newest, state, sizeof newest);
     filter_until(n, rows, &newest, told, rows->block->rows);
     *settled_row = newest.settled_row;
-    switch (n) { /* each size has a frame of its own: together they would take megabytes of a thread's stack */
+    switch (n) { /* each size has its own stack frame: together they would need megabytes of stack */
     case 1: smooth_rows_1(rows, lag, told, &steady); break;
     case 2: smooth_rows_2(rows, lag, told, &steady); break;
     case 3: smooth_rows_3(rows, lag, told, &steady); break;

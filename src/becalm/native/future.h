@@ -1,19 +1,19 @@
-/* What later rows say of a state (Bryson and Frazier 1963, Bierman 1973), and where that alone keeps its digits: the same
-   of one channel and of several. Equations are numbered as in core/reference/kalman.py. */
+/* The information of later rows on a state (Bryson and Frazier 1963, Bierman 1973), and tests whether it keeps its
+   digits; for one channel or several. Equations are numbered as in core/reference/kalman.py. */
 #ifndef BECALM_FUTURE_H
 #define BECALM_FUTURE_H
 
 #include "filter.h"
 #include "information.h"
 
-#define MUCH ((real)2e-3)    /* of a variance: where later rows leave less of it, P - P M P loses its digits */
-#define HARDLY ((real)1e-10) /* of a variance: and where they leave less than that, it has lost them */
-#define BLOWN_UP ((real)1e4) /* times what a row knows: then F^-1 of the next says nothing of it */
+#define MUCH ((real)2e-3)    /* share of a variance: if later rows leave less of it, P - P M P loses digits */
+#define HARDLY ((real)1e-10) /* share of a variance: if they leave less than this, all digits are lost */
+#define BLOWN_UP ((real)1e4) /* growth of a row's covariance by F^-1 beyond which the next row is of no use to it */
 
-enum { NOTHING_LATER = 0, COVARIANCE_ONLY = 1, STATE_TOO = 2 }; /* what `later` tells of the row after */
+enum { NOTHING_LATER = 0, COVARIANCE_ONLY = 1, STATE_TOO = 2 }; /* values of `later`: what is known of the row after */
 
-/* A gain that was lost within a block has not settled again at its end: so one that has settled, for as many rows as
-   before the block, was used for all of them. */
+/* A gain that is lost within a block cannot settle again by its end. So if the gain is settled, with the same `steady`
+   as before the block, it was used for all its rows. */
 typedef char settles_late[2 * FIRST_CHECK >= SMOOTHED ? 1 : -1];
 
 static inline void unsettle_future(future_t *future) {
@@ -40,7 +40,7 @@ INLINE void pull_back_state(const int n, const int m, const real *A, const real 
     copy(n, before, r);
 }
 
-/* M = A' M A + G g (12), g = H F (m, n): through such a row */
+/* M = A' M A + G g (12), g = H F (m, n): through the same row */
 INLINE void pull_back(const int n, const int m, const real *A, const real *G, const real *g, real *M) {
     real MA[NN_MAX];
     multiply(n, M, A, MA);
@@ -53,7 +53,7 @@ INLINE void pull_back(const int n, const int m, const real *A, const real *G, co
         }
 }
 
-/* Notice that M is the same as an eighth of the stretch before. */
+/* Check whether M equals that at the last check, an eighth of the stretch before. */
 static inline void notice_future(const int n, future_t *future, const int64_t rows) {
     future->steady += rows;
     if (future->steady < future->next_check) return;
@@ -67,8 +67,8 @@ static inline void notice_future(const int n, future_t *future, const int64_t ro
     copy(n * n, future->M, future->M_then);
 }
 
-/* Write P - P M P (10); return how little it leaves of a variance at the least, as a share. It is L (I - L' M L) L' with
-   P = L L': where states are known by their sum alone, P M P has no digits. */
+/* Write P - P M P (10); return the smallest share that it leaves of a variance. It is computed as L (I - L' M L) L'
+   with P = L L', because P M P has no digits if only the sum of states is known. */
 INLINE real smooth_covariance(const int n, const real *P, const real *M, real *smoothed) {
     real L[NN_MAX], ML[NN_MAX], left[NN_MAX], least = 1;
     covariance_root(n, P, L);
@@ -88,8 +88,8 @@ INLINE real smooth_covariance(const int n, const real *P, const real *M, real *s
     return least;
 }
 
-/* Given what later rows say of x', write u = R^-1 (d - S x'), of which joint equations (R S; 0 ..) are, as A x' + g,
-   and Z = R^-1, whose square is its own covariance. */
+/* Solve joint equations (R S; 0 ..) for u = R^-1 (d - S x') given x', the row after: write A and g with u = A x' + g,
+   and Z = R^-1; Z Z' is the covariance of u given x'. */
 static inline void solve_joint(const int n, const real *joint, const real *right, real *A, real *g, real *Z) {
     for (int j = 0; j < n; j++)
         for (int i = n - 1; i >= 0; i--) {
@@ -107,8 +107,8 @@ static inline void solve_joint(const int n, const real *joint, const real *right
     }
 }
 
-/* Join what is known of a state, U x = b + e, with the next one, L^-1 (x' - F x) = e, in the unknowns (x, x'): where so
-   much has faded that F^-1 is of no use. */
+/* Join the information on a state, U x = b + e, with the step to the next one, L^-1 (x' - F x) = e, in the unknowns
+   (x, x'). This is for steps after which F^-1 is of no use, because a part of the state has decayed. */
 static inline int join_next(const int n, const real *F, const real *L, const real *U, const real *b, real *joint,
                      real *right) {
     real back[NN_MAX];
@@ -128,8 +128,8 @@ static inline int join_next(const int n, const real *F, const real *L, const rea
     return 1;
 }
 
-/* Write the smoothed state and covariance of a row that gathers information, U x = b + e, from those of the row after:
-   given x', the noise w of the step is known, and x = F^-1 (x' - L w); or x itself is. */
+/* Write the smoothed state and covariance of a row while information is gathered, U x = b + e, from those of the row
+   after. Given x', either the noise w of the step is determined, and x = F^-1 (x' - L w); or x itself is. */
 static inline int from_later(const int n, const real *U, const real *b, future_t *future) {
     real L[NN_MAX], back[NN_MAX], joint[4 * NN_MAX], right[2 * N_MAX];
     real A[NN_MAX], Z[NN_MAX], g[N_MAX], J[NN_MAX], V[NN_MAX], LZ[NN_MAX], x[N_MAX];
@@ -155,7 +155,7 @@ static inline int from_later(const int n, const real *U, const real *b, future_t
     return 1;
 }
 
-/* Return whether F^-1, which is written, keeps what a row knows: what has faded it blows up, with its rounding. */
+/* Write F^-1; return whether it keeps the digits of a row. It amplifies what has decayed, with its rounding errors. */
 static inline int goes_back(const int n, const real *F, const real *P, const real *M, real *back) {
     if (!invert(n, F, back)) return 0;
     for (int i = 0; i < n; i++) {
@@ -166,9 +166,9 @@ static inline int goes_back(const int n, const real *F, const real *P, const rea
     return 1;
 }
 
-/* The same where the row has a covariance, which P - P M P would lose the digits of: with M = F P F' + Q and
-   C = F^-1 (I - Q M^-1), it is C P' C' + C Q F'^-1 (Anderson and Moore 1979, chapter 10). Where F^-1 is of no use, it
-   is (I - K F) P (I - K F)' + K (Q + P') K' with K = P F' M^-1, the same in Joseph's form. */
+/* The same for a row with a covariance, if P - P M P would lose its digits. With M = F P F' + Q and
+   C = F^-1 (I - Q M^-1), it is C P' C' + C Q F'^-1 (Anderson and Moore 1979, chapter 10). If F^-1 is of no use, it is
+   (I - K F) P (I - K F)' + K (Q + P') K' with K = P F' M^-1, the same in Joseph's form. */
 static inline int covariance_from_later(const int n, const real *P, future_t *future) {
     const real *F = future->F, *Q = future->Q;
     real A[NN_MAX], M[NN_MAX], C[NN_MAX], D[NN_MAX], back[NN_MAX], V[NN_MAX];
@@ -203,7 +203,7 @@ static inline int covariance_from_later(const int n, const real *P, future_t *fu
     return 1;
 }
 
-/* Return a smoothed variance of c x, never 0: where its digits are lost, that of the pass forward. */
+/* Return the smoothed variance of c x, never 0: if its digits are lost, return that of the forward pass. */
 INLINE real smoothed_variance(const int n, const real *c, const real *P, const real *M, const real *recomputed) {
     real Pc[N_MAX];
     times(n, P, c, Pc);

@@ -1,12 +1,12 @@
-/* Gaps that no filter can be carried across: float64 would lose what was measured before. */
+/* Detect gaps that the filter cannot bridge, because float64 would lose the measurements before. */
 #ifndef BECALM_GAP_H
 #define BECALM_GAP_H
 
 #include "filter.h"
 #include "linear.h"
 
-/* Follow the time since the last measurement; return whether the gap before this one is longer than the filter can be
-   carried across. */
+/* Add a row to the time since the last measurement; return whether the gap before this measurement is too long for the
+   filter. */
 INLINE int check_gap(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
     if (state->measurements) state->now += elapsed;
     if (!usable) return 0;
@@ -22,10 +22,10 @@ INLINE int check_gap(const settings_t *settings, limits_t *state, const real ela
     return anew;
 }
 
-/* Find where a filter starts anew, of the first rows of a block. */
+/* Mark the rows at which the filter restarts, for the first rows of a block. */
 static inline void find_starts(const settings_t *settings, limits_t *limits, const block_t *block, const int64_t rows,
                                int8_t *starts) {
-    limits_t own = *limits; /* so that it may stay in registers */
+    limits_t own = *limits; /* a local copy can stay in registers */
     for (int64_t row = 0; row < rows; row++) {
         const int usable = fabs(block->z[row]) <= BEYOND_ANY_SENSOR;
         const int anew = check_gap(settings, &own, block->elapsed[row], usable);

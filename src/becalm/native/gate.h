@@ -1,13 +1,13 @@
-/* Innovation gate: which measurements are not believed, and before which the signal has jumped. */
+/* The innovation gate: it rejects implausible measurements, and detects jumps of the signal. */
 #ifndef BECALM_GATE_H
 #define BECALM_GATE_H
 
 #include "filter.h"
 #include "linear.h"
 
-#define GROWS ((real)4) /* times the innovations of a jump so far: one that is larger is no part of it yet */
+#define GROWS ((real)4) /* an innovation this many times larger than those of a jump is not part of it */
 
-/* Return by how much a prediction's error may change over a step, one standard deviation. */
+/* Return one standard deviation of the change of a prediction's error over a step. */
 static inline real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
     real g[N_MAX], s = 0;
     see_through(n, 1, h, F, g);
@@ -17,7 +17,7 @@ static inline real wander(const int n, const real *h, const real *F, const real 
     return s > 0 ? sqrt(s) : 0;
 }
 
-/* Return the next power of four, which a last digit seldom changes. */
+/* Return the next power of four; the last digits of a variance seldom change it. */
 static inline real round_up(real variance) {
     real power = 1;
     if (!(variance > 0)) return 0;
@@ -27,9 +27,9 @@ static inline real round_up(real variance) {
     return power;
 }
 
-/* Add to a predicted covariance what makes an innovation likely: to the level alone, or to all states alike, but no more
-   than what moves the next measurement as far. Jumps that follow each other soon would multiply what the last one has
-   added, until no digit is left. */
+/* Add to a predicted covariance so that the innovation becomes likely: to the level alone, or to all states in
+   proportion. No addition may move the next measurement farther than the innovation; otherwise jumps soon after each
+   other would multiply the last addition until no digit is left. */
 static inline void jump(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                         const real *F, const real nu, const real hPh) {
     const int64_t level = state->since_jump >= settings->gate_most ? settings->gate_level : -1;
@@ -48,8 +48,8 @@ static inline void jump(const int n, const settings_t *settings, const coefficie
     state->jumped = 1, state->burst = fabs(nu);
 }
 
-/* Count a measurement that is rejected; return whether it is accepted after all: so many in a row are motion, and so is
-   one soon after a jump that is not far beyond it. */
+/* Count a rejected measurement; return whether it is accepted after all. Several in a row are motion, and so is one
+   soon after a jump and not far beyond it. */
 static inline int reject(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
     const real noise = sqrt(2 * model->R + state->wandered * state->wandered);
     const int agrees = state->agreeing > 0 && fabs(nu - state->last_rejected) <= settings->gate_threshold * noise;

@@ -1,5 +1,6 @@
-/* The filter of several modes. Before each row their beliefs are mixed by how likely a switch is, then each predicts and
-   updates, and the likelihood of the measurement weighs them anew. Source: Blom and Bar-Shalom, IEEE TAC-33 (1988) 780. */
+/* The IMM filter. Before each row the states of the modes are mixed with the transition probabilities; then each mode
+   predicts and updates, and the likelihoods of the measurement update the mode probabilities. Source: Blom and
+   Bar-Shalom, IEEE TAC-33 (1988) 780. */
 #include "imm.h"
 
 #include <string.h>
@@ -10,8 +11,8 @@
 #include "pair.h"
 #include "product.h"
 
-#define SELDOM ((real)1e-8)  /* of a mixture: one Gaussian cannot hold what is so far out and so rare */
-#define FARTHEST ((real)1e300) /* half a square, beyond which no measurement says anything of the modes */
+#define SELDOM ((real)1e-8)  /* least share in a mixture: one Gaussian cannot represent parts as rare as this */
+#define FARTHEST ((real)1e300) /* half a square: a measurement beyond it has no information on the modes */
 
 int64_t imm_beliefs_size(const int64_t states, const int64_t modes) { return modes * (1 + states + states * states); }
 int64_t imm_note_size(const int64_t states, const int64_t modes) { return imm_beliefs_size(states, modes) + NOTED * modes; }
@@ -28,23 +29,23 @@ INLINE pair_t within(const pair_t value) {
                                                      : value;
 }
 
-/* What all modes believe of a row, two modes side by side. Beyond the last mode numbers are 0 in F and Q, 1 in R, and are
-   not looked at elsewhere. */
+/* The states of all modes at a row, two modes side by side. After the last mode, numbers are 0 in F and Q and 1 in R;
+   elsewhere they are ignored. */
 typedef struct {
     real mu[MODES_MAX];
     pair_t *x, *P; /* (pairs, n), (pairs, n, n) */
 } pairs_t;
 
-/* What each mode makes of a measurement. */
+/* The likelihood of a measurement for each mode. */
 typedef struct {
-    real prior[MODES_MAX];           /* how probable the mode was before it */
-    real y[MODES_MAX], S[MODES_MAX]; /* what it expected, and the variance of that */
-    real weight[MODES_MAX];          /* density, but for a factor that all have */
-    real wild[MODES_MAX];            /* share of it that wild measurements have */
-    real square;                     /* the factor is exp(-square / 2) over the root of 2 pi */
+    real prior[MODES_MAX];           /* probability of the mode before it */
+    real y[MODES_MAX], S[MODES_MAX]; /* prediction of the measurement, and innovation variance */
+    real weight[MODES_MAX];          /* density, without a common factor */
+    real wild[MODES_MAX];            /* share of wild measurements in it */
+    real square;                     /* the common factor is exp(-square / 2) over the root of 2 pi */
 } look_t;
 
-/* The modes over one step, and their sensors. */
+/* The modes over one step, and their measurement noise. */
 typedef struct {
     pair_t T[PAIRS * MODES_MAX], R[PAIRS], tail[PAIRS], *F, *Q; /* (pairs, M), (pairs), (pairs), (pairs, n, n) */
     int tails;                                                  /* whether any is above 0 */
@@ -62,22 +63,22 @@ INLINE void save(const int n, const int m, const pairs_t *now, real *beliefs) {
     get(n * n, m, now->P, beliefs + m + m * n);
 }
 
-/* Write how probable each mode was before one that is of these two now, without what is rare; return how probable the
-   two are (1). */
+/* Write the probability of each mode before the step, given each of two modes after it, without rare ones; return the
+   probabilities of the two modes (1). */
 INLINE pair_t come_from(const int m, const real *mu, const pair_t *T, pair_t *w) {
     pair_t c = both(0), kept = both(0);
     for (int i = 0; i < m; i++) w[i] = mu[i] * T[i], c += w[i];
-    const mask_t reached = c > both(UNLIKELY); /* else no way leads to it: from whatever is believed */
+    const mask_t reached = c > both(UNLIKELY); /* otherwise no transition leads to it: mix all modes */
     if (!(reached[0] & reached[1]))
         for (int i = 0; i < m; i++) w[i] = choose(reached, w[i], both(mu[i]));
     for (int i = 0; i < m; i++) w[i] = choose(w[i] > SELDOM * c, w[i], both(0)), kept += w[i];
     kept = 1 / kept;
     for (int i = 0; i < m; i++) w[i] *= kept;
-    w[m] = both(0); /* of an odd number of modes the last has none beside it */
+    w[m] = both(0); /* with an odd number of modes the last one has no partner */
     return choose(reached, c, both(UNLIKELY));
 }
 
-/* Mix what each of two modes starts a step from, had it just been switched to or stayed (2), (3), and predict it (4). */
+/* Mix the states from which each of two modes starts a step (2), (3), and predict them (4). */
 INLINE void step_pair(const int n, const int m, const pair_t *w, const pairs_t *now, const pair_t *F, const pair_t *Q,
                       pair_t *x, pair_t *P, pair_t *room) {
     pair_t mixed[N_MAX], FP[N_MAX];
@@ -128,7 +129,7 @@ INLINE void step_pair(const int n, const int m, const pair_t *w, const pairs_t *
     }
 }
 
-/* Write what each of two modes expects, the variance of that (5), and P h. */
+/* Write each of two modes' prediction of the measurement, its variance (5), and P h. */
 INLINE void expect(const int n, const real *h, const pair_t R, const pair_t *x, const pair_t *P, pair_t *Ph, pair_t *y,
                    pair_t *S) {
     *y = both(0), *S = R;
@@ -141,9 +142,9 @@ INLINE void expect(const int n, const real *h, const pair_t R, const pair_t *x, 
     }
 }
 
-/* Write how likely a measurement is to each mode, but for a factor that all have (6). */
+/* Write the likelihood of a measurement for each mode, without a common factor (6). */
 INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z, look_t *look) {
-    real half[MODES_MAX], half_wild[MODES_MAX], least = FARTHEST; /* of squares over variances */
+    real half[MODES_MAX], half_wild[MODES_MAX], least = FARTHEST; /* half of squares over variances */
     for (int j = 0; j < m; j += 2) {
         const pair_t nu = z - *at(look->y + j), square = (real)0.5 * nu * nu;
         *at(half + j) = square / *at(look->S + j);
@@ -165,8 +166,8 @@ INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const
     look->square = 2 * least;
 }
 
-/* Update two modes (7), in Joseph's form, B - (B h) K' + K R K' with B = P - K (P h)'; of a measurement that may be wild,
-   each believes the mixture of both outcomes. */
+/* Update two modes (7), in Joseph's form, B - (B h) K' + K R K' with B = P - K (P h)'. If the measurement may be wild,
+   the result is the mixture of both cases. */
 INLINE void correct_pair(const int n, const real *h, const int rejects, const pair_t R, const pair_t S, const pair_t nu,
                          const pair_t believed, const pair_t *Ph, pair_t *x, pair_t *P) {
     pair_t K[N_MAX], B[N_MAX];
@@ -188,11 +189,11 @@ INLINE void correct_pair(const int n, const real *h, const int rejects, const pa
     }
 }
 
-/* Write how probable each mode is after a measurement (8); return its density, but for a factor. */
+/* Write the probability of each mode after a measurement (8); return its density, without the common factor. */
 INLINE real weigh(const int m, const look_t *look, real *mu) {
     real total = 0;
     for (int j = 0; j < m; j++) mu[j] = look->prior[j] * look->weight[j], total += mu[j];
-    const int possible = total > 1 / FARTHEST; /* what no mode can explain tells nothing of them */
+    const int possible = total > 1 / FARTHEST; /* a measurement that no mode explains has no information on them */
     const real share = possible ? 1 / total : 1;
     for (int j = 0; j < m; j++) {
         const real own = possible ? mu[j] * share : look->prior[j];
@@ -201,7 +202,7 @@ INLINE real weigh(const int m, const look_t *look, real *mu) {
     return possible ? total : 1 / FARTHEST;
 }
 
-/* Begin with the first measurement. */
+/* Start with the first measurement. */
 INLINE void begin(const int n, const int m, const imm_t *imm, const real z, pairs_t *now) {
     for (int j = 0; j < m; j++) {
         const real *start = imm->start + j * (1 + n);
@@ -214,7 +215,7 @@ INLINE void begin(const int n, const int m, const imm_t *imm, const real z, pair
     }
 }
 
-/* Write what is estimated of a row. */
+/* Write the estimates of a row. */
 INLINE void write_pairs(const int n, const int m, const real *c, const real level, const pairs_t *now, const int64_t row,
                         const imm_estimate_t *estimate) {
     if (estimate->signal) {
@@ -239,9 +240,9 @@ INLINE void write_pairs(const int n, const int m, const real *c, const real leve
         }
 }
 
-/* Write the innovation of the mixture. Its distribution is no Gaussian, but the probability of a smaller measurement is
-   uniform, and the normal quantile of that, the score, standard normal and white. Source: Rosenblatt, Annals of
-   Mathematical Statistics 23 (1952) 470. */
+/* Write the innovation of the mixture. Its distribution is not Gaussian, but the probability of a smaller measurement
+   is uniform, and the normal quantile of this probability, the score, is standard normal and white. Source: Rosenblatt,
+   Annals of Mathematical Statistics 23 (1952) 470. */
 static void write_innovation(const int m, const imm_t *imm, const real z, const look_t *look, const int64_t row,
                              const imm_estimate_t *estimate) {
     real y = 0, v = 0, sides[2] = {0, 0}; /* probability of smaller measurements, of larger ones */
@@ -258,9 +259,9 @@ static void write_innovation(const int m, const imm_t *imm, const real z, const 
     estimate->innovation[row] = sigma * normal_score(sides[0], sides[1]), estimate->innovation_sigma[row] = sigma;
 }
 
-/* Note what a measurement said to each mode: exp(g + p h d - W (h d)^2 / 2), d from its mean. W is w / R, p is
-   W (z - h x) with x after the measurement, and g is such that the whole is as likely, to what the mode expected, as it
-   was weighed (9): w < 1 is the share of a measurement that may be wild. */
+/* Note the likelihood of a measurement for each mode: exp(g + p h d - W (h d)^2 / 2), d from its mean. W is w / R, p is
+   W (z - h x) with x after the measurement, and w < 1 is the weight of a measurement that may be wild. g makes the mean
+   of the whole over the mode's prediction equal to the likelihood in the filter (9). */
 INLINE void note(const int n, const int m, const imm_t *imm, const real z, const look_t *look, const pairs_t *now,
                  real *noted) {
     for (int j = 0; j < m; j++, noted += NOTED) {
@@ -268,7 +269,7 @@ INLINE void note(const int n, const int m, const imm_t *imm, const real z, const
         const real W = (imm->rejects ? 1 - look->wild[j] : 1) / R;
         real y = z;
         for (int a = 0; a < n; a++) y -= imm->h[a] * numbers_of(now->x, n, j)[2 * a];
-        const real weight = look->weight[j] > 1 / FARTHEST /* else it has lost its digits */
+        const real weight = look->weight[j] > 1 / FARTHEST /* otherwise it has lost its digits */
                                 ? logarithm(look->weight[j])
                                 : (real)0.5 * (look->square - nu * nu / look->S[j]) + logarithm((1 - t) / sqrt(look->S[j]));
         noted[0] = W * y, noted[1] = W;
@@ -276,7 +277,7 @@ INLINE void note(const int n, const int m, const imm_t *imm, const real z, const
     }
 }
 
-/* Take a measurement; return its density, but for a factor. */
+/* Update all modes with a measurement; return its density, without the common factor. */
 INLINE real update(const int n, const int m, const imm_t *imm, const step_t *step, const real z, pairs_t *now, pair_t *Ph,
                    look_t *look) {
     for (int q = 0; 2 * q < m; q++)
@@ -294,7 +295,7 @@ INLINE real update(const int n, const int m, const imm_t *imm, const step_t *ste
     return weigh(m, look, now->mu);
 }
 
-/* Lay a step out. */
+/* Arrange the matrices of a step in pairs of modes. */
 INLINE void lay_out(const int n, const int m, const imm_t *imm, const int64_t number, step_t *step) {
     put(n * n, m, imm->F + number * m * n * n, step->F);
     put(n * n, m, imm->Q + number * m * n * n, step->Q);
@@ -385,5 +386,5 @@ int imm_is_sound(const imm_t *imm, const imm_state_t *state) {
         if (!(fabs(mu[i]) < INFINITE)) return 0;
     for (int64_t j = 0; j < m; j++)
         if (mu[0] > 0 ? !(mu[j] > 0 && mu[j] <= 2) : mu[j] != 0) return 0;
-    return 1; /* a variance may be below 0: beside a measurement of 1e12 sigma it has no digits */
+    return 1; /* a variance may be below 0: after a measurement of 1e12 sigma it has no digits */
 }

@@ -1,6 +1,6 @@
-"""Several modes, one of which is in force at a time, in C: interacting multiple models (`imm.h`).
+"""Call the C filter and smoothers of interacting multiple models (`imm.h`): several modes, one in force at a time.
 
-Buffers go in and out; nothing is kept.
+The functions work on the caller's arrays and keep nothing.
 """
 
 from __future__ import annotations
@@ -34,28 +34,28 @@ kernel.imm_smooth_late.restype = None
 class Bank(NamedTuple):
     """The modes over steps of u different lengths, and their sensor."""
 
-    F: Floats  # (u M, n, n) the modes of one length side by side
-    Q: Floats  # (u M, n, n)
+    F: Floats  # (u M, n, n) transitions; the M modes of one length follow each other
+    Q: Floats  # (u M, n, n) process noise
     T: Floats  # (u, M, M) probability of going from mode i to mode j over the step
-    H: Floats  # (1, n)
-    C: Floats  # (1, n) what of the state is signal
-    R: Floats  # (M,) in unit^2
-    tail: Floats  # (M,) share of measurements that are wild
-    wild: Floats  # (2,) variance of wild measurements, in unit^2, and 1 where they are not believed, else 0
-    start: Floats  # (M, 1 + n) how modes begin with the first measurement: probability, and variances of states
-    largest: Floats  # (2,) magnitudes, in unit, beyond which a value is no measurement, and no level
+    H: Floats  # (1, n) measurement matrix
+    C: Floats  # (1, n) output of the signal
+    R: Floats  # (M,) measurement variance, in unit^2
+    tail: Floats  # (M,) share of wild measurements
+    wild: Floats  # (2,) extra variance of wild measurements, in unit^2; and 1 if they are rejected, else 0
+    start: Floats  # (M, 1 + n) each mode at the first measurement: its probability, and variances of its states
+    largest: Floats  # (2,) largest magnitude of a measurement, and of a level, in unit
 
 
 class Trace(NamedTuple):
-    """What is written of each row, from the first measurement on; an array of no columns is not wanted."""
+    """Output arrays for each row from the first measurement on; an array without columns is not written."""
 
     signal: Floats  # (N,) in unit
     sigma: Floats  # (N,) in unit
     innovation: Floats  # (N,) of the mixture: the normal score of the measurement times innovation_sigma, in unit
     innovation_sigma: Floats  # (N,) in unit
-    probability: Floats  # (M, N) of each mode
+    probability: Floats  # (M, N) probability of each mode
     wild: Floats  # (N,) probability that the measurement is wild
-    mean: Floats  # (n, N) of the mixture, without the level
+    mean: Floats  # (n, N) mean of the mixture, without the level
 
 
 _WRITTEN = {*Trace._fields, "before", "notes", "later"}
@@ -95,8 +95,8 @@ def new_state(bank: Bank, *, keeps_level: bool) -> State:
     bank : Bank
         The modes.
     keeps_level : bool
-        Whether the first measurement is subtracted from all, as it may where a constant added to them is added to the
-        signal.
+        Whether to subtract the first measurement from all; possible if a constant added to the measurements is added to
+        the signal.
     """
     state = np.zeros((), _layout(bank))
     state["layout"], state["states"], state["modes"] = CONSTANTS["IMM_LAYOUT"], *_sizes(bank)
@@ -105,7 +105,7 @@ def new_state(bank: Bank, *, keeps_level: bool) -> State:
 
 
 def restored(bank: Bank, kept: NDArray[np.int8]) -> State | None:
-    """Return a state from its bytes (B,); None where they are not one that such a bank can have."""
+    """Return a state from its bytes (B,); None if they are not a valid state of this bank."""
     layout = _layout(bank)
     if kept.dtype != np.int8 or kept.shape != (layout.itemsize,):
         return None
@@ -114,21 +114,21 @@ def restored(bank: Bank, kept: NDArray[np.int8]) -> State | None:
 
 
 def note_size(states: int, modes: int) -> int:
-    """Return how many numbers hold what is noted of a row: the beliefs after it, and what its measurement said."""
+    """Return the number of floats in the note on a row: the states after it, and the likelihoods of its measurement."""
     return int(kernel.imm_note_size(states, modes))
 
 
 def blocks_before(bank: Bank, rows: int) -> Floats:
-    """Make room for the beliefs before each block of rows."""
+    """Return an array for the states before each block of rows, (blocks, K)."""
     return np.empty((-(-rows // BLOCK), kernel.imm_beliefs_size(*_sizes(bank))))
 
 
 def nothing_later(bank: Bank) -> Floats:
-    """Return what rows after the last one of a record say."""
+    """Return the information of later rows at the end of a record: none, (K,)."""
     return np.zeros(kernel.imm_later_size(*_sizes(bank)))
 
 
-def filter_rows(  # noqa: PLR0913  (each by its name)
+def filter_rows(  # noqa: PLR0913  (rows, modes and outputs)
     bank: Bank,
     state: State,
     z: Floats,
@@ -145,27 +145,27 @@ def filter_rows(  # noqa: PLR0913  (each by its name)
     bank : Bank
         The modes.
     state : () structured array
-        Of the modes, as `new_state` makes it.
+        The state of the modes, from `new_state`.
     z : (N,) float array
         Measurements, in unit; NaN where missing.
     steps : (N,) int32 array
-        Which step precedes each.
+        Index of the step before each row.
     trace : Trace
-        What is written.
+        Output arrays.
     before : (blocks, K) float array, optional
-        Filled with the beliefs before each block of rows, see `blocks_before`.
+        Output array for the states before each block of rows, see `blocks_before`.
     notes : (N, K) float array, optional
-        Filled with what is noted of each row, see `note_size`.
+        Output array for the notes on each row, see `note_size`.
 
     Returns
     -------
     float
-        The log-likelihood of all measurements but the first.
+        The log-likelihood of all measurements, except the very first.
 
     Raises
     ------
     ValueError
-        If the arrays do not fit each other: C would read beyond their ends.
+        If the arrays do not fit each other; otherwise C would read beyond their ends.
     """
     if state.dtype != _layout(bank):
         raise ValueError(f"The state of {state.dtype.itemsize} bytes is not one of {_sizes(bank)} states and modes.")
@@ -183,21 +183,21 @@ def filter_rows(  # noqa: PLR0913  (each by its name)
     return float(log_density - 0.5 * np.log(2 * np.pi) * score["used"])
 
 
-def smooth_rows(  # noqa: PLR0913  (each by its name)
+def smooth_rows(  # noqa: PLR0913  (rows, modes and outputs)
     bank: Bank, state: State, z: Floats, steps: Steps, before: Floats, later: Floats, trace: Trace
 ) -> None:
-    """Come back over rows that were filtered; write what they are with those after them.
+    """Smooth filtered rows with the rows after them.
 
     Parameters
     ----------
     bank, z, steps, before
-        As of `filter_rows`, which has filled the last one.
+        The arguments of `filter_rows`; `before` holds its output.
     state : () structured array
-        After these rows, or later ones.
+        The state after these rows, or after later ones.
     later : (K,) float array
-        What all rows after these say, see `nothing_later`; afterwards what these say, too.
+        The information of all rows after these, see `nothing_later`; afterwards it includes these rows.
     trace : Trace
-        What is written; no innovations.
+        Output arrays; innovations are not written.
 
     Raises
     ------
@@ -215,22 +215,22 @@ def smooth_rows(  # noqa: PLR0913  (each by its name)
     kernel.imm_smooth(ctypes.byref(_pointed(bank)), float(state["level"]), *places)
 
 
-def smooth_late(  # noqa: PLR0913  (each by its name)
+def smooth_late(  # noqa: PLR0913  (rows, modes and outputs)
     bank: Bank, state: State, steps: Steps, notes: Floats, trace: Trace, *, turn: int, every: int, lag: int
 ) -> None:
-    """Smooth noted rows with a fixed lag: come back from row `turn` - 1, and each `every` rows later.
+    """Smooth filtered rows with a fixed lag: pass back from row `turn` - 1, and then after each `every` more rows.
 
     Parameters
     ----------
     bank, steps, notes
-        As of `filter_rows`, which has filled the last one.
+        The arguments of `filter_rows`; `notes` holds its output.
     state : () structured array
-        After these rows.
+        The state after these rows.
     trace : Trace
-        What is written, of a row more than once; no innovations. The last time it knows no more than `lag` rows after
-        it, and no fewer than `lag` - `every` + 1.
+        Output arrays; innovations are not written. A row may be written more than once; its last estimate uses at most
+        `lag` and at least `lag` - `every` + 1 rows after it.
     turn, every, lag : int
-        Rows; all 1 or more.
+        Numbers of rows, 1 or more.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def smooth_late(  # noqa: PLR0913  (each by its name)
         If the arrays do not fit each other, or a number is below 1.
     """
     if not (turn > 0 and every > 0 and lag > 0):
-        raise ValueError(f"turn = {turn}, every = {every} and lag = {lag} are not all 1 or more.")
+        raise ValueError(f"turn = {turn}, every = {every} and lag = {lag} came; all must be 1 or more.")
     sizes, estimate = _sizes(bank), _pointed_trace(bank, trace, len(notes))
     _check(notes=(notes, "f8", (len(notes), note_size(*sizes))))
     _check_steps(bank, steps, len(notes))
@@ -249,30 +249,30 @@ def smooth_late(  # noqa: PLR0913  (each by its name)
 
 
 class Stepper:
-    """Filters one measurement at a time, one step of the bank apart.
+    """A fast filter of one measurement at a time, one step apart.
 
     Parameters
     ----------
     bank : Bank
         The modes, over one step.
     state : () structured array
-        Of them; it changes in place.
+        The state of the modes; it changes in place.
     """
 
     def __init__(self, bank: Bank, state: State) -> None:
-        self._row, self._told = np.empty(1), np.array([np.nan, np.inf])  # which C leaves so while nothing is known
+        self._row, self._estimate = np.empty(1), np.array([np.nan, np.inf])  # C writes from the first measurement on
         step, score, room = np.zeros(1, np.int32), np.zeros((), _SCORE), np.empty(kernel.imm_filter_room(*_sizes(bank)))
-        trace = NOTHING_WANTED._replace(signal=self._told[:1], sigma=self._told[1:])
-        self._held = bank, state, step, score, room  # as long as C points to them
+        trace = NOTHING_WANTED._replace(signal=self._estimate[:1], sigma=self._estimate[1:])
+        self._kept_alive = bank, state, step, score, room  # C has pointers to them
         self._structs = _pointed(bank), _pointed_rows(bank, self._row, step), _pointed_trace(bank, trace, 1), _Passed()
         bank_at, *rest = map(ctypes.addressof, self._structs)
         self._places = bank_at, state.ctypes.data, *rest, room.ctypes.data, score.ctypes.data
 
     def step(self, z: float) -> tuple[float, float]:
-        """Take a measurement, in unit; return signal and sigma, NaN and inf where nothing is known yet."""
+        """Take a measurement, in unit; return signal and sigma, or NaN and inf before the first measurement."""
         self._row[0] = z
         kernel.imm_filter(*self._places)
-        signal, sigma = self._told.tolist()
+        signal, sigma = self._estimate.tolist()
         return signal, sigma
 
 
@@ -281,7 +281,7 @@ def _sizes(bank: Bank) -> tuple[int, int]:
 
 
 def _layout(bank: Bank) -> np.dtype[np.void]:
-    """Return `imm_state_t` as NumPy's."""
+    """Return the NumPy dtype of `imm_state_t`."""
     n, modes = _sizes(bank)
     fields: Any = [(name, "i8") for name in ("layout", "states", "modes", "has_level")]
     fields += [("level", "f8"), ("mu", "f8", (modes,)), ("x", "f8", (modes, n)), ("P", "f8", (modes, n, n))]
@@ -290,7 +290,7 @@ def _layout(bank: Bank) -> np.dtype[np.void]:
 
 
 def _pointed(bank: Bank) -> _Bank:
-    """Return a bank as C takes it; it has to live as long."""
+    """Return C's struct of a bank; it points to the bank's arrays, so the bank must live as long."""
     (n, modes), steps = _sizes(bank), len(bank.T)
     if not (1 <= n <= MOST_STATES and 1 <= modes <= MOST_MODES):
         raise ValueError(f"{modes} modes of {n} states came; 1 to {MOST_MODES} of 1 to {MOST_STATES} are needed.")
@@ -318,18 +318,18 @@ def _pointed_trace(bank: Bank, trace: Trace, rows: int) -> _Estimate:
     _check(**{name: (array, "f8", (*leading.get(name, ()), rows)) for name, array in wanted.items()})
     for one, other in (("signal", "sigma"), ("innovation", "innovation_sigma")):
         if (one in wanted) != (other in wanted):
-            raise ValueError(f"{one} and {other} are written together; give room for both, or none.")
+            raise ValueError(f"{one} and {other} are written together; give arrays for both, or for neither.")
     return _Estimate(*(wanted[name].ctypes.data if name in wanted else None for name in Trace._fields), rows)
 
 
 def _check_steps(bank: Bank, steps: Steps, rows: int) -> None:
     _check(steps=(steps, "i4", (rows,)))
     if rows and not (steps.min() >= 0 and steps.max() < len(bank.T)):
-        raise ValueError(f"steps go from {steps.min()} to {steps.max()} of {len(bank.T)}.")
+        raise ValueError(f"steps go from {steps.min()} to {steps.max()}; there are {len(bank.T)} steps.")
 
 
 def _check(**arrays: tuple[NDArray[Any], str, tuple[int, ...]]) -> None:
-    """Raise a ValueError if arrays do not fit: C would read, or write, beyond their ends."""
+    """Raise a ValueError if arrays do not fit; otherwise C would read or write beyond their ends."""
     for name, (array, kind, shape) in arrays.items():
         in_place = array.flags.c_contiguous and array.flags.aligned and (name not in _WRITTEN or array.flags.writeable)
         if array.dtype != kind or array.shape != shape or not in_place:

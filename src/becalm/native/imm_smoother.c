@@ -1,15 +1,15 @@
-/* The smoother of several modes: coming back, each mode is told what the later measurements said.
+/* The IMM smoother: its backward pass carries, for each mode, the likelihood of the later measurements.
 
-   To a mode they are a likelihood of its state, exp(g + r' (x - c) - (x - c)' Y (x - c) / 2), about a centre c. Over a
-   step it stays one, whatever Q is: Y >= 0, and all that is inverted is I and something positive, so that neither a state
-   without noise, nor one that sleeps, nor one that no measurement sees does any harm. Source: the two-filter form of
-   Fraser and Potter, IEEE TAC-14 (1969) 387.
+   This is a likelihood of the mode's state, exp(g + r' (x - c) - (x - c)' Y (x - c) / 2), about a centre c. It keeps
+   this form over a step for any Q: Y >= 0, and only sums of I and a positive matrix are inverted. So states without
+   noise, inactive states and unobservable states do no harm. Source: the two-filter form of Fraser and Potter, IEEE
+   TAC-14 (1969) 387.
 
-   For every pair of a mode before a step and a mode after it, the filtered belief of the one meets what the later
-   measurements say to the other; the pair is as probable as its forward probability times how well they agree. So a jump
-   that only later measurements reveal is found. What they say to a mode, over all modes after it, is pooled into one
-   likelihood by the mean of their logarithms, each weighed by how probable it is: that keeps every covariance positive
-   and below the filtered one, where the moments of the mixture would not. */
+   For every pair of a mode before a step and a mode after it, the filtered state of the first is combined with the
+   likelihood of the later measurements for the second. The probability of the pair is its forward probability times
+   their agreement. So the smoother finds a jump that only later measurements show. The likelihoods over all modes after
+   one mode are pooled into one likelihood, by the mean of their logarithms weighted with their probabilities. This
+   keeps every covariance positive and below the filtered one; the moments of the mixture would not. */
 #include "imm.h"
 
 #include <string.h>
@@ -19,29 +19,30 @@
 #include "normal.h"
 #include "product.h"
 
-#define NEGLIGIBLE ((real)1e-16) /* share of a pair that is not looked at */
-#define LEAST ((real)-1e300)     /* a logarithm below any */
+#define NEGLIGIBLE ((real)1e-16) /* pairs with a smaller share are ignored */
+#define LEAST ((real)-1e300)     /* less than any logarithm */
 #define LN_2 ((real)0.69314718055994530942)
 
-/* What later rows say of a row, to each mode, and the step to the first of them. */
+/* The likelihood of later rows for each mode, and the step to the first of them. */
 typedef struct {
     int known;            /* whether there are any */
     real *g, *c, *r, *Y;  /* (M,), (M, n), (M, n), (M, n, n) */
     const real *F, *Q, *T;
 } later_t;
 
-/* Room for one row. Modes before a step lie two side by side; with each mode after it, these come first. */
+/* Memory for one row. Modes before a step are stored two side by side; in pairs with a mode after it, they come
+   first. */
 typedef struct {
-    real *beliefs;  /* that are smoothed */
-    real *roots;    /* (M, n, n) room for roots of covariances */
-    const real *Q;  /* the step over which B was found */
+    real *beliefs;  /* smoothed states */
+    real *roots;    /* (M, n, n) memory for roots of covariances */
+    const real *Q;  /* the process noise from which B was computed */
     pair_t *x;      /* (pairs, n) state of each mode before */
     pair_t *G;      /* (pairs, n, n) P = G G' of each mode before */
     pair_t *B;      /* (M, n, n) Q = B B' of each mode after, twice */
-    pair_t *Y;      /* (M, n, n) how surely each mode after speaks of the state before the step, twice */
-    pair_t *r;      /* (pairs, M, n) what it says of it */
+    pair_t *Y;      /* (M, n, n) information of each mode after on the state before the step, twice */
+    pair_t *r;      /* (pairs, M, n) its gradient */
     pair_t *L, *D;  /* (pairs, M, n, n), (pairs, M, n) factors of I + G' Y G */
-    pair_t *v;      /* (pairs, M, n) G v is what the mean moves by */
+    pair_t *v;      /* (pairs, M, n) G v is the change of the mean */
     pair_t *merged; /* (M, n + n n) state and covariance of two modes before with each mode after */
     pair_t *step;   /* (9, n, n) for a step back into one mode */
     real *rest;
@@ -59,7 +60,7 @@ int64_t imm_smooth_room(const int64_t states, const int64_t modes) {
            2 * (pairs * (n + n * n) + 2 * m * n * n + pairs * m * (3 * n + n * n) + m * (n + n * n) + 9 * n * n);
 }
 
-/* Take the next part of a room. */
+/* Take the next part of the memory. */
 static real *part(real **room, const int64_t count) {
     real *from = *room;
     *room += count;
@@ -90,7 +91,7 @@ static later_t later_in(const int64_t n, const int64_t m, real *memory) {
     return later;
 }
 
-/* Keep, at the end of a call, what later rows say in memory. */
+/* Copy the likelihood of later rows to the caller's memory at the end of a call. */
 static void keep_later(const int64_t n, const int64_t m, const later_t *later, real *memory) {
     const later_t kept = later_in(n, m, memory);
     real *F = later->Y + m * n * n, *Q = F + m * n * n, *T = Q + m * n * n;
@@ -101,7 +102,7 @@ static void keep_later(const int64_t n, const int64_t m, const later_t *later, r
     memcpy(T, later->T, sizeof(real) * (size_t)(m * m));
 }
 
-/* Return the roots of determinants, all of whose pivots are 1 at least, but for powers of 2 that are counted. */
+/* Return the roots of determinants, whose pivots are all 1 or more, without powers of 2, which are counted. */
 INLINE pair_t determinant_roots(const int n, const pair_t *D, pair_t *powers) {
     pair_t product = both(1);
     *powers = both(0);
@@ -117,7 +118,7 @@ INLINE pair_t determinant_roots(const int n, const pair_t *D, pair_t *powers) {
     return roots(product);
 }
 
-/* Factor I + G' (Y G) = L D L' with L unit lower triangular; no pivot is below 1, but by rounding. */
+/* Factor I + G' (Y G) = L D L' with L unit lower triangular; only rounding can make a pivot less than 1. */
 INLINE void factor_beside_one(const int n, const pair_t *G, const pair_t *YG, pair_t *L, pair_t *D) {
     UNROLL
     for (int a = 0; a < n; a++) {
@@ -186,15 +187,15 @@ INLINE void times_transposed(const int n, const pair_t *A, const pair_t *x, pair
     }
 }
 
-/* The way back over a step into one mode, twice. */
+/* The backward pass over a step into one mode, twice. */
 typedef struct {
     const pair_t *B;
-    pair_t *F, *Y, *YB, *L; /* step; what is said after it; Y B; factors of I + B' Y B */
+    pair_t *F, *Y, *YB, *L; /* the step; information after it; Y B; factors of I + B' Y B */
     pair_t D[N_MAX], c[N_MAX], r[N_MAX];
-    pair_t g; /* without half of the logarithm of the determinant */
+    pair_t g; /* without half the logarithm of the determinant */
 } way_t;
 
-/* Begin the way back, and write how surely the state before the step is spoken of (10): F' (A' Y A + W' W) F with
+/* Start the backward pass over a step, and write the information on the state before it (10): F' (A' Y A + W' W) F with
    W = (I + B' Y B)^-1 B' Y, A = I - B W. */
 INLINE void begin_way(const int n, const int i, const later_t *later, const rooms_t *rooms, way_t *way, pair_t *before) {
     const int nn = n * n;
@@ -235,7 +236,7 @@ INLINE void begin_way(const int n, const int i, const later_t *later, const room
     }
 }
 
-/* Write r of the states before the step, about their means x; return g (11). */
+/* Write r for the states before the step, about their means x; return g (11). */
 INLINE pair_t go_back(const int n, const way_t *way, const pair_t *x, pair_t *r) {
     pair_t d[N_MAX], q[N_MAX], u[N_MAX], y[N_MAX], g = way->g;
     UNROLL
@@ -256,8 +257,8 @@ INLINE pair_t go_back(const int n, const way_t *way, const pair_t *x, pair_t *r)
     return g;
 }
 
-/* Return how well beliefs P = G G' agree with r and Y about their means, as log-likelihoods, times shares (12). Write the
-   factors of I + G' Y G, and v = (I + G' Y G)^-1 G' r. */
+/* Return the log-likelihoods of states with covariance P = G G', given r and Y about their means, plus log shares (12).
+   Write the factors of I + G' Y G, and v = (I + G' Y G)^-1 G' r. */
 INLINE pair_t agree(const int n, const pair_t *G, const pair_t *Y, const pair_t *r, const pair_t share, pair_t *YG,
                     pair_t *L, pair_t *D, pair_t *v) {
     pair_t powers, fit = both(0);
@@ -275,7 +276,7 @@ INLINE pair_t agree(const int n, const pair_t *G, const pair_t *Y, const pair_t 
     return fit + logarithms(share / root) - powers * LN_2;
 }
 
-/* Let all modes before a step meet all modes after it: write how well they fit, as logarithms (10) to (12). */
+/* Combine all modes before a step with all modes after it: write the logarithms of their agreement (10) to (12). */
 INLINE void meet(const int n, const int m, const beliefs_t now, const later_t *later, rooms_t *rooms, real *fit) {
     const int nn = n * n;
     if (rooms->Q != later->Q)
@@ -305,7 +306,7 @@ INLINE void meet(const int n, const int m, const beliefs_t now, const later_t *l
     }
 }
 
-/* Write the smoothed states of two modes, merged over all modes after them, given the share of each (13). */
+/* Write the smoothed states of two modes, mixed over all modes after them with the share of each (13). */
 INLINE void smooth_pair(const int n, const int m, const int q, const pair_t *share, const rooms_t *rooms, pair_t *x,
                         pair_t *P) {
     const int nn = n * n;
@@ -340,7 +341,7 @@ INLINE void smooth_pair(const int n, const int m, const int q, const pair_t *sha
         }
 }
 
-/* Pool what all modes after two modes say to them into one likelihood, as likely as all of them (14). */
+/* Pool the likelihoods over all modes after two modes into one for each of these, with the same total (14). */
 INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, const rooms_t *rooms, pair_t *r, pair_t *Y) {
     const int nn = n * n;
     pair_t *L = rooms->step, *YG = L + nn, D[N_MAX], v[N_MAX];
@@ -355,7 +356,8 @@ INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, c
     return agree(n, rooms->G + q * nn, Y, r, both(1), YG, L, D, v);
 }
 
-/* Come back over the step after a row: write its smoothed beliefs, if they are wanted, and what later rows say of it. */
+/* Pass back over the step after a row: write its smoothed states, if `wanted`, and the likelihood of later rows for
+   it. */
 INLINE void smooth_row(const int n, const int m, const beliefs_t now, const int wanted, later_t *later, rooms_t *rooms) {
     const int nn = n * n;
     const beliefs_t own = beliefs_in(n, m, rooms->beliefs);
@@ -368,7 +370,7 @@ INLINE void smooth_row(const int n, const int m, const beliefs_t now, const int 
         best = highest[j] > best ? highest[j] : best;
     }
     for (int q = 0; 2 * q < m; q++) {
-        const int first = 2 * q, second = first + 1 < m ? first + 1 : first; /* twice the last of an odd number */
+        const int first = 2 * q, second = first + 1 < m ? first + 1 : first; /* an odd last mode: twice */
         top[q] = (pair_t){highest[first], highest[second]}, sum[q] = both(0);
         for (int i = 0; i < m; i++) {
             share[q * m + i] = exponentials((pair_t){fit[first * m + i], fit[second * m + i]} - top[q]);
@@ -403,7 +405,7 @@ INLINE void smooth_row(const int n, const int m, const beliefs_t now, const int 
     }
 }
 
-/* Add what the measurement of a row said to what later ones say, all about the filtered mean (9). */
+/* Add the likelihood of a row's measurement to that of later ones, all about the filtered mean (9). */
 INLINE void take_back(const int n, const int m, const real *h, const beliefs_t now, const real *noted, later_t *later) {
     real best = LEAST;
     for (int j = 0; j < m; j++, noted += NOTED) {
@@ -416,11 +418,11 @@ INLINE void take_back(const int n, const int m, const real *h, const beliefs_t n
         later->g[j] += noted[2];
         best = later->g[j] > best ? later->g[j] : best;
     }
-    for (int j = 0; j < m; j++) later->g[j] -= best; /* a factor that all have tells nothing */
+    for (int j = 0; j < m; j++) later->g[j] -= best; /* a common factor has no information */
     later->known = 1;
 }
 
-/* Smooth rows that were noted, the last first, and write them from a row of the estimate on. */
+/* Smooth filtered rows from their notes, the last row first, and write them from a row of the estimate on. */
 INLINE void smooth_rows(const int n, const imm_t *imm, const real level, const int32_t *step, real *notes,
                         const int64_t rows, const int64_t first, later_t *later, rooms_t *rooms,
                         const imm_estimate_t *estimate) {
@@ -432,7 +434,7 @@ INLINE void smooth_rows(const int n, const imm_t *imm, const real level, const i
         if (!(now.mu[0] > 0)) break; /* before the first measurement */
         if (later->known)
             smooth_row(n, m, now, wanted, later, rooms);
-        else /* nothing follows, and nothing is said of it */
+        else /* no row follows: the filtered estimate is the smoothed one */
             for (int k = 0; k < m * nn; k++) later->g[k / nn] = later->r[k / n] = later->Y[k] = 0;
         write_estimate(n, m, imm->c, level, later->known ? beliefs_in(n, m, rooms->beliefs) : now, first + row, estimate);
         take_back(n, m, imm->h, now, now.mu + size, later);

@@ -1,4 +1,4 @@
-/* Where the fields of a channel's structs are, for languages that cannot read the header. All have 8 bytes a number. */
+/* List the offsets of the structs' fields, for languages that cannot read the header. Each number has 8 bytes. */
 #include <stddef.h>
 
 #include "filter.h"
@@ -6,7 +6,7 @@
 #include "multivariate.h"
 
 typedef struct {
-    const char *name;     /* NULL: the end of a struct, whose size is the offset */
+    const char *name;     /* NULL: end of the list; `offset` is the struct's size */
     int64_t offset, size; /* in bytes */
     int64_t whole;        /* whether it holds whole numbers */
 } field_t;
@@ -117,7 +117,7 @@ const field_t *channel_knowledge_fields(void) {
     return fields;
 }
 
-/* Return whole numbers that Python uses, too, each as the size of a field. */
+/* Return the whole numbers that Python uses, too, each as the size of a field. */
 const field_t *channel_constants(void) {
 #define VALUE(name) {#name, 0, name, 1}
     static const field_t values[] = {

@@ -1,4 +1,4 @@
-"""The filter in C99, as it was compiled, and what it says of itself: its structs, and its constants."""
+"""Load the compiled C99 kernel, and read the layout of its structs and its constants from it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _loaded() -> ctypes.CDLL:
         return ctypes.CDLL(str(LIBRARY))
     except OSError as cause:
         raise BecalmError(
-            f"becalm's filter in C is not there, or not for this machine ({cause}). Install becalm again: pip install ."
+            f"becalm's C filter is missing, or not for this machine ({cause}). Install becalm again: pip install ."
         ) from cause
 
 
@@ -36,8 +36,8 @@ kernel = _loaded()
 
 
 def layout_of(struct: str) -> np.dtype[np.void]:
-    """Return a struct of `kernel.h` as NumPy's, with the fields that Python reads or writes."""
-    *fields, end = _told(f"channel_{struct}_fields")
+    """Return the NumPy dtype of a struct of `kernel.h`, with the fields that Python reads or writes."""
+    *fields, end = _fields_of(f"channel_{struct}_fields")
     counts = [field.size // 8 for field in fields]
     layout: Any = {
         "names": [field.name.decode() for field in fields],
@@ -52,17 +52,17 @@ def layout_of(struct: str) -> np.dtype[np.void]:
     return structure
 
 
-def _told(name: str) -> list[Any]:
-    """Return the fields that C tells under a name; the last has none of its own."""
-    fields_of = getattr(kernel, name)
-    fields_of.restype = ctypes.POINTER(_Field)
-    told = list[Any]()
-    for field in fields_of():
-        told.append(field)
+def _fields_of(function: str) -> list[Any]:
+    """Return the fields that a C function lists; the last one has no name, and its offset is the struct's size."""
+    list_fields = getattr(kernel, function)
+    list_fields.restype = ctypes.POINTER(_Field)
+    fields = list[Any]()
+    for field in list_fields():
+        fields.append(field)
         if field.name is None:
             break
-    return told
+    return fields
 
 
-CONSTANTS: dict[str, int] = {value.name.decode(): value.size for value in _told("channel_constants")[:-1]}
-"""Whole numbers that C and Python both use, by their names in `kernel.h`."""
+CONSTANTS: dict[str, int] = {value.name.decode(): value.size for value in _fields_of("channel_constants")[:-1]}
+"""Whole numbers that C and Python share, by their names in `kernel.h`."""

@@ -1,5 +1,6 @@
-/* The likelihood of a record and nothing else: what tuning asks for, dozens of times a channel. Source: Schweppe, IEEE
-   TIT-11 (1965) 61; equation (8) of core/reference/kalman.py. No logarithm is needed: what it is taken of is multiplied. */
+/* Compute the likelihood of a record and nothing else; tuning does so dozens of times per channel. Source: Schweppe,
+   IEEE TIT-11 (1965) 61; equation (8) of core/reference/kalman.py. The rows need no logarithm, because the variances
+   are multiplied. */
 #include <string.h>
 
 #include "filter.h"

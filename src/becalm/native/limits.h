@@ -1,4 +1,4 @@
-/* What is wrong with a measurement itself: impossible, saturated, held for too long, far from those before it. */
+/* Detect faults of a measurement itself: impossible, saturated, stuck, far from those before it. */
 #ifndef BECALM_LIMITS_H
 #define BECALM_LIMITS_H
 
@@ -6,14 +6,14 @@
 
 #include "linear.h"
 
-#define IMPLAUSIBLE_SPREADS ((real)3) /* for a value that is not plausible: beside a jump it spreads its neighbours */
-#define LATE ((real)2.5)        /* times the waits before, but one: then the measurements before are no neighbours */
-#define NEARER ((real)4)        /* times that a value which fills in for measurements is nearer */
-#define FARTHEST ((real)1000)   /* times the range of what is plausible: farther away is no motion of the channel */
-#define MOST_IMPOSSIBLE 50      /* values in a row that are so far away; those after them are believed */
-#define AMID ((real)0.01)       /* of what was measured: nearer to an end of it is no value amid */
+#define IMPLAUSIBLE_SPREADS ((real)3) /* SPREADS for an implausible value: next to a jump its neighbours spread */
+#define LATE ((real)2.5)        /* wait over the second longest one before it; beyond, the neighbours are discarded */
+#define NEARER ((real)4)        /* a stand-in value may be this many times nearer than an outlier */
+#define FARTHEST ((real)1000)   /* over the plausible range: no motion of the channel goes farther */
+#define MOST_IMPOSSIBLE 50      /* after this many values in a row that are so far away, the next ones are accepted */
+#define AMID ((real)0.01)       /* share of the measured range: a value nearer to an end is not in the middle */
 
-/* Begin before the first measurement. */
+/* Set the state before the first measurement. */
 static inline void start_limits(limits_t *state) {
     memset(state, 0, sizeof *state);
     state->last_value = NOT_A_NUMBER;
@@ -21,7 +21,7 @@ static inline void start_limits(limits_t *state) {
     for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER;
 }
 
-/* Collect the measurements before; return how many there are. */
+/* Collect the last measurements; return how many there are. */
 static inline int recall(const real *past, real *neighbours) {
     int count = 0;
     for (int k = 0; k < NEIGHBOURS; k++)
@@ -29,7 +29,7 @@ static inline int recall(const real *past, real *neighbours) {
     return count;
 }
 
-/* Sort some neighbours; return their median, and how far all but the lowest and the highest spread. */
+/* Sort some neighbours; return their median, and the spread of all but the lowest and the highest. */
 static inline real median_of(real *neighbours, const int count, real *spread) {
     for (int k = 1; k < count; k++) {
         const real now = neighbours[k];
@@ -41,14 +41,14 @@ static inline real median_of(real *neighbours, const int count, real *spread) {
     return (neighbours[(count - 1) / 2] + neighbours[count / 2]) * (real)0.5;
 }
 
-/* Return whether a measurement is far from the median of some neighbours, and so many of their spreads. */
+/* Return whether a measurement is farther from the median of its neighbours than a distance, and than some spreads. */
 static inline int is_far(const real z, real *neighbours, const int count, const real distance, const real spreads) {
     real spread;
     const real median = median_of(neighbours, count, &spread);
     return fabs(z - median) > (spreads * spread > distance ? spreads * spread : distance);
 }
 
-/* Return whether a measurement is far from the six before it; of the first ones, from what is plausible. */
+/* Return whether a measurement is far from the six before it; for the first ones, from the plausible range. */
 static inline int is_far_from_past(const settings_t *settings, const limits_t *state, const real z) {
     const real distance = settings->outlier_distance, *past = state->past;
     real neighbours[NEIGHBOURS], low = past[0], high = past[0];
@@ -57,21 +57,22 @@ static inline int is_far_from_past(const settings_t *settings, const limits_t *s
         low = past[k] < low ? past[k] : low;
         high = past[k] > high ? past[k] : high;
     }
-    if (!isnan(past[NEIGHBOURS - 1]) && high - distance <= z && z <= low + distance) return 0; /* so near to each */
+    if (!isnan(past[NEIGHBOURS - 1]) && high - distance <= z && z <= low + distance) return 0; /* near to each */
     const int count = recall(past, neighbours);
     if (count >= FEWEST_NEIGHBOURS) return is_far(z, neighbours, count, distance, SPREADS);
     const int plausible = settings->plausible_low <= z && z <= settings->plausible_high;
     return !(plausible || (count && fabs(z - state->last_value) <= distance));
 }
 
-/* Return whether a measurement that repeats the one before fills in for one that did not come. */
+/* Return whether a measurement that repeats the one before stands in for a missing one. */
 static inline int fills_in(const settings_t *settings, const real z, const real *past) {
     real neighbours[NEIGHBOURS];
     const int count = recall(past, neighbours);
     return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER, SPREADS);
 }
 
-/* Return whether a 0 stands for no measurement: three neighbours at least are not 0, and all of these far from it. */
+/* Return whether a 0 marks a missing measurement: at least three neighbours are not 0, and all of these are far from
+   0. */
 static inline int stands_for_none(const settings_t *settings, const real z, const real *neighbours, const int count) {
     if (z != 0 || settings->far_from_0 == 0) return 0;
     int others = 0;
@@ -83,25 +84,26 @@ static inline int stands_for_none(const settings_t *settings, const real z, cons
     return others >= FEWEST_NEIGHBOURS;
 }
 
-/* Return whether a channel may end at 0: it is not amid what was measured, the middle third of what is plausible. */
+/* Return whether 0 may be an end of the range: it is not within the measured one, the middle third of the plausible
+   one. */
 static inline int ends_at_0(const settings_t *settings) {
     const real low = settings->plausible_low, high = settings->plausible_high, third = (high - low) / 3;
     return !(low + (1 + AMID) * third < 0 && 0 < high - (1 + AMID) * third);
 }
 
-/* Return whether a 0 that is an end of what is plausible is held for longer than measurements fail to come: the sensor
-   rests, or is off, and reads 0 either way. */
+/* Return whether a 0 at an end of the range lasts longer than measurements can be missing: the sensor rests or is off,
+   and 0 is its reading in both cases. */
 static inline int is_long_0(const settings_t *settings, const real z, const int64_t rows) {
     const int known = settings->plausible_high - settings->plausible_low < INFINITE;
     return z == 0 && rows >= LONGEST_0 && known && ends_at_0(settings);
 }
 
-/* Return whether a 0 that ends the range so far is a rest. */
+/* Return whether a 0 at an end of the range so far means that the signal rests. */
 static inline int is_rest(const settings_t *settings, const limits_t *state) {
     return (state->least == 0 || state->most == 0) && !stands_for_none(settings, 0, state->past, NEIGHBOURS);
 }
 
-/* Return why a value is no measurement of the sensor, 0 where it may be one. */
+/* Return the verdict on a value that is not a measurement of the sensor, 0 if it may be one. */
 static inline int no_measurement(const settings_t *settings, const real z) {
     if (isnan(z)) return MISSING;
     if (isinf(z)) return NONFINITE;
@@ -109,14 +111,14 @@ static inline int no_measurement(const settings_t *settings, const real z) {
     return z == settings->blank ? OUTLIER : USED;
 }
 
-/* Return whether a value is no motion of the channel, by what is plausible and by the last measurement. */
+/* Return whether no motion reaches a value, from the plausible range and the last measurement. */
 static inline int is_impossible(const settings_t *settings, const limits_t *state, const real z) {
     const real low = settings->plausible_low, high = settings->plausible_high, farthest = FARTHEST * (high - low);
     return farthest > 0 && (z < low - farthest || z > high + farthest) && !(fabs(z - state->last_value) <= farthest);
 }
 
-/* Forget the measurements before one that comes much later than they did: the signal has moved on. One of them may have
-   come after a gap itself. */
+/* Discard the measurements before a long gap, because the signal has moved on. One of them may have come after a gap
+   itself. */
 static inline void forget_past(limits_t *state) {
     real longest = 1, second = 1;
     for (int k = 0; k < NEIGHBOURS; k++) {
@@ -128,7 +130,7 @@ static inline void forget_past(limits_t *state) {
     for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER;
 }
 
-/* Return what is wrong with one measurement. One without a time of its own says nothing new, unless it is the first. */
+/* Return the verdict on one measurement. One at the time of the row before has nothing new, unless it is the first. */
 static inline int judge(const settings_t *settings, limits_t *state, const real z, const real elapsed) {
     const int moved = elapsed > 0;
     int verdict = no_measurement(settings, z);
@@ -173,14 +175,14 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     return verdict;
 }
 
-/* Return whether what is remembered, which may come from a file, can be. */
+/* Return whether the state of the limits, which may come from a file, is possible. */
 static inline int limits_are_sound(const limits_t *limits) {
     return isfinite(limits->since) && limits->at >= 0 && limits->at < NEIGHBOURS && is_count(limits->run, EVER) &&
            limits->measurements >= 0 && is_count(limits->measurements, EVER) && limits->impossible >= 0 &&
            limits->impossible <= MOST_IMPOSSIBLE && isfinite(limits->now) && isfinite(limits->last);
 }
 
-/* Reduce what the limits remember. */
+/* Reduce the state of the limits to what later verdicts depend on. */
 static inline void reduce_limits(const settings_t *settings, limits_t *limits) {
     limits_t own = *limits;
     for (int k = 0; k < NEIGHBOURS; k++) {
@@ -190,7 +192,7 @@ static inline void reduce_limits(const settings_t *settings, limits_t *limits) {
     own.at = 0;
     const int64_t longest = settings->stuck > LONGEST_0 ? settings->stuck : LONGEST_0;
     own.run = limits->run < longest ? limits->run : longest;
-    own.least = limits->least < 0 ? -1 : 0, own.most = limits->most > 0; /* whether 0 would end the range */
+    own.least = limits->least < 0 ? -1 : 0, own.most = limits->most > 0; /* whether 0 would be an end of the range */
     own.now = limits->now - limits->last, own.last = 0;
     const int near = limits->measurements < settings->gap_measurements ||
                      settings->gap_spans * limits->last < settings->longest_gap;

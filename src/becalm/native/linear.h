@@ -1,4 +1,4 @@
-/* Linear algebra of n states. `n` is a constant where it matters, so that every loop is unrolled. */
+/* Linear algebra for n states. `n` is a compile-time constant for small models, so that every loop is unrolled. */
 #ifndef BECALM_LINEAR_H
 #define BECALM_LINEAR_H
 
@@ -15,21 +15,21 @@
 #define NOINLINE
 #endif
 
-/* Unroll a loop over states. Clang does so by itself. */
+/* Unroll a loop over states. Clang does so without a pragma. */
 #if defined(__GNUC__) && !defined(__clang__)
 #define UNROLL _Pragma("GCC unroll 8")
 #else
 #define UNROLL
 #endif
 
-#define LARGEST ((real)1e200) /* a state that no measurement sees saturates here, and cannot spoil the others */
+#define LARGEST ((real)1e200) /* an unobservable state saturates here, so that it cannot spoil the others */
 #define UNCHANGED ((real)1e-13)
 
 INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
 
-#define EVER ((int64_t)1 << 53) /* rows: no record has so many */
+#define EVER ((int64_t)1 << 53) /* rows: more than any record has */
 
-/* Return whether a number, which may come from a file, is one that counting can give. */
+/* Return whether a number, which may come from a file, is a possible count. */
 static inline int is_count(const int64_t count, const int64_t most) { return count >= -most && count <= most; }
 
 INLINE void copy(const int count, const real *from, real *to) { memcpy(to, from, sizeof(real) * (size_t)count); }
@@ -41,7 +41,7 @@ INLINE real dot(const int n, const real *a, const real *b) {
     return s;
 }
 
-/* Return one number of A x + b, added in the order in which it waits the least for x. */
+/* Return one number of A x + b, added in an order with the shortest dependency on x. */
 INLINE real onward(const int n, const real *row, const real *x, const real b) {
     real sum = b + row[0] * x[0];
     UNROLL
@@ -88,7 +88,7 @@ INLINE void joseph(const int n, const real *h, const real R, const real *K, cons
         }
 }
 
-/* g = H F (m, n): what measurements say of the state one step before */
+/* g = H F (m, n): the output as a function of the state one step before */
 INLINE void see_through(const int n, const int m, const real *H, const real *F, real *g) {
     for (int c = 0; c < m; c++)
         for (int j = 0; j < n; j++) {
@@ -108,7 +108,7 @@ INLINE void close_loop(const int n, const int m, const real *F, const real *K, c
         }
 }
 
-/* Solve A X = B in place by elimination with pivots, B (n, n); A is used up. Return whether A has an inverse. */
+/* Solve A X = B in place by elimination with pivots, B (n, n); A is overwritten. Return whether A has an inverse. */
 static inline int solve(const int n, real *A, real *B) {
     for (int k = 0; k < n; k++) {
         int pivot = k;

@@ -1,11 +1,11 @@
-/* What all modes believe of a row: mu is how probable each is, x and P its state and covariance. */
+/* The states of all modes at a row: mu is the probability of each mode, x and P its state and covariance. */
 #ifndef BECALM_MODES_H
 #define BECALM_MODES_H
 
 #include "imm.h"
 #include "pair.h"
 
-#define UNLIKELY ((real)1e-100) /* no mode becomes less probable than this: none is ever locked out */
+#define UNLIKELY ((real)1e-100) /* least probability of a mode, so that every mode can come back */
 
 typedef struct {
     real *mu, *x, *P; /* (M,), (M, n), (M, n, n) */
@@ -16,12 +16,12 @@ INLINE beliefs_t beliefs_in(const int n, const int m, real *memory) {
     return beliefs;
 }
 
-/* Return the first of the numbers of one mode, of `rows` of each mode; they are two apart. */
+/* Return the first of the `rows` numbers of one mode; they are two apart. */
 INLINE real *numbers_of(pair_t *numbers, const int rows, const int mode) {
     return (real *)(numbers + mode / 2 * rows) + mode % 2;
 }
 
-/* Write numbers of all modes, (M, rows), side by side, or back. */
+/* Copy numbers of all modes, (M, rows), into pairs; the next function copies them back. */
 INLINE void put(const int rows, const int m, const real *from, pair_t *to) {
     for (int i = 0; i < (m + 1) / 2 * rows; i++) to[i] = both(0);
     for (int j = 0; j < m; j++)
@@ -33,7 +33,7 @@ INLINE void get(const int rows, const int m, pair_t *from, real *to) {
         for (int i = 0; i < rows; i++) to[j * rows + i] = numbers_of(from, rows, j)[2 * i];
 }
 
-/* Write what is estimated of a row. */
+/* Write the estimates of a row. */
 INLINE void write_estimate(const int n, const int m, const real *c, const real level, const beliefs_t now,
                            const int64_t row, const imm_estimate_t *estimate) {
     if (estimate->signal) {
@@ -55,7 +55,7 @@ INLINE void write_estimate(const int n, const int m, const real *c, const real l
         }
 }
 
-/* Filter rows from beliefs, which change, with a level that is known. */
+/* Filter rows from the states `beliefs`, which change, with a known level. */
 void filter_modes(const imm_t *imm, real *beliefs, real level, const imm_block_t *block, const imm_estimate_t *estimate,
                   const imm_passed_t *passed, real *room, score_t *score);
 

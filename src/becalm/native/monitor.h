@@ -1,15 +1,15 @@
-/* What innovations say of the sensor: it drifts, or is dead. */
+/* The monitor of innovations: it detects a drifting or dead sensor. */
 #ifndef BECALM_MONITOR_H
 #define BECALM_MONITOR_H
 
 #include <string.h>
 #include "linear.h"
 
-#define ROUNDING ((real)6755399441055744.0) /* 1.5 * 2^52: a number that it is added to keeps no fraction */
+#define ROUNDING ((real)6755399441055744.0) /* 1.5 * 2^52: adding it rounds a number to a whole one */
 
 enum { SLACK = PARTS / 2 };
 
-/* Close a hop of innovations: look at the window that ends with it. */
+/* End a hop of innovations: test the window that ends with it. */
 static inline void end_hop(const settings_t *settings, monitor_t *state) {
     enum { BEFORE = WINDOW_HOPS - 1, WINDOW = WINDOW_HOPS * HOP };
     int64_t total = state->hop_total, squares = state->hop_squares;
@@ -25,8 +25,8 @@ static inline void end_hop(const settings_t *settings, monitor_t *state) {
     state->hops++;
 }
 
-/* Return what a normalised innovation says, NaN where there is none: Page's cumulative sums on either side (1954), and
-   windows too quiet for a sensor that lives. */
+/* Return the verdict on a normalised innovation, NaN where there is none: from Page's cumulative sums on either side
+   (1954), and from windows that are too quiet for a live sensor. */
 static inline int watch(const settings_t *settings, monitor_t *state, real nu) {
     const int64_t row = state->rows++;
     int64_t since = -1;
@@ -35,7 +35,7 @@ static inline int watch(const settings_t *settings, monitor_t *state, real nu) {
     nu = nu < MOST_SIGMA ? nu : MOST_SIGMA;
     const int64_t part = (int64_t)((nu * PARTS + ROUNDING) - ROUNDING); /* the nearest whole number */
     const int64_t above = state->above + part - SLACK, below = state->below - part - SLACK;
-    state->above = above * (above > 0), state->below = below * (below > 0); /* no branch: signs are random */
+    state->above = above * (above > 0), state->below = below * (below > 0); /* no branch, because signs are random */
     if (state->above >= settings->drift_threshold) since = state->above_since, state->above = 0;
     if (state->below >= settings->drift_threshold) since = since < 0 ? state->below_since : since, state->below = 0;
     state->above_since = row + 1 + (state->above_since - row - 1) * (state->above > 0);
@@ -46,9 +46,9 @@ static inline int watch(const settings_t *settings, monitor_t *state, real nu) {
     return state->silent ? DEAD : since >= 0 ? DRIFT : USED;
 }
 
-/* Return whether sums, which may come from a file, can be. */
+/* Return whether the sums, which may come from a file, are possible. */
 static inline int monitor_is_sound(const monitor_t *monitor) {
-    const int64_t squares = (int64_t)1 << 45; /* of the innovations in a hop, in 2^-32 sigma^2 */
+    const int64_t squares = (int64_t)1 << 45; /* largest sum of squares in a hop, in 2^-32 sigma^2 */
     int sound = is_count(monitor->rows, EVER) && is_count(monitor->above, EVER) && is_count(monitor->below, EVER) &&
                 is_count(monitor->above_since, EVER) && is_count(monitor->below_since, EVER) && monitor->hops >= 0 &&
                 is_count(monitor->hops, EVER) && monitor->hop_count >= 0 && monitor->hop_count < HOP &&

@@ -1,4 +1,5 @@
-/* The filter and the smoother of several channels of one state. Equations are numbered as in core/reference/kalman.py.
+/* The filter and the smoother of several channels that share one state. Equations are numbered as in
+   core/reference/kalman.py.
 
    A channel that is missing keeps its place: its row of H counts as zero, its variance as one and its innovation as
    zero. */
@@ -11,9 +12,10 @@
 #include "score.h"
 #include "settling.h"
 
-#define DEAD_PIVOT ((real)1e-15) /* of a variance: what rounding alone has left */
+#define DEAD_PIVOT ((real)1e-15) /* share of a variance: less is rounding */
 
-/* Call a function whose first arguments are the numbers of states and of channels: of the smallest models constants. */
+/* Call a function whose first arguments are the numbers of states and of channels, constants for the smallest
+   models. */
 #define SIZE(n, m) ((n) * (M_MAX + 1) + (m))
 #define FOR_SMALL(n, m, function, ...)                        \
     switch (SIZE(n, m)) {                                     \
@@ -27,14 +29,14 @@
     default: function((int)(n), (int)(m), __VA_ARGS__);       \
     }
 
-/* Where the numbers of a state are. */
+/* Pointers to the arrays of a state. */
 typedef struct {
     real *x, *P;         /* (n), (n, n); while GATHERING right-hand side and root of the information */
-    real *K;             /* (n, m) gain; zero columns for channels that are missing */
+    real *K;             /* (n, m) gain; zero columns for missing channels */
     real *L, *D;         /* (m, m), (m) innovation covariance S = L D L'; a pivot of 0 carries no information */
-    real *nu, *deviation; /* (m) innovations, 0 where missing, and what is expected of them, NaN where missing */
+    real *nu, *deviation; /* (m) innovations, 0 where missing; their standard deviations, NaN where missing */
     real *K_then, *L_then, *D_then, *P_then; /* at the last check */
-    real *A, *g;         /* (n, n) closed loop (I - K H) F, and H F (m, n): they can be found again */
+    real *A, *g;         /* (n, n) closed loop (I - K H) F, and H F (m, n); they can be recomputed */
 } parts_t;
 
 INLINE int64_t kept(const int64_t n, const int64_t m) { return n + 2 * n * n + 2 * n * m + 2 * m * m + 4 * m; }
@@ -55,7 +57,7 @@ int64_t multivariate_size(const int64_t states, const int64_t channels) {
     return packed(states, channels) + (int64_t)sizeof(real) * (states * states + channels * states);
 }
 
-/* Save a state without what can be found again. */
+/* Save a state without the arrays that can be recomputed. */
 static void save(const multivariate_t *model, const knowledge_t *state, void *room) {
     memcpy(room, state, (size_t)packed(model->states, model->channels));
 }
@@ -68,7 +70,7 @@ static void load(const multivariate_t *model, const void *room, knowledge_t *sta
 static void lose_gain(knowledge_t *state, real *D_then) {
     state->settled = state->agreed = state->closed = 0;
     state->steady = -1, state->next_check = FIRST_CHECK, state->last_step = -1;
-    D_then[0] = -1; /* a check must not find what another stretch has left */
+    D_then[0] = -1; /* a check must not use the numbers of another stretch */
 }
 
 void multivariate_start(const multivariate_t *model, const real *x, const real *P, knowledge_t *state) {
@@ -118,7 +120,7 @@ INLINE void divide(const int m, const real *L, const real *D, real *v) {
         for (int c = a + 1; c < m; c++) v[a] -= L[c * m + a] * v[c];
 }
 
-/* Add to the likelihood (8): e = L^-1 nu has the variances D. */
+/* Add a row to the likelihood (8): e = L^-1 nu has the variances D. */
 INLINE void score_row(const int m, const parts_t *p, score_t *score) {
     real e[M_MAX];
     for (int a = 0; a < m; a++) {
@@ -138,13 +140,13 @@ INLINE void spread_of(const int n, const int m, const real *H, const real *P, re
     }
 }
 
-/* Compare with the last check, and keep for the next; return what has settled. */
+/* Compare with the last check, and store for the next; return what has settled. */
 static int compare(const int n, const int m, const real *H, const parts_t *p) {
     int gain = 1, covariance = 1;
-    real sigma[M_MAX], sigma_then[M_MAX]; /* a gain next to 0 settles before they do */
+    real sigma[M_MAX], sigma_then[M_MAX]; /* a gain near 0 settles before they do */
     spread_of(n, m, H, p->P, sigma), spread_of(n, m, H, p->P_then, sigma_then);
     for (int a = 0; a < m; a++) {
-        real apart = 0; /* the variance of the signal, if its states were independent: what rounding is a part of */
+        real apart = 0; /* variance of the signal for independent states: the scale of rounding */
         for (int i = 0; i < n; i++) apart += H[a * n + i] * H[a * n + i] * p->P[i * n + i];
         gain &= near(p->D[a], p->D_then[a], p->D[a]) & near(sigma[a], sigma_then[a], sqrt(apart));
         p->D_then[a] = p->D[a];
@@ -169,7 +171,7 @@ static int compare(const int n, const int m, const real *H, const parts_t *p) {
     return gain ? covariance ? COVARIANCE : GAIN : 0;
 }
 
-/* Notice, after a row, what has settled; see settling.h. */
+/* Check after a row what has settled; see settling.h. */
 INLINE void notice_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
                        const real *F, const real length, const int complete) {
     if (!complete || length != state->last_step || !F) {
@@ -246,7 +248,7 @@ INLINE void predict(const int n, const real *F, const real *Q, real *x, real *P)
     }
 }
 
-/* Take one row with its covariance; F is NULL where no step precedes it. */
+/* Filter one row and its covariance; F is NULL if there is no step before it. */
 INLINE void filter_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
                        const real *F, const real *Q, const real length, const real *z) {
     const real *H = model->H, *R = model->R;
@@ -277,7 +279,7 @@ INLINE void filter_row(const int n, const int m, const multivariate_t *model, kn
     notice_row(n, m, model, state, p, F, length, count == m);
 }
 
-/* How long a column is where four numbers are computed side by side: few are computed one by one. */
+/* Return the padded length of a column, for four numbers side by side; one or two numbers are not padded. */
 INLINE int padded(const int n) { return n < 3 ? n : (n + 3) & ~3; }
 
 /* Write the columns of A (rows, columns), each padded by 0. */
@@ -287,7 +289,7 @@ INLINE void lay_out(const int rows, const int columns, const real *A, const real
         for (int i = 0; i < wide; i++) B[j * wide + i] = i < rows ? sign * A[i * columns + j] : 0;
 }
 
-/* y += A v, of which B has the columns. */
+/* y += A v; B has the padded columns of A. */
 INLINE void accumulate(const int rows, const int columns, const real *B, const real *v, real *y) {
     const int wide = padded(rows);
     if (wide < 3) {
@@ -308,8 +310,7 @@ INLINE void accumulate(const int rows, const int columns, const real *B, const r
         }
 }
 
-/* Take rows up to another one with the gain that has settled, until one is missing or a state runs away; return how
-   many were taken. */
+/* Filter rows with the steady-state gain, until one is missing or a state runs away; return how many. */
 INLINE int64_t take_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state,
                             const parts_t *p, const record_t *record, const int64_t from, const int64_t to,
                             const beliefs_t *beliefs) {
@@ -391,7 +392,8 @@ static int64_t filter_settled(const int n, const int m, const multivariate_t *mo
     return taken;
 }
 
-/* Add what the channels that arrived tell: of the lower root of their R, R = C C', the equations C^-1 (z - H x) = e. */
+/* Add the information of the channels that arrived: with R = C C', C lower triangular, the equations are
+   C^-1 (z - H x) = e. */
 static void learn(const int n, const int m, const multivariate_t *model, const real *z, real *U, real *b) {
     real C[M_MAX * M_MAX], a[M_MAX * N_MAX], right[M_MAX];
     int seen[M_MAX], count = 0;
@@ -414,7 +416,7 @@ static void learn(const int n, const int m, const multivariate_t *model, const r
     for (int c = 0; c < count; c++) add_equation(n, a + c * n, right[c], U, b);
 }
 
-/* Write w of U' w = h: where information determines the state, h x is w b, of variance w' w. */
+/* Solve U' w = h; if the information determines the state, h x is w' b with variance w' w. */
 static void weigh(const int n, const real *h, const real *U, real *w) {
     for (int j = 0; j < n; j++) {
         real s = h[j];
@@ -423,7 +425,7 @@ static void weigh(const int n, const real *h, const real *U, real *w) {
     }
 }
 
-/* Predict a row by information that determines the state: (3), (4), (8). */
+/* Predict a row from information that determines the state: (3), (4), (8). */
 static void foretell(const int n, const int m, const multivariate_t *model, const real *z, const parts_t *p,
                      score_t *score) {
     real S[M_MAX * M_MAX], w[M_MAX * N_MAX];
@@ -439,7 +441,7 @@ static void foretell(const int n, const int m, const multivariate_t *model, cons
     score_row(m, p, score);
 }
 
-/* Return whether the next measurement is predicted so well that the covariance form keeps its digits. */
+/* Return whether the next measurement is predicted well enough for the covariance form to keep its digits. */
 static int is_narrow(const int n, const int m, const multivariate_t *model, const real *F, const real *Q, const real *P) {
     real ahead[NN_MAX], Ph[N_MAX];
     copy(n * n, P, ahead);
@@ -451,7 +453,7 @@ static int is_narrow(const int n, const int m, const multivariate_t *model, cons
     return 1;
 }
 
-/* Write what information tells of a row, perhaps not all; of the states nothing. */
+/* Write the estimates that the information determines for a row; states are not among them. */
 static void write_opening(const int n, const int m, const multivariate_t *model, const knowledge_t *state,
                           const parts_t *p, const beliefs_t *beliefs, const int64_t row) {
     for (int c = 0; c < m; c++) {
@@ -469,7 +471,7 @@ static void write_opening(const int n, const int m, const multivariate_t *model,
     for (int i = 0; i < n * n && beliefs->P; i++) beliefs->P[row * n * n + i] = INFINITE;
 }
 
-/* Take one row while measurements do not determine the state: their information is gathered. */
+/* Filter one row while measurements do not determine the state: add its information. */
 static void open_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
                      const record_t *record, const real *F, const real *Q, const int64_t row,
                      const beliefs_t *beliefs) {
@@ -508,7 +510,7 @@ static void open_row(const int n, const int m, const multivariate_t *model, know
     write_innovation(m, p, beliefs, row);
 }
 
-/* Return the run of a row, looked for from a near one on. */
+/* Return the run of a row; the search starts at a near run. */
 static int64_t run_of(const record_t *record, const int64_t row, int64_t run) {
     while (record->first[run + 1] <= row) run++;
     while (record->first[run] > row) run--;
@@ -532,7 +534,7 @@ INLINE void filter_rows(const int n, const int m, const multivariate_t *model, k
                                       : 0;
             state->rows += taken, row += taken;
             if (taken) continue;
-            lose_gain(state, p.D_then); /* so that what follows does not depend on when the gain has settled */
+            lose_gain(state, p.D_then); /* so that later rows do not depend on when the gain settled */
         }
         if (state->phase == DETERMINED) {
             filter_row(n, m, model, state, &p, F, Q, length, record->z + row * m);
@@ -564,7 +566,7 @@ void multivariate_end(const multivariate_t *model, future_t *future) {
     forget_future((int)model->states, future);
 }
 
-/* Carry r back through a block whose gain had settled (11), and add what it says of each row (9). */
+/* Carry r back through a block with the steady-state gain (11), and add it to each row (9). */
 INLINE void return_settled(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
                            const real *G_, const int64_t from, const int64_t to, const beliefs_t *beliefs, real *r_) {
     real B[NN_MAX], back[NN_MAX], P[NN_MAX], G[N_MAX * M_MAX], HP[M_MAX * N_MAX], seen[M_MAX * N_MAX], r[N_MAX];
@@ -600,7 +602,7 @@ static void return_block(const int n, const int m, const multivariate_t *model, 
     FOR_SMALL(n, m, return_settled, model, p, A, G, from, to, beliefs, r)
 }
 
-/* Smooth a block whose gain had settled before it. */
+/* Smooth a block with the steady-state gain. */
 INLINE void smooth_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state, const real *F,
                            const int64_t from, const int64_t to, const beliefs_t *beliefs, future_t *future) {
     const parts_t p = parts_of(n, m, state);
@@ -629,7 +631,7 @@ INLINE void smooth_settled(const int n, const int m, const multivariate_t *model
     if (spread && !future->settled) notice_future(n, future, to - from);
 }
 
-/* Write what later rows say of a row that was filtered again, over x and P of the row after. */
+/* Smooth a row that was filtered again; the result replaces x and P of the row after. */
 INLINE void smooth_row(const int n, const int m, const multivariate_t *model, const knowledge_t *state,
                        const parts_t *p, const beliefs_t *beliefs, const int64_t row, future_t *future) {
     const int spread = beliefs->sigma || beliefs->P;
@@ -668,7 +670,7 @@ INLINE void smooth_row(const int n, const int m, const multivariate_t *model, co
     if (beliefs->P) copy(n * n, future->P, beliefs->P + row * n * n);
 }
 
-/* Carry what later rows say through the update of a row, and through the step before it. */
+/* Carry the information of later rows back through the update of a row, and through the step before it. */
 INLINE void step_back(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *F,
                       const int spread, future_t *future) {
     real A[NN_MAX], g[M_MAX * N_MAX], G[N_MAX * M_MAX];

@@ -1,4 +1,4 @@
-"""The filter and the smoother of any model in C, its channels together. `multivariate.h` describes the structs."""
+"""The C filter and smoother for a model of several channels. `multivariate.h` describes the structs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Whole = NDArray[np.int64]
 
 MOST_STATES, MOST_CHANNELS = CONSTANTS["N_MAX"], CONSTANTS["M_MAX"]
 GAIN, COVARIANCE = CONSTANTS["GAIN"], CONSTANTS["COVARIANCE"]
-"""What has to settle before a gain is used again: the gain alone, or the covariance, too."""
+"""What must reach its steady state before the filter reuses a gain: the gain alone, or the covariance, too."""
 
 _HEAD, _FUTURE = layout_of("knowledge"), layout_of("future")
 
@@ -52,18 +52,18 @@ kernel.multivariate_end.argtypes, kernel.multivariate_end.restype = [ctypes.c_vo
 
 
 class MeasurementRows(NamedTuple):
-    """Measurements, and the steps before them: rows first[s] to first[s + 1] - 1 follow step[s] each."""
+    """Measurements and the steps before them: step[s] comes before each of the rows first[s] to first[s + 1] - 1."""
 
-    z: Floats  # (N, m) NaN where missing
-    first: Whole  # (runs + 1,)
-    step: Whole  # (runs,) which of the steps; -1: none
-    F: Floats  # (u, n, n)
-    Q: Floats  # (u, n, n)
-    lengths: Floats  # (u,) equal ones are the same step
+    z: Floats  # (N, m) measurements, NaN where missing
+    first: Whole  # (runs + 1,) first row of each run
+    step: Whole  # (runs,) index of the step; -1: none
+    F: Floats  # (u, n, n) transitions of the steps
+    Q: Floats  # (u, n, n) their process noise
+    lengths: Floats  # (u,) their lengths; equal ones are the same step
 
 
 class EstimateBuffers(NamedTuple):
-    """Where estimates go; None where they are not wanted."""
+    """Output arrays for the estimates; None for estimates that are not requested."""
 
     signal: Floats | None = None  # (N, m)
     sigma: Floats | None = None  # (N, m)
@@ -74,16 +74,16 @@ class EstimateBuffers(NamedTuple):
 
 
 class Multivariate:
-    """A filter of several channels of one state.
+    """A filter of several channels that share one state.
 
     Parameters
     ----------
     H, R : (m, n), (m, m) float array
-        How channels see the states, and the covariance of their noise.
+        The measurement matrix, and the covariance of the channels' noise.
     prior, right : (n, n), (n,) float array
-        What is known before the first measurement, U x = b + e with e ~ N(0, I): U upper triangular, and b.
+        The prior before the first measurement, U x = b + e with e ~ N(0, I): U, upper triangular, and b.
     foretells : bool
-        Whether that determines the state, so that the first measurements are predicted by it.
+        Whether the prior determines the state, so that it predicts the first measurements.
     enough : int
         GAIN or COVARIANCE.
 
@@ -95,12 +95,12 @@ class Multivariate:
     Attributes
     ----------
     state : (S,) uint8 array
-        All that later rows depend on; its bytes are a checkpoint.
+        Everything that later rows depend on; its bytes are a checkpoint.
     channels : int
-        m.
+        Number of channels, m.
     """
 
-    def __init__(  # noqa: PLR0913  (each by its name)
+    def __init__(  # noqa: PLR0913  (the matrices of a model)
         self, H: Floats, R: Floats, prior: Floats, right: Floats, *, foretells: bool = False, enough: int = GAIN
     ) -> None:
         m, n = self._size = H.shape
@@ -121,7 +121,7 @@ class Multivariate:
         kernel.multivariate_start(ctypes.byref(self._model), None, None, self.state.ctypes.data)
 
     def start(self, x: Floats, P: Floats) -> None:
-        """Begin with a state (n,) before the first row, and its covariance (n, n)."""
+        """Set the state (n,) before the first row, and its covariance (n, n)."""
         n = self._size[1]
         x, P = _checked("x", x, (n,)), _checked("P", P, (n, n))
         kernel.multivariate_start(ctypes.byref(self._model), x.ctypes.data, P.ctypes.data, self.state.ctypes.data)
@@ -145,12 +145,12 @@ class Multivariate:
         ValueError
             If the arrays do not fit each other: C would read beyond their ends.
         """
-        record, into = self._given(rows, beliefs)
+        record, output = self._pointers(rows, beliefs)
         model = ctypes.byref(self._model)
-        kernel.multivariate_filter(model, self.state.ctypes.data, ctypes.byref(record), ctypes.byref(into))
+        kernel.multivariate_filter(model, self.state.ctypes.data, ctypes.byref(record), ctypes.byref(output))
 
     def smooth(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> None:
-        """Filter rows, which end the record, and come back over them; innovations, which are needed, stay the filter's.
+        """Filter the last rows of a record and smooth them; needs a buffer for innovations, which stay the filter's.
 
         Raises
         ------
@@ -158,50 +158,51 @@ class Multivariate:
             If the arrays do not fit each other.
         """
         if beliefs.innovation is None:
-            raise ValueError("Smoothing needs room for innovations.")
-        record, into = self._given(rows, beliefs)
+            raise ValueError("Smoothing needs an array for innovations; beliefs.innovation is None.")
+        record, output = self._pointers(rows, beliefs)
         future = np.zeros((), _FUTURE)
         room = np.empty(kernel.multivariate_room(self._model.states, self._model.channels, record.rows) // 8)
         model = ctypes.byref(self._model)
         kernel.multivariate_end(model, future.ctypes.data)
-        moves = self.state.ctypes.data, ctypes.byref(record), ctypes.byref(into), future.ctypes.data, room.ctypes.data
-        kernel.multivariate_smooth(model, *moves)
+        rows_and_output = self.state.ctypes.data, ctypes.byref(record), ctypes.byref(output)
+        kernel.multivariate_smooth(model, *rows_and_output, future.ctypes.data, room.ctypes.data)
 
     def smooth_late(self, rows: MeasurementRows, lag: int, told: int) -> tuple[Floats, Floats]:
-        """Smooth the first rows by those up to a lag after each; return signal and sigma, (told, m) each.
+        """Smooth the first `told` rows with the rows up to a lag after each; return signal and sigma, (told, m) each.
 
-        The state before them becomes that after them. The steps of all rows are alike; none precedes the first of all.
+        The state moves from before these rows to after them. All rows have the same step before them, except the very
+        first row, which has none.
 
         Raises
         ------
         ValueError
             If the arrays do not fit each other, or the numbers do not fit the rows.
         """
-        record, _ = self._given(rows, EstimateBuffers())
+        record, _ = self._pointers(rows, EstimateBuffers())
         if not (lag >= 0 and 0 <= told <= record.rows):
-            raise ValueError(f"A lag of {lag} and {told} rows to tell came; 0 or more, 0 to {record.rows} are needed.")
+            raise ValueError(f"lag = {lag} and told = {told} came; 0 or more, and 0 to {record.rows} are needed.")
         signal, sigma = np.empty((2, told, self.channels))
         lag = min(lag, record.rows)
         room = np.empty(kernel.multivariate_lag_room(self._model.states, self._model.channels, lag) // 8)
-        into = signal.ctypes.data, sigma.ctypes.data, room.ctypes.data
+        output = signal.ctypes.data, sigma.ctypes.data, room.ctypes.data
         model = ctypes.byref(self._model)
-        kernel.multivariate_lag(model, self.state.ctypes.data, ctypes.byref(record), lag, told, *into)
+        kernel.multivariate_lag(model, self.state.ctypes.data, ctypes.byref(record), lag, told, *output)
         return signal, sigma
 
     def saved(self) -> NDArray[np.uint8]:
-        """Return the bytes of the state, without what can be found again: the closed loop, A and g."""
+        """Return the bytes of the state, without the matrices A and g of the closed loop, which can be recomputed."""
         m, n = self._size
         kept = self.state[: -8 * n * (n + m)].copy()
         kept[: _HEAD.itemsize].view(_HEAD)["closed"] = 0
         return kept
 
     def load(self, kept: NDArray[np.uint8]) -> None:
-        """Take over what `saved` returned.
+        """Restore the result of `saved`.
 
         Raises
         ------
         ModelError
-            If these are not the bytes of a state of such a model.
+            If the bytes are not a state of this model.
         """
         (m, n), state = self._size, np.zeros(len(self.state) // 8).view(np.uint8)
         own = state[: -8 * n * (n + m)]
@@ -210,34 +211,34 @@ class Multivariate:
         own[:] = kept
         own[: _HEAD.itemsize].view(_HEAD)["closed"] = 0
         if not kernel.multivariate_is_sound(ctypes.byref(self._model), state.ctypes.data):
-            raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
+            raise ModelError("The state of a snapshot has impossible values; pass what snapshot() returned.")
         self.state = state
 
-    def _given(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> tuple[_Record, _Beliefs]:
+    def _pointers(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> tuple[_Record, _Beliefs]:
         (m, n), count, runs, steps = self._size, len(rows.z), len(rows.step), len(rows.F)
         shapes: dict[str, tuple[int, ...]] = {"z": (count, m), "F": (steps, n, n), "Q": (steps, n, n)}
         shapes |= {"lengths": (steps,), "first": (runs + 1,), "step": (runs,)}
         for name, array in rows._asdict().items():
             _checked(name, array, shapes[name], np.int64 if name in ("first", "step") else np.float64)
         if not steps:
-            raise ValueError("There are no steps; one at least is needed.")
+            raise ValueError("There are no steps; at least one is needed.")
         first, step = rows.first, rows.step
         if first[0] != 0 or first[-1] != count or (first[1:] <= first[:-1]).any():
-            raise ValueError(f"Runs of steps begin at {first.tolist()[:9]}; from 0 on to {count} rows are needed.")
+            raise ValueError(f"Runs of steps begin at {first.tolist()[:9]}; they must ascend from 0 to {count} rows.")
         if runs and not (step.min() >= -1 and step.max() < steps):
-            raise ValueError(f"step goes from {step.min()} to {step.max()} of {steps} steps.")
+            raise ValueError(f"step goes from {step.min()} to {step.max()}; there are {steps} steps.")
         wanted: dict[str, tuple[int, ...]] = {"x": (count, n), "P": (count, n, n)}
         for name, array in beliefs._asdict().items():
             if array is not None:
                 _checked(name, array, wanted.get(name, (count, m)))
                 if not array.flags.writeable:
-                    raise ValueError(f"{name} cannot be written.")
+                    raise ValueError(f"{name} cannot be written; pass a writeable array.")
         record = _Record(*(array.ctypes.data for array in rows), count)
         return record, _Beliefs(*(None if array is None else array.ctypes.data for array in beliefs))
 
 
 def _checked(name: str, array: Any, shape: tuple[int, ...], kind: Any = np.float64) -> NDArray[Any]:
-    """Return an array that C can read, or raise a ValueError."""
+    """Return the array if C can read it; otherwise raise a ValueError."""
     if array.dtype != kind or array.shape != shape or not (array.flags.c_contiguous and array.flags.aligned):
         raise ValueError(
             f"{name} is {array.dtype} of shape {array.shape}, not {np.dtype(kind)} of {shape} in one piece."

@@ -1,5 +1,5 @@
-/* exp, log and the normal distribution, from arithmetic alone: C libraries differ in the last digit, and then so would a
-   bank's estimates on two machines. */
+/* exp, log and the normal distribution, from arithmetic alone: C libraries differ in the last digit, so that IMM
+   estimates would differ between machines. */
 #ifndef BECALM_NORMAL_H
 #define BECALM_NORMAL_H
 
@@ -7,7 +7,7 @@
 
 #include "pair.h"
 
-#define LEAST_EXPONENT ((real)-708)    /* of exp; below, 0 */
+#define LEAST_EXPONENT ((real)-708)    /* least argument of exp; below, the result is 0 */
 #define LEAST_TAIL ((real)1e-300)      /* a probability; its quantile is 37 */
 #define ROOT_2 ((real)1.41421356237309504880)
 #define ROOT_2_PI ((real)2.50662827463100050242)
@@ -16,7 +16,7 @@ static const real LN_2_HIGH = (real)0x1.62e42fefap-1, LN_2_LOW = (real)0x1.cf79a
 
 /* Return e^x of two numbers below 709. x = k ln 2 + r, and e^r is a quotient of polynomials (Pade, order 6). */
 INLINE pair_t exponentials(const pair_t x) {
-    const pair_t shift = both((real)6755399441055744); /* 1.5 * 2^52: what is added to it is rounded to a whole number */
+    const pair_t shift = both((real)6755399441055744); /* 1.5 * 2^52: adding it rounds a number to a whole one */
     const pair_t shifted = x * (real)1.44269504088896340736 + shift, k = shifted - shift;
     const pair_t r = (x - k * LN_2_HIGH) - k * LN_2_LOW, s = r * r;
     const pair_t even = (real)665280 + s * ((real)75600 + s * ((real)840 + s));
@@ -49,8 +49,8 @@ INLINE real polynomial(const int n, const real *coefficients, const real x) {
     return s;
 }
 
-/* Return the probability of a standard normal number larger than u >= 0, times e^(u^2 / 2). Source: Cody, Mathematics of
-   Computation 23 (1969) 631, of erfc. */
+/* Return the probability of a standard normal number larger than u >= 0, times e^(u^2 / 2). Source: Cody, Mathematics
+   of Computation 23 (1969) 631, of erfc. */
 static inline real scaled_tail(const real u) {
     static const real A[] = {1.85777706184603153e-1, 3.16112374387056560, 1.13864154151050156e2, 3.77485237685302021e2,
                              3.20937758913846947e3};
@@ -77,8 +77,9 @@ static inline real scaled_tail(const real u) {
 /* Return the probability of a standard normal number larger than u >= 0. */
 static inline real upper_tail(const real u) { return scaled_tail(u) * exponential((real)-0.5 * u * u); }
 
-/* Return the normal quantile of a value, of the probabilities of smaller and of larger ones. It begins 5e-4 beside it
-   (Hastings 1955; Abramowitz and Stegun 26.2.23); Newton's method doubles the digits, twice. */
+/* Return the normal quantile of a value, given the probabilities of smaller and of larger values. The first
+   approximation is within 5e-4 (Hastings 1955; Abramowitz and Stegun 26.2.23); two steps of Newton's method each double
+   the digits. */
 static inline real normal_score(const real below, const real above) {
     static const real A[] = {(real)0.010328, (real)0.802853, (real)2.515517};
     static const real B[] = {(real)0.001308, (real)0.189269, (real)1.432788, 1};

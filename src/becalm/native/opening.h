@@ -1,15 +1,15 @@
-/* The first measurements, which do not determine the state yet: their information is gathered.
+/* The start of the filter: gather the information of the first measurements until they determine the state.
 
    U x = b + e with e ~ N(0, I); U is upper triangular and may have empty rows (Bierman 1977, square root information
-   filter). No prior is needed, and none is made up. */
+   filter). No prior is needed, and none is assumed. */
 #ifndef BECALM_OPENING_H
 #define BECALM_OPENING_H
 
 #include "information.h"
 
-#define WELL_DETERMINED ((real)1e-6) /* of information scaled to a unit diagonal: its least eigenvalue */
-#define FAR ((real)1e15)             /* times R, or Q: a covariance that holds so much keeps no digit of R */
-#define LIVE ((real)3e-5)            /* of a column: a diagonal element of U that says something */
+#define WELL_DETERMINED ((real)1e-6) /* smallest eigenvalue of information scaled to a unit diagonal */
+#define FAR ((real)1e15)             /* covariance over R, or over Q: beyond, no digit of R is left */
+#define LIVE ((real)3e-5)            /* least diagonal element of U with information, over the length of its column */
 
 static inline void add_information(const int n, const real *h, const real R, const real z, real *U, real *b) {
     real a[N_MAX];
@@ -17,13 +17,13 @@ static inline void add_information(const int n, const real *h, const real R, con
     add_equation(n, a, z / sqrt(R), U, b);
 }
 
-/* Begin with what the model itself knows. */
+/* Start with the model's own information. */
 static inline void begin_information(const int n, const real *prior, real *U, real *b) {
     for (int i = 0; i < n * n; i++) U[i] = prior[i];
     for (int i = 0; i < n; i++) b[i] = 0;
 }
 
-/* Predict one step. Where that leaves no digits, only what the model itself knows is left. */
+/* Predict one step. If this leaves no digits, only the model's own information remains. */
 static inline void carry_information(const int n, const real *F, const real *Q, const real *prior, real *U, real *b) {
     real back[NN_MAX], L[NN_MAX], joint[4 * NN_MAX], right[2 * N_MAX];
     covariance_root(n, Q, L);
@@ -44,7 +44,7 @@ static inline real column(const int n, const real *U, const int j) {
     return sqrt(s);
 }
 
-/* Estimate h x and its standard deviation from what is known; NaN and inf where that does not tell. */
+/* Estimate h x and its standard deviation from the information; NaN and inf if it does not determine h x. */
 static inline void estimate_from_information(const int n, const real *h, const real *U, const real *b, real *signal,
                                       real *sigma) {
     real w[N_MAX] = {0}, most = 0, variance = 0, value = 0;
@@ -52,7 +52,7 @@ static inline void estimate_from_information(const int n, const real *h, const r
         const real scaled = fabs(h[j]) / (column(n, U, j) > 0 ? column(n, U, j) : 1);
         most = scaled > most ? scaled : most;
     }
-    for (int j = 0; j < n; j++) { /* U' w = h: the equations that make it up */
+    for (int j = 0; j < n; j++) { /* solve U' w = h */
         const real length = column(n, U, j) > 0 ? column(n, U, j) : 1;
         real left = h[j];
         for (int i = 0; i < j; i++) left -= w[i] * U[i * n + j];
@@ -66,7 +66,7 @@ static inline void estimate_from_information(const int n, const real *h, const r
     *signal = value, *sigma = sqrt(variance);
 }
 
-/* Write V = U^-1; return whether there is one. */
+/* Write V = U^-1; return whether U has an inverse. */
 static inline int invert_root(const int n, const real *U, real *V) {
     for (int j = 0; j < n; j++) {
         if (U[j * n + j] == 0) return 0;
@@ -92,7 +92,7 @@ static inline int is_determined(const int n, const real *U, const real *V) {
     return squares * WELL_DETERMINED < 1;
 }
 
-/* Write V = U^-1; return whether information determines the state, with some digits of R or Q. */
+/* Write V = U^-1; return whether the information determines the state, with some digits of R or Q. */
 static inline int tells_state(const int n, const real R, const real *Q, const real *U, real *V) {
     real usual = R;
     if (!invert_root(n, U, V) || !is_determined(n, U, V)) return 0;
@@ -124,7 +124,8 @@ static inline real predicted_variance(const int n, const real *h, const real *F,
     return variance;
 }
 
-/* Do so where the next measurement is predicted as well as asked; return whether the state is determined. */
+/* Do so if the next measurement is predicted with at most the variance `widest`; return whether the state is
+   determined. */
 static inline int try_to_determine(const int n, const coefficients_t *model, const real *F, const real *Q, real *P,
                                    real *x) {
     real V[NN_MAX];

@@ -1,4 +1,4 @@
-/* What a filter knows, without the room that its arrays do not need. */
+/* Pack the state of a filter without the unused part of its arrays. */
 #ifndef BECALM_PACK_H
 #define BECALM_PACK_H
 
@@ -25,7 +25,7 @@ INLINE void unpack(const int n, const real *packed, filter_t *state) {
     copy(n * n, packed + HEAD + 6 * n, state->P);
 }
 
-/* Pack a struct whose last field is a filter, at a place, or unpack it. */
+/* Pack a struct whose last field is a filter, at offset `at`; the next function unpacks it. */
 static inline void pack_after(const int64_t n, const void *whole, const size_t at, char *packed) {
     memcpy(packed, whole, at);
     pack((int)n, (const filter_t *)(const void *)((const char *)whole + at), (real *)(void *)(packed + at));
@@ -40,7 +40,7 @@ static inline int64_t size_after(const int64_t n, const size_t at) {
     return (int64_t)at + packed_size(n) * (int64_t)sizeof(real);
 }
 
-/* What is read of a packed state as it is. */
+/* Read a field of a packed state. */
 static inline int64_t packed_phase(const real *packed) {
     int64_t phase;
     memcpy(&phase, packed + offsetof(filter_t, phase) / sizeof(real), sizeof phase);

@@ -1,4 +1,5 @@
-/* Two numbers side by side: one instruction then does the work of two. GCC and Clang know such types for any processor. */
+/* Two numbers side by side, so that one instruction does the work of two. GCC and Clang have such types on any
+   processor. */
 #ifndef BECALM_PAIR_H
 #define BECALM_PAIR_H
 
@@ -7,7 +8,7 @@
 #define SIDE_BY_SIDE __attribute__((vector_size(2 * sizeof(real)), aligned(sizeof(real)), may_alias))
 
 typedef real pair_t SIDE_BY_SIDE;
-typedef int64_t mask_t SIDE_BY_SIDE; /* what comparing pairs gives */
+typedef int64_t mask_t SIDE_BY_SIDE; /* the result of comparing pairs */
 typedef uint64_t bits_t SIDE_BY_SIDE;
 
 /* Return two numbers of an array as a pair. */

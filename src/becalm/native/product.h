@@ -1,4 +1,4 @@
-/* Products of many factors that stay in range: no logarithm is needed of each, only of the whole. */
+/* Products of many factors that stay in range, so that only the whole product needs a logarithm. */
 #ifndef BECALM_PRODUCT_H
 #define BECALM_PRODUCT_H
 
@@ -8,7 +8,7 @@ enum { POWER = 60 };
 
 #define LARGE ((real)1152921504606846976) /* 2^POWER: products are kept between it and its inverse */
 
-/* Return a factor without powers of two that are counted in an exponent; 0 and infinity stay. */
+/* Return a factor without powers of two, which are added to an exponent; 0 and infinity do not change. */
 static inline real near_one(real factor, int64_t *exponent) {
     for (; factor > LARGE && factor < INFINITE; *exponent += POWER) factor *= 1 / LARGE;
     for (; factor < 1 / LARGE && factor > 0; *exponent -= POWER) factor *= LARGE;

@@ -1,4 +1,4 @@
-"""Blocks of rows as C takes them, checked: C would read, or write, beyond the ends of arrays that do not fit."""
+"""Check the arrays of a block of rows and return C's structs; C would read or write beyond the ends of wrong arrays."""
 
 from __future__ import annotations
 
@@ -23,13 +23,28 @@ class RowBlock(ctypes.Structure):
 
 
 class RowEstimates(ctypes.Structure):
-    """What is estimated of it; see `estimate_t`."""
+    """The estimates of a block of rows; see `estimate_t`."""
 
     _fields_ = tuple((name, ctypes.c_void_p) for name in _ESTIMATES)
 
 
 def checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = True) -> tuple[RowBlock, RowEstimates]:
-    """Return rows as C takes them, and where it writes to, if it does."""
+    """Return C's structs for a block of rows and for its estimates.
+
+    Parameters
+    ----------
+    settings : () structured array
+        Those of the channel.
+    rows : dict of str to array
+        The arrays of `process`.
+    writes : bool
+        Whether C writes estimates.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit each other.
+    """
     n, count = int(settings["states"]), len(rows["z"])
     if settings.dtype != SETTINGS or not 1 <= n <= MOST_STATES:
         raise ValueError(f"A channel of {n} states came; 1 to {MOST_STATES} are needed.")
@@ -44,9 +59,10 @@ def checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = 
         if array.dtype != kind or array.shape != shape or not in_place:
             raise ValueError(f"{name} is {array.dtype} of shape {array.shape}, not {kind} of {shape} in one piece.")
     if count and not (rows["step"].min() >= 0 and rows["step"].max() < len(rows["F"])):
-        raise ValueError(f"step goes from {rows['step'].min()} to {rows['step'].max()} of {len(rows['F'])} steps.")
+        lowest, highest = rows["step"].min(), rows["step"].max()
+        raise ValueError(f"step goes from {lowest} to {highest}; there are {len(rows['F'])} steps.")
     if not (rows["elapsed"] >= 0).all():
-        raise ValueError("elapsed is NaN or below 0 somewhere; time only goes on.")
+        raise ValueError("elapsed is NaN or below 0 somewhere; give steps of 0 or more.")
     at = {name: rows[name].ctypes.data for name in wanted}
     block = RowBlock(at["z"], at["elapsed"], at["step"], at["F"], at["Q"], count)
     estimate = RowEstimates(*(at.get(name) for name in _ESTIMATES))

@@ -1,8 +1,8 @@
-/* Passes over a record that ask no filter: what is wrong with measurements themselves, and with innovations. */
+/* Passes over a record that need no filter: they detect faults of measurements and of innovations. */
 #include "limits.h"
 #include "monitor.h"
 
-#define FEWEST_AFTER 2 /* runs of equal measurements after one; with fewer it is judged by those before */
+#define FEWEST_AFTER 2 /* least number of runs after a run; with fewer, those before decide */
 
 void scan_start(limits_t *limits, watched_t *watched) {
     start_limits(limits);
@@ -47,8 +47,8 @@ int64_t scan_innovations(const settings_t *settings, watched_t *state, const rea
     return ended;
 }
 
-/* Fill in the six nearest neighbours of a run, from one row until another; return how many. Where one side has fewer
-   than three, the other has more. `after` are how many lie after it, `missing` whether more may come after the last
+/* Collect the six nearest neighbours of a run between two rows; return how many. If one side has fewer than three, the
+   other has more. Write to `after` how many come after the run, and to `missing` whether more may come after the last
    run. */
 static int gather(const real *values, const int64_t *ends, const int64_t run, const int64_t runs, const int64_t from,
                   const int64_t until, real *neighbours, int *after, int *missing) {
@@ -67,7 +67,7 @@ static int gather(const real *values, const int64_t *ends, const int64_t run, co
 }
 
 /* Write the measurements that are not NaN, and the first and the last row of each; return how many. Equal ones in a row
-   are one where the settings say so, or where they are zeros that may stand for none. */
+   count as one if the settings say so, or if they are zeros that may mark missing measurements. */
 static int64_t find_runs(const settings_t *settings, const real *z, const int64_t rows, real *values, int64_t *ends) {
     int64_t runs = 0;
     for (int64_t row = 0; row < rows; row++) {
@@ -88,8 +88,8 @@ static int64_t count_measured(const real *z, const int64_t first, const int64_t 
     return count;
 }
 
-/* Return whether a measurement alone is as near to each of three on either side, from one row until another, as no
-   outlier is: most are, and need no median. */
+/* Return whether a single measurement is so near to each of three on either side, between two rows, that it is not an
+   outlier. Most measurements are, so that they need no median. */
 static int is_amid(const settings_t *settings, const real distance, const real *values, const int64_t *ends,
                    const int64_t run, const int64_t runs, const int64_t from, const int64_t until) {
     if (run < SIDE || run + SIDE >= runs || ends[2 * run] != ends[2 * run + 1]) return 0;
@@ -103,14 +103,14 @@ static int is_amid(const settings_t *settings, const real distance, const real *
     return near;
 }
 
-/* Return whether there is no measurement in the row before or after a run of one. */
+/* Return whether measurements are missing in the rows before and after a run. */
 static int is_alone(const int64_t *ends, const int64_t run, const int64_t runs) {
     const int64_t row = ends[2 * run];
     return (run == 0 || row - ends[2 * run - 1] > 1) && (run + 1 == runs || ends[2 * run + 2] - row > 1);
 }
 
-/* Leave out neighbours that are not plausible, and more than four times as far from a value as that is from what is;
-   return how many stay. */
+/* Leave out implausible neighbours that are more than four times as far from a value as the value is from the plausible
+   range; return how many stay. */
 static int keep_supporting(const settings_t *settings, const real value, real *neighbours, const int count) {
     const real low = settings->plausible_low, high = settings->plausible_high;
     const real beyond = value < low ? low - value : value - high;
@@ -122,7 +122,7 @@ static int keep_supporting(const settings_t *settings, const real value, real *n
     return kept;
 }
 
-/* Leave out neighbours that are 0 and stand for none; return how many stay. */
+/* Leave out neighbours that are 0 and mark missing measurements; return how many stay. */
 static int keep_measured(const settings_t *settings, real *neighbours, const int count) {
     if (!stands_for_none(settings, 0, neighbours, count)) return count;
     int kept = 0;
@@ -131,16 +131,16 @@ static int keep_measured(const settings_t *settings, real *neighbours, const int
     return kept;
 }
 
-/* Return what the measurements of a run are, by its neighbours. */
+/* Return the verdict on the measurements of a run from its neighbours. */
 static int judge_run(const settings_t *settings, const real distance, const int64_t stuck, const real *values,
                      const int64_t *ends, const int64_t run, const int64_t runs, const int64_t rows,
                      real *neighbours, int count) {
     const real value = values[run];
-    const int holds = stuck > 0 && rows >= stuck; /* so many equal ones */
+    const int holds = stuck > 0 && rows >= stuck; /* long enough to be stuck */
     if (stands_for_none(settings, value, neighbours, count)) return holds && rows >= LONGEST_0 ? STUCK : OUTLIER;
     count = keep_measured(settings, neighbours, count);
     int away = value < settings->plausible_low || value > settings->plausible_high;
-    if (away && rows == 1 && is_alone(ends, run, runs)) /* outliers in an empty stretch would hide each other in their spread */
+    if (away && rows == 1 && is_alone(ends, run, runs)) /* in a sparse stretch outliers would hide each other */
         count = keep_supporting(settings, value, neighbours, count);
     if (count >= FEWEST_NEIGHBOURS) {
         const int fills = stuck > 0 && rows >= SHORTEST_FILL && rows <= LONGEST_FILL;
@@ -155,7 +155,7 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
                       const int64_t rows, const int64_t begun, const int whole, real *values, int64_t *ends,
                       int8_t *verdict) {
     const int64_t runs = find_runs(settings, z, rows, values, ends);
-    const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* of fills, which are told from longer runs */
+    const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* longest run of a stand-in value, plus one */
     const int64_t decided = stuck > longest ? stuck : longest;
     for (int64_t run = 0; run < runs; run++) {
         const int64_t first = ends[2 * run], last = ends[2 * run + 1];
@@ -186,7 +186,7 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
     for (int64_t row = begun; row < end; row++) {
         if (isnan(z[row])) continue;
         while (ends[2 * run + 1] < row) run++;
-        const int64_t from = row - REACH, until = row + ahead; /* what it depends on, wherever rows are cut */
+        const int64_t from = row - REACH, until = row + ahead; /* the rows that decide, for any cut */
         int64_t first = ends[2 * run] > from ? ends[2 * run] : from;
         int64_t last = ends[2 * run + 1] < until ? ends[2 * run + 1] : until;
         while (isnan(z[first])) first++;

@@ -1,4 +1,4 @@
-"""Passes over a record that ask no filter, in C: what is wrong with measurements, stamps, and innovations."""
+"""Call the C passes that need no filter: they detect faults of measurements, stamps and innovations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NEIGHBOURS, SIDE, SPREADS, REACH = (CONSTANTS[name] for name in ("NEIGHBOURS", "
 SHORTEST_FILL, EVERY_REPEAT, LONGEST_0 = (CONSTANTS[name] for name in ("SHORTEST_FILL", "EVERY_REPEAT", "LONGEST_0"))
 HOP, KEPT_HOPS, PARTS, MOST_SIGMA = (CONSTANTS[name] for name in ("HOP", "KEPT_HOPS", "PARTS", "MOST_SIGMA"))
 WINDOW = HOP * CONSTANTS["WINDOW_HOPS"]
-"""Innovations whose variance is looked at together."""
+"""Number of innovations in a window, whose variance the monitor tests."""
 
 kernel.scan_start.argtypes, kernel.scan_start.restype = [ctypes.c_void_p] * 2, None
 kernel.scan_is_sound.argtypes, kernel.scan_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
@@ -52,16 +52,16 @@ class _Hops(ctypes.Structure):
 
 
 class Hops(NamedTuple):
-    """What is told of each whole hop of innovations."""
+    """The sums over each complete hop of innovations."""
 
-    totals: Whole  # (H,) in parts of a sigma
-    squares: Whole  # (H,) in parts^2
+    totals: Whole  # (H,) sums, in parts of a sigma
+    squares: Whole  # (H,) sums of squares, in parts^2
     powers: Floats  # (H,) sums of squares, in sigma^2
-    steps: Floats  # (H,) from the first row of all to that of its first innovation
+    steps: Floats  # (H,) from the very first row to the hop's first innovation
 
 
 def restored(kept: NDArray[np.int8], struct: np.dtype[np.void]) -> NDArray[np.void] | None:
-    """Return what is remembered from its bytes, of measurements (LIMITS) or innovations (WATCHED); else None."""
+    """Return a state of measurements (LIMITS) or innovations (WATCHED) from its bytes; None if they are not valid."""
     if kept.dtype != np.int8 or kept.shape != (struct.itemsize,):
         return None
     state = np.frombuffer(bytearray(kept.tobytes()), struct).reshape(())
@@ -70,12 +70,12 @@ def restored(kept: NDArray[np.int8], struct: np.dtype[np.void]) -> NDArray[np.vo
 
 
 def new_limits() -> NDArray[np.void]:
-    """Return what is remembered of measurements before the first."""
+    """Return the state of the limits before the first measurement."""
     return _started()[0]
 
 
 def new_watched() -> NDArray[np.void]:
-    """Return what is remembered of innovations before the first."""
+    """Return the state of the monitor before the first innovation."""
     return _started()[1]
 
 
@@ -86,9 +86,9 @@ def _started() -> tuple[NDArray[np.void], NDArray[np.void]]:
 
 
 def scan_faults(settings: NDArray[np.void], limits: NDArray[np.void], z: Floats, elapsed: Floats, codes: Codes) -> int:
-    """Write what is wrong with measurements (B,), in unit, given the steps before them, over their codes (B,).
+    """Write faults of measurements (B,), in unit, with the steps before them, over their codes (B,).
 
-    Returns how many codes are not 0 then. What is remembered changes.
+    Return how many codes are then not 0. The state `limits` changes.
     """
     _check(z, (z, elapsed), (codes,))
     pointers = [array.ctypes.data for array in (settings, limits, z, elapsed)]
@@ -96,7 +96,7 @@ def scan_faults(settings: NDArray[np.void], limits: NDArray[np.void], z: Floats,
 
 
 def reduced_limits(settings: NDArray[np.void], limits: NDArray[np.void]) -> bytes:
-    """Return only what later verdicts depend on."""
+    """Return the bytes of the state with only what later verdicts depend on."""
     own = bytearray(limits.tobytes())
     kernel.scan_reduce(settings.ctypes.data, ctypes.addressof(ctypes.c_char.from_buffer(own)))
     return bytes(own)
@@ -105,17 +105,17 @@ def reduced_limits(settings: NDArray[np.void], limits: NDArray[np.void]) -> byte
 def scan_innovations(
     settings: NDArray[np.void], watched: NDArray[np.void], normalised: Floats, elapsed: Floats, codes: Codes
 ) -> Hops:
-    """Write alarms to the codes (B,) of innovations over their standard deviations (B,); return the hops that ended."""
+    """Write alarms to the codes (B,) of innovations over their standard deviations (B,); return the completed hops."""
     _check(normalised, (normalised, elapsed), (codes,))
     most = len(normalised) // HOP + 1
     hops = Hops(*np.empty((2, most), np.int64), *np.empty((2, most)))
     pointers = [array.ctypes.data for array in (settings, watched, normalised, elapsed)]
-    into = _Hops(*(array.ctypes.data for array in hops))
-    count = kernel.scan_innovations(*pointers, len(normalised), codes.ctypes.data, ctypes.byref(into))
+    output = _Hops(*(array.ctypes.data for array in hops))
+    count = kernel.scan_innovations(*pointers, len(normalised), codes.ctypes.data, ctypes.byref(output))
     return Hops(hops.totals[:count], hops.squares[:count], hops.powers[:count], hops.steps[:count])
 
 
-def scan_outliers(  # noqa: PLR0913  (each by its name)
+def scan_outliers(  # noqa: PLR0913  (keyword arguments)
     settings: NDArray[np.void],
     z: Floats,
     codes: Codes,
@@ -126,31 +126,32 @@ def scan_outliers(  # noqa: PLR0913  (each by its name)
     whole: bool,
     ahead: int = REACH,
 ) -> int:
-    """Write to the codes (N,) what measurements, NaN where missing, are by those on both sides of them.
+    """Write verdicts on measurements from their neighbours on both sides to the codes (N,).
 
     Parameters
     ----------
     settings : () structured array
-        What is plausible, whether repeats are one, and the distance from neighbours before.
+        They hold the plausible range, whether repeats count as one, and the distance from neighbours before.
     z : (N,) float array
-        Measurements, in unit.
+        Measurements, in unit, NaN where missing.
     codes : (N,) int8 array
-        Those of rows before `begun` are read, the others are 0.
+        The codes of rows before `begun` are known; the others must be 0.
     distance : float
-        From the median of neighbours, in unit; inf finds no outlier.
+        Distance of an outlier from the median of its neighbours, in unit; inf: no outliers.
     stuck : int
-        Equal measurements in a row that are stuck, from the first of them on; 0: any number may be equal.
+        This many equal measurements in a row are stuck, from the first of them on; 0: any number may be equal.
     begun : int
-        Rows that are written already.
+        Number of rows that already have their code.
     whole : bool
-        Whether no later rows will come.
+        Whether the record ends here.
     ahead : int
-        Rows that each waits for, at the most; where fewer than two measurements come within them, those before decide.
+        Largest number of rows that a row waits for. If fewer than two measurements come within them, the measurements
+        before decide.
 
     Returns
     -------
     int
-        The first row that has to wait for later ones; N where none has.
+        The first row that has to wait for later ones; N if there is none.
     """
     _check(z, (z,), (codes,))
     values, ends = np.empty(len(z)), np.empty((len(z), 2), np.int64)
@@ -162,7 +163,7 @@ def scan_outliers(  # noqa: PLR0913  (each by its name)
 
 
 def measure_distances(z: Floats) -> tuple[Floats, Floats]:
-    """Return how far measurements (N,) are from the median of six neighbours, and how far these spread; 0 of so few."""
+    """Return the distance of measurements (N,) from the median of six neighbours, and their spread; 0 for N <= 6."""
     _check(z, (z,), ())
     if len(z) <= NEIGHBOURS:
         return np.zeros(len(z)), np.zeros(len(z))
@@ -173,7 +174,7 @@ def measure_distances(z: Floats) -> tuple[Floats, Floats]:
 
 
 def measure_jumps(z: Floats) -> Floats:
-    """Return how far measurements (N,) are from the median of the six before them, from the seventh on."""
+    """Return the distance of measurements (N,) from the median of the six before them, from the seventh on."""
     _check(z, (z,), ())
     jumps = np.empty(max(len(z) - NEIGHBOURS, 0))
     kernel.measure_jumps(z.ctypes.data, len(z), jumps.ctypes.data)
@@ -181,16 +182,19 @@ def measure_jumps(z: Floats) -> Floats:
 
 
 def walk_stamps(clock: NDArray[np.void], stamps: Floats, doubled: Codes, elapsed: Floats, codes: Codes) -> None:
-    """Fill in the steps before each row (B,) of a stream, and what becomes of its stamp, in s; the clock changes."""
+    """Write the steps before each row of a stream to `elapsed` (B,), and codes for its stamps, in s, to `codes` (B,).
+
+    `doubled` is not 0 for rows that repeat the measurements of the row before. The state `clock` changes.
+    """
     _check(stamps, (stamps, elapsed), (doubled, codes))
     if not elapsed.flags.writeable:
-        raise ValueError("elapsed cannot be written.")
-    into = elapsed.ctypes.data, codes.ctypes.data
-    kernel.clock_walk(clock.ctypes.data, stamps.ctypes.data, doubled.ctypes.data, len(stamps), *into)
+        raise ValueError("elapsed cannot be written; pass a writeable array.")
+    output = elapsed.ctypes.data, codes.ctypes.data
+    kernel.clock_walk(clock.ctypes.data, stamps.ctypes.data, doubled.ctypes.data, len(stamps), *output)
 
 
 def _check(rows: Floats, reals: tuple[Floats, ...], codes: tuple[Codes, ...]) -> None:
-    """Raise a ValueError if arrays do not fit: C would read, or write, beyond their ends."""
+    """Raise a ValueError if arrays do not fit; otherwise C would read or write beyond their ends."""
     for kind, arrays in (("f8", reals), ("i1", codes)):
         for array in arrays:
             flags = array.flags

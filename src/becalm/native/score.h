@@ -1,10 +1,10 @@
-/* What makes a likelihood (8), added up. */
+/* Sum the terms of a likelihood (8). */
 #ifndef BECALM_SCORE_H
 #define BECALM_SCORE_H
 
 #include "product.h"
 
-/* Add an innovation whose variance is S, above 0 and finite. */
+/* Add an innovation with variance S, above 0 and finite. */
 static inline void add_score(score_t *score, const real nu, const real S) {
     score->squares += nu * nu / S;
     score->used++;

@@ -1,4 +1,4 @@
-/* What stands around a filter: measurements are judged before it, and what it tells of them after it. */
+/* The checks around a filter: measurements before it, innovations and estimates after it. */
 #ifndef BECALM_SENSOR_H
 #define BECALM_SENSOR_H
 
@@ -9,7 +9,7 @@
 #include "limits.h"
 #include "monitor.h"
 
-/* Begin before the first row. */
+/* Set the state before the first row. */
 static inline void start_sensor(sensor_t *state) {
     memset(state, 0, sizeof *state);
     start_limits(&state->limits);
@@ -17,12 +17,12 @@ static inline void start_sensor(sensor_t *state) {
     state->monitor.drift_since = -1;
 }
 
-/* Count a fault that is met in the row that comes now. */
+/* Count a fault in the current row. */
 static inline void meet(faults_t *faults, const int verdict) {
     if (!faults->met[verdict]++) faults->first_row[verdict] = faults->rows, faults->first_step[verdict] = faults->steps;
 }
 
-/* Judge measurements; find before which of them the filter starts anew. */
+/* Check measurements, and mark those before which the filter restarts. */
 static inline void judge_rows(const settings_t *settings, sensor_t *state, const block_t *block, int8_t *verdicts,
                               pass_t *pass) {
     faults_t *faults = &state->faults;
@@ -38,7 +38,7 @@ static inline void judge_rows(const settings_t *settings, sensor_t *state, const
     }
 }
 
-/* Return sigma with what the uncertainties of times, tuning and calibration add; R is the variance of a measurement. */
+/* Return sigma widened by the uncertainties of times, tuning and calibration; R is the variance of a measurement. */
 static inline real widened(const settings_t *settings, const real R, sensor_t *state, const real signal, real sigma,
                            const real elapsed) {
     if (settings->timed) {
@@ -59,7 +59,7 @@ static inline real widened(const settings_t *settings, const real R, sensor_t *s
     return sigma;
 }
 
-/* Watch innovations, look for what cannot be, and widen sigma. */
+/* Monitor innovations, remove impossible estimates, and widen sigma. */
 static inline void watch_rows(const settings_t *settings, const real R, sensor_t *state, const block_t *block,
                               const estimate_t *estimate, const pass_t *pass) {
     const real low = settings->plausible_low, high = settings->plausible_high;

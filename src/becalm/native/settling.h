@@ -1,14 +1,15 @@
-/* When a gain has settled: then it is used again, and no covariance is computed. */
+/* Detect when the gain has reached its steady state; then it is reused, and no covariance is computed. */
 #ifndef BECALM_SETTLING_H
 #define BECALM_SETTLING_H
 
 #include "filter.h"
 #include "linear.h"
 
-#define STEADY ((real)1e-9)    /* of a variance */
-#define FORGOTTEN ((real)0.9)  /* what the last eighth of a stretch may leave of the spread before it */
+#define STEADY ((real)1e-9)    /* largest change of a variance, relative */
+#define FORGOTTEN ((real)0.9)  /* largest share of the spread before that the last eighth of a stretch may leave */
 
-/* Compare gain and sigma with those of the last check, and keep them for the next; return whether they have settled. */
+/* Compare gain and sigma with those of the last check, and store them for the next; return whether they have
+   settled. */
 static inline int check_gain(const int n, filter_t *state) {
     int settled = near(state->S, state->S_then, state->S) & near(state->sigma, state->sigma_then, state->sigma);
     for (int i = 0; i < n; i++) {
@@ -22,7 +23,8 @@ static inline int check_gain(const int n, filter_t *state) {
     return settled;
 }
 
-/* Return whether the filter forgets a tenth at least of what was before some rows: a slow gain only creeps. */
+/* Return whether the filter reduces the spread before some rows by at least a tenth; a slow gain changes only
+   slowly. */
 static inline int forgets(const int n, const int m, const real *H, const real *F, const real *K, const real *P, real rows) {
     real A[NN_MAX], squared[NN_MAX], g[M_MAX * N_MAX];
     see_through(n, m, H, F, g);
@@ -51,8 +53,8 @@ static inline void unsettle(filter_t *state) {
     state->last_step = -1, state->S_then = -1;
 }
 
-/* Notice, after a row, that the gain has settled. It stays so for n rows, lest an oscillating gain comes back just at
-   the checks. */
+/* Check after a row whether the gain has settled. It must stay so for n rows, because an oscillating gain may come back
+   just at the checks. */
 INLINE void notice(const int n, const real *h, const real *F, filter_t *state, const real elapsed, const int complete) {
     if (!complete || elapsed != state->last_step) {
         unsettle(state);

@@ -1,13 +1,14 @@
-/* How large a kernel's arrays are. What is exported has a file of its own in the place of this one. */
+/* The sizes of the kernel's arrays. Exported code has its own version of this file. */
 #ifndef BECALM_SIZES_H
 #define BECALM_SIZES_H
 
-enum { N_MAX = 72 };    /* states that a filter has, at the most */
-enum { M_MAX = 32 };    /* channels of one state that are filtered together, at the most */
+enum { N_MAX = 72 };    /* largest number of states */
+enum { M_MAX = 32 };    /* largest number of channels that share one state */
 enum { MODES_MAX = 8 };
-enum { SMOOTHED = 64 }; /* rows that are filtered at once, and by a smoother again */
+enum { SMOOTHED = 64 }; /* rows in a block, which a smoother filters again at once */
 
-/* Call a function whose first argument is the number of states: a constant up to 7, so that every loop is unrolled. */
+/* Call a function whose first argument is the number of states; it is a constant up to 7, so that loops are
+   unrolled. */
 #define FOR_STATES(n, function, ...)                       \
     switch (n) {                                           \
     case 1: function(1, __VA_ARGS__); break;               \
@@ -20,7 +21,7 @@ enum { SMOOTHED = 64 }; /* rows that are filtered at once, and by a smoother aga
     default: function((int)(n), __VA_ARGS__);              \
     }
 
-/* The same, up to 4. */
+/* The same, with constants up to 4. */
 #define FOR_FEW_STATES(n, function, ...)                   \
     switch (n) {                                           \
     case 1: function(1, __VA_ARGS__); break;               \

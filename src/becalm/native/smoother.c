@@ -1,13 +1,14 @@
 /* Fixed-interval smoother of one channel, in the form of Bryson and Frazier (1963) and Bierman (1973).
 
-   The pass forward leaves its state before every block. The way back needs only the innovations of a block whose gain
-   had settled; any other block is filtered again from that state. Equations are numbered as in core/reference/kalman.py. */
+   The forward pass stores its state before every block. For a block with the steady-state gain the backward pass needs
+   only the innovations; it filters any other block again from the stored state. Equations are numbered as in
+   core/reference/kalman.py. */
 #include "backward.h"
 #include "gap.h"
 
-enum { LONGEST_WAIT = 50 }; /* missing rows after a reject, beyond which it is a spike for good */
+enum { LONGEST_WAIT = 50 }; /* after more missing rows, a reject stays a spike */
 
-enum { SKIPPED = 2 }; /* of `only_future`: not even the last rows are smoothed */
+enum { SKIPPED = 2 }; /* value of `only_future`: not even the last rows are smoothed */
 
 int64_t smoother_room(const int64_t states, const int64_t rows) {
     return ((rows + SMOOTHED - 1) / SMOOTHED + 1 + SMOOTHED) * packed_size(states);
@@ -26,7 +27,7 @@ void smoother_begin_after(const settings_t *settings, const coefficients_t *mode
     filter_begin_after(settings, model, &forward->limits, &forward->filter, first, rows, steps);
 }
 
-/* Return the first of the measurements in a row that were rejected before a row, or that row. */
+/* Return the first of the consecutive rejects before a row, or the row itself if there are none. */
 static int64_t first_rejected(const block_t *block, const int8_t *verdict, const int64_t row) {
     int64_t first = row, missing = 0;
     for (int64_t k = row - 1; k >= 0 && missing <= LONGEST_WAIT; k--) {
@@ -40,7 +41,7 @@ static int64_t first_rejected(const block_t *block, const int8_t *verdict, const
     return first;
 }
 
-/* Filter SMOOTHED rows; return how many may stay. Rows from where a jump began, which is marked, are to be filtered
+/* Filter SMOOTHED rows; return how many are final. Rows from the start of a jump on, which is marked, must be filtered
    again. */
 INLINE int64_t forward_part(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                             const block_t *block, const int64_t row, const estimate_t *estimate, real *room,
@@ -68,7 +69,7 @@ INLINE int64_t forward_rows(const int n, const settings_t *settings, const coeff
         int64_t stay = forward_part(n, settings, model, state, block, row, estimate, room, starts);
         if (stay == rows && !ends && settings->gated) {
             const int64_t first = first_rejected(block, estimate->verdict, rows);
-            if (first < rows) rows = stay = first / SMOOTHED * SMOOTHED; /* it may be a jump yet */
+            if (first < rows) rows = stay = first / SMOOTHED * SMOOTHED; /* it may still become a jump */
         }
         if (stay < filtered) {
             stay = stay / SMOOTHED * SMOOTHED;
@@ -90,14 +91,14 @@ int64_t smoother_forward(const settings_t *settings, const coefficients_t *model
     find_starts(settings, &forward->limits, block, block->rows, starts);
     FOR_STATES(settings->states, taken = forward_rows, settings, model, &forward->filter, block, estimate, room, starts,
                ends)
-    if (taken < block->rows) { /* the others come again */
+    if (taken < block->rows) { /* the caller passes the others again */
         forward->limits = before;
         find_starts(settings, &forward->limits, block, taken, starts);
     }
     return taken;
 }
 
-/* Add to a row what later ones say (9). */
+/* Add the information of later rows to a row (9). */
 INLINE void add_later(const int n, const real *P, const real *Pc, const real *r, const int64_t row,
                       const estimate_t *estimate) {
     estimate->signal[row] += dot(n, Pc, r);
@@ -105,8 +106,8 @@ INLINE void add_later(const int n, const real *P, const real *Pc, const real *r,
         for (int i = 0; i < n; i++) estimate->x[row * n + i] += dot(n, P + i * n, r);
 }
 
-/* Smooth a block whose gain had settled before it. What later rows say is carried back over two rows at once, which
-   waits half as long. */
+/* Smooth a block with the steady-state gain. Two rows at once halve the chain of dependent operations of the recursion
+   for r. */
 INLINE void smooth_settled(const int n, const coefficients_t *model, const filter_t *state, const real *F,
                            const block_t *part, future_t *future, const estimate_t *estimate, const int only_future) {
     real A[NN_MAX], B[NN_MAX], BB[NN_MAX], hF[N_MAX], BhF[N_MAX], G[N_MAX], Pc[N_MAX], r[N_MAX]; /* B = A' */

@@ -1,4 +1,4 @@
-"""Smoothers of one channel in C: by all later rows, or by those up to a lag after each."""
+"""The C smoothers of one channel: with all later rows, or with the rows up to a lag after each."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ _FORWARD, _FUTURE = map(layout_of, ("forward", "future"))
 
 
 class _Forward:
-    """What passes forward.
+    """The forward pass of a smoother.
 
     Parameters
     ----------
     settings, coefficients : () structured array
-        Of the channel.
+        Those of the channel.
 
     Attributes
     ----------
     state : () structured array
-        After the rows that were taken.
+        The state after the rows filtered so far.
     """
 
     def __init__(self, settings: NDArray[np.void], coefficients: NDArray[np.void]) -> None:
@@ -52,7 +52,7 @@ class _Forward:
         kernel.smoother_start(self.state.ctypes.data, self._nothing.ctypes.data)
 
     def begin_after(self, first: float, rows: int, steps: float) -> None:
-        """Say what went before the first row: the first measurement, rows, and steps."""
+        """Set the history before the first row: the record's first measurement, the number of rows, and of steps."""
         kernel.smoother_begin_after(*self._channel, self.state.ctypes.data, first, rows, steps)
 
     @property
@@ -61,26 +61,27 @@ class _Forward:
 
 
 class ForwardPass(NamedTuple):
-    """What a pass forward leaves for the way back."""
+    """The results of a forward pass that the backward pass needs."""
 
-    taken: int  # rows
+    taken: int  # number of filtered rows
     room: NDArray[np.float64]
     starts: NDArray[np.int8]
-    rows: dict[str, Any]  # all that came in
+    rows: dict[str, Any]  # the arrays of the block
 
 
 class Smoother(_Forward):
-    """A filter that passes over blocks of rows, and comes back with what later rows say; see `_Forward`."""
+    """A smoother that filters blocks of rows and passes back over them with later rows; parameters as in `_Forward`."""
 
     def forward(self, *, ends: bool, **rows: Any) -> ForwardPass:
-        """Filter the next block, or as much of it as is decided; the rest has to come again.
+        """Filter the next block up to the last row whose gating is decided; pass the other rows again.
 
         Parameters
         ----------
         ends : bool
-            Whether the record ends with it; else it is of a multiple of 64 rows, and so is what is taken.
+            Whether the record ends with this block. If not, its number of rows must be a multiple of 64, and so is the
+            number of filtered rows.
         **rows : array
-            As of `process`; z holds NaN where no measurement may enter, and verdict 0.
+            The arrays of `process`; z holds NaN where no measurement may enter, and verdict is 0.
 
         Raises
         ------
@@ -97,28 +98,28 @@ class Smoother(_Forward):
         return ForwardPass(taken, room, starts, rows)
 
     def nothing(self) -> NDArray[np.void]:
-        """Return what is known of the future at the end of a record."""
+        """Return the information of later rows at the end of a record: none."""
         return np.frombuffer(bytearray(self._nothing.tobytes()), _FUTURE).reshape(())
 
     def backward(self, passed: ForwardPass, future: NDArray[np.void]) -> None:
-        """Come back over a block with what all rows after it say, which changes; signal and sigma become smoothed.
+        """Pass back over a block with the information of all later rows; signal and sigma become smoothed.
 
         Parameters
         ----------
         passed : ForwardPass
-            Of this smoother; what `forward` returned.
+            The result of this smoother's `forward`.
         future : () structured array
-            What all later rows say; afterwards its own rows, too.
+            The information of all later rows; afterwards it includes the rows of this block.
         """
-        self._come_back(passed, future, passed.taken, only_future=False)
+        self._pass_back(passed, future, passed.taken, only_future=False)
 
     def look_back(self, passed: ForwardPass, future: NDArray[np.void], count: int) -> None:
-        """Take into a future what the first rows of a block say: a multiple of 64, or all. Nothing is smoothed."""
-        self._come_back(passed, future, count, only_future=True)
+        """Add the information of the first `count` rows of a block, a multiple of 64 or all, to `future`."""
+        self._pass_back(passed, future, count, only_future=True)
 
-    def _come_back(self, passed: ForwardPass, future: NDArray[np.void], count: int, *, only_future: bool) -> None:
+    def _pass_back(self, passed: ForwardPass, future: NDArray[np.void], count: int, *, only_future: bool) -> None:
         if count != passed.taken and count % CONSTANTS["SMOOTHED"]:
-            raise ValueError(f"{count} rows are wanted; of {passed.taken} that were taken give all, or whole blocks.")
+            raise ValueError(f"count = {count} came; give all {passed.taken} filtered rows, or whole blocks of them.")
         block, estimate = checked(self._settings, passed.rows)
         block.rows = count
         memory = passed.room.ctypes.data, passed.starts.ctypes.data
@@ -128,24 +129,24 @@ class Smoother(_Forward):
 
 
 class LateSmoother(_Forward):
-    """A filter whose rows are smoothed by those up to a lag after each; see `_Forward`."""
+    """A fixed-lag smoother: each row uses the rows up to a lag after it; parameters as in `_Forward`."""
 
     def smooth(self, lag: int, told: int, **rows: Any) -> int | None:
-        """Filter rows that wait, and new ones; smooth the first of them, which do not come again.
+        """Filter the waiting rows and the new ones; smooth the first `told` of them, and do not pass these again.
 
         Parameters
         ----------
         lag : int
-            Later rows that each row knows, 1 or more.
+            Number of later rows that each row uses, 1 or more.
         told : int
-            Rows that are smoothed: all that have so many after them, or all.
+            Number of rows to smooth: those that have a lag of rows after them, or all.
         **rows : array
-            As of `Smoother.forward`.
+            The arrays of `Smoother.forward`.
 
         Returns
         -------
         int or None
-            The first row of all, from the first that came, with a settled gain.
+            The first row with the steady-state gain, counted from the very first row; None before that.
 
         Raises
         ------
@@ -154,9 +155,7 @@ class LateSmoother(_Forward):
         """
         block, estimate = checked(self._settings, rows)
         if not (lag >= 1 and 0 <= told <= block.rows):
-            raise ValueError(
-                f"A lag of {lag} and {told} rows to tell came; 1 or more, and 0 to {block.rows} are needed."
-            )
+            raise ValueError(f"lag = {lag} and told = {told} came; 1 or more, and 0 to {block.rows} are needed.")
         lag = min(lag, block.rows + 1)
         room = np.empty(kernel.lag_room(int(self._settings["states"]), block.rows, lag))
         places, starts = np.empty(2 * block.rows, np.int64), np.empty(block.rows, np.int8)
@@ -166,9 +165,9 @@ class LateSmoother(_Forward):
         return None if row < 0 else int(row)
 
     def caller(self, lag: int, **rows: Any) -> Callable[[], None]:
-        """Return what filters the same arrays again, as they are then, and smooths the first row; as of `smooth`.
+        """Return a fast function that filters the same arrays again and smooths the first row, like `smooth`.
 
-        Nothing is checked anew: rows, and what is estimated, may change in place, and nothing else.
+        It checks nothing. Only the contents of the arrays may change between calls.
         """
         block, estimate = checked(self._settings, rows)
         room = np.empty(kernel.lag_room(int(self._settings["states"]), block.rows, lag))
@@ -183,24 +182,24 @@ class LateSmoother(_Forward):
         return call
 
     def state_dict(self) -> dict[str, NDArray[np.int8]]:
-        """Return what is known before the rows that wait, as plain bytes."""
+        """Return the state before the waiting rows, as plain bytes."""
         states = int(self._settings["states"])
         kept = np.empty(kernel.smoother_packed_size(states), np.int8)
         kernel.smoother_pack(states, self.state.ctypes.data, kept.ctypes.data)
         return {"lag_state": kept}
 
     def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` returned.
+        """Restore the result of `state_dict`.
 
         Raises
         ------
         ModelError
-            If these are not the bytes of such a filter.
+            If the bytes are not a state of this filter.
         """
         kept, states, state = np.array(arrays["lag_state"]), int(self._settings["states"]), np.zeros((), _FORWARD)
         if kept.dtype != np.int8 or kept.shape != (kernel.smoother_packed_size(states),):
             raise ModelError(f"The state of a snapshot is {kept.dtype} of shape {kept.shape}, not that of a fixed lag.")
         kernel.smoother_unpack(states, kept.ctypes.data, state.ctypes.data)
         if not kernel.smoother_is_sound(self._settings.ctypes.data, state.ctypes.data):
-            raise ModelError("The state of a snapshot says what none can say; pass what snapshot() returned.")
+            raise ModelError("The state of a snapshot has impossible values; pass what snapshot() returned.")
         self.state = state

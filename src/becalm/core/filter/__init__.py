@@ -1,1 +1,1 @@
-"""Filters and smoothers of a channel, and of several, over the kernel in C."""
+"""Filters and smoothers for one channel or several; the C kernel does the arithmetic."""

@@ -1,4 +1,4 @@
-"""Many records of one model, one after the other."""
+"""Filter many records with one model, one record after the other."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from becalm.native.multivariate import EstimateBuffers
 
 @dataclass(frozen=True)
 class FilteredBatch:
-    """What a filter found in B records of N readings, m channels, n states.
+    """The result of a filter for B records of N readings, m channels and n states.
 
     Attributes
     ----------
     signal, sigma : (B, N, m) float array
         H x and its standard uncertainty, in the channels' units.
     innovations, innovation_sigma : (B, N, m) float array
-        Reading minus its prediction, and the standard deviation expected of it; no rows if not asked for.
+        Reading minus its prediction, and the expected standard deviation of this difference; no rows if not requested.
     mean : (B, N, n) float array or None
         States, on request.
     log_likelihood : (B,) float array
         Exact Gaussian log-likelihood of each record.
     used : (B,) int array
-        Readings that entered it.
+        Number of readings that entered each log-likelihood.
     """
 
     signal: Floats
@@ -56,9 +56,9 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step a row, the same for all records.
+        The signal and its sensors, one step per row, the same for all records.
     z : (B, N, m) array_like
-        Readings in the channels' units, NaN where one did not arrive. Never modified.
+        Readings in the channels' units, NaN where one is missing. The array is not modified.
     states, innovations : bool
         Whether to return `mean`, and `innovations` with `innovation_sigma`.
 
@@ -75,16 +75,16 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     timeline = even_timeline(model, count)
     kernel = new_kernel(model, timeline, wanted)
     start, likelihoods, used = kernel.state.copy(), np.empty(records), np.empty(records, np.int64)
-    whole = EstimateBuffers(
-        *(None if room is None else np.empty((records, *room.shape)) for room in new_beliefs(model, count, wanted))
+    results = EstimateBuffers(
+        *(None if array is None else np.empty((records, *array.shape)) for array in new_beliefs(model, count, wanted))
     )
     for record, z_k in enumerate(readings):
         kernel.state[:] = start
         kernel.filter(
-            rows_of(timeline, z_k), EstimateBuffers(*(None if room is None else room[record] for room in whole))
+            rows_of(timeline, z_k), EstimateBuffers(*(None if array is None else array[record] for array in results))
         )
         sums = sums_of(kernel)
         likelihoods[record], used[record] = sums.log_likelihood, sums.used
-    nothing = np.empty((records, 0, model.channels))
-    signal, sigma, innovation, deviation, mean, _ = (nothing if room is None else room for room in whole)
+    no_rows = np.empty((records, 0, model.channels))
+    signal, sigma, innovation, deviation, mean, _ = (no_rows if array is None else array for array in results)
     return FilteredBatch(signal, sigma, innovation, deviation, mean if states else None, likelihoods, used)

@@ -1,4 +1,4 @@
-"""A causal filter of one channel as `SmoothedFlow` is a smoother: without what watches its sensor."""
+"""A causal filter of one channel with the interface of `SmoothedFlow`; it does not monitor the sensor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from becalm.core.rows import EstimatedRows
 
 
 class CausalFlow:
-    """Filters the rows of one channel, each as a stream does.
+    """A causal filter of one channel, with the same estimates as a live stream.
 
     Parameters
     ----------
@@ -22,19 +22,19 @@ class CausalFlow:
     noise_variance : float
         R, in unit^2.
     gate : Gate, optional
-        What leaves spikes out, and follows steps.
+        The innovation gate, which rejects spikes and follows steps; by default every reading is used.
     """
 
     def __init__(self, component: Component, noise_variance: float, gate: Gate | None = None) -> None:
-        self._channel, self._begun = Channel(ChannelSettings(component, noise_variance, gate=gate)), False
+        self._channel, self._has_rows = Channel(ChannelSettings(component, noise_variance, gate=gate)), False
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take the next rows, readings (B,) and the steps before them; return what is told of them."""
+        """Take the next rows, readings (B,) and the steps before them; return their estimates."""
         z, elapsed = input_of(z), input_of(elapsed)
-        if len(z) and not self._begun:
-            elapsed, self._begun = np.concatenate([[1.0], elapsed[1:]]), True  # the first row comes when it is due
+        if len(z) and not self._has_rows:
+            elapsed, self._has_rows = np.concatenate([[1.0], elapsed[1:]]), True  # the first row is on time
         return [self._channel.process(z, elapsed).told()]
 
     def finish(self) -> list[EstimatedRows]:
-        """Return nothing: no row waits."""
+        """Return an empty list: no row waits."""
         return []

@@ -1,7 +1,7 @@
-"""One channel, causally: measurements and the steps before them in, estimates out, any number of rows at a time.
+"""Filter one channel causally, block by block; a block has any number of rows.
 
-The filter itself is `native/channel.c`. Rows are processed one after the other, so that a recording gives the same bits
-wherever it is cut.
+The filter itself is `native/channel.c`. It processes one row after the other, so that the cuts between blocks change
+no bit of the result.
 """
 
 from __future__ import annotations
@@ -22,58 +22,66 @@ from becalm.native import begin_after, forget_counts, loaded, process, reduced, 
 
 
 class History(NamedTuple):
-    """What went before a run that begins amid a record, as far as its estimates depend on it."""
+    """A summary of the earlier rows of a record, for a run that starts in the middle of it."""
 
-    reading: float  # the first of all, in unit
-    readings: int  # that came
+    reading: float  # the first reading of the record, in unit
+    readings: int  # number of readings that arrived
     rows: int
-    steps: float  # from the first row to the last of them
-    least: float = np.inf  # of the readings, in unit
-    most: float = -np.inf
+    steps: float  # from the first earlier row to the last
+    least: float = np.inf  # smallest reading, in unit
+    most: float = -np.inf  # largest reading, in unit
 
 
 class Estimates(NamedTuple):
-    """What a channel makes of B rows."""
+    """The estimates of a channel for B rows."""
 
     signal: Floats  # (B,) in unit
-    sigma: Floats  # (B,) in unit; inf where nothing is known yet, NaN where nothing is estimated
+    sigma: Floats  # (B,) in unit; inf while the signal is undetermined, NaN where there is no estimate
     verdict: Codes  # (B,) values of `Verdict`
     innovation: Floats  # (B,) measurement minus its prediction, in unit; NaN where there is none
-    deviation: Floats  # (B,) standard deviation that is expected of it, in unit
-    x: Floats  # (B, n) filtered states, where they were asked for, else (B, 0); NaN while nothing determines them
+    deviation: Floats  # (B,) expected standard deviation of the innovation, in unit
+    x: Floats  # (B, n) filtered states if requested, else (B, 0); NaN while they are undetermined
 
     @classmethod
     def room(cls, rows: int, states: int = 0) -> Estimates:
-        """Make room for what is estimated of some rows, and of so many states."""
+        """Allocate arrays for this many rows and states."""
         signal, sigma, innovation, deviation = np.empty((4, rows))
         return cls(signal, sigma, np.zeros(rows, np.int8), innovation, deviation, np.empty((rows, states)))
 
     def rows(self, which: slice) -> Estimates:
-        """Return some of the rows."""
+        """Return the estimates of a slice of the rows."""
         signal, sigma, verdict, innovation, deviation, x = self
         return Estimates(signal[which], sigma[which], verdict[which], innovation[which], deviation[which], x[which])
 
     def outputs(self) -> dict[str, Any]:
-        """Return where C writes what it finds."""
+        """Return the arrays that the C filter writes to, by name."""
         outputs = self._asdict()
         if not self.x.shape[1]:
             del outputs["x"]
         return outputs
 
     def told(self) -> EstimatedRows:
-        """Return what is told of these rows."""
+        """Return signal, sigma and verdict as `EstimatedRows`, without parts."""
         return EstimatedRows(self.signal, self.sigma, np.empty((0, len(self.signal))), self.verdict)
 
 
 def log_densities(innovation: Floats, deviation: Floats) -> Floats:
     """Return the log-likelihood (B,) of measurements, given those before; NaN where there is none."""
-    with np.errstate(over="ignore"):  # of a reading beyond all others nothing is left of its density
+    with np.errstate(over="ignore"):  # the square of an extreme innovation overflows: its density is 0
         densities: Floats = -0.5 * (innovation / deviation) ** 2 - np.log(deviation) - 0.5 * np.log(2 * np.pi)
     return densities
 
 
 def parts_of(component: Component, found: Estimates) -> Floats:
-    """Return the share (p, B) of each part of a signal whose states were asked for; the first holds the level."""
+    """Return the contribution (p, B) of each part of the component; `found` needs the states. The first has the level.
+
+    Parameters
+    ----------
+    component : Component
+        The signal's model, in steps.
+    found : Estimates
+        Estimates of B rows, with their states `x`.
+    """
     parts = np.array([output[0] @ found.x.T for _, output in component.outputs()])
     if len(parts) == 1:
         return found.signal[np.newaxis]
@@ -87,12 +95,12 @@ class Channel:
     Parameters
     ----------
     settings : ChannelSettings
-        What it is made of.
+        Its model, noise, limits and gate.
 
     Raises
     ------
     ModelError
-        If it cannot start from measurements alone.
+        If the filter cannot start from measurements alone.
     """
 
     def __init__(self, settings: ChannelSettings) -> None:
@@ -113,29 +121,29 @@ class Channel:
         elapsed : (B,) float array
             Steps since the row before.
         timing : (B,) int8 array, optional
-            What is wrong with the time of each row, as `Verdict`; by default nothing.
+            A `Verdict` on the time of each row; by default all times are right.
         states : bool
-            Whether the filtered states are wanted, too.
+            Whether to return the filtered states, too.
 
         Returns
         -------
         Estimates
-            Of each row.
+            The estimates of the B rows.
 
         Raises
         ------
         ValueError
-            If there is not one step, 0 or more, for each measurement, if they are not contiguous float64, or if timing
-            holds what is no `Verdict`.
+            If there is not one step, 0 or more, for each measurement, if the arrays are not contiguous float64, or if
+            `timing` holds a value that is not a `Verdict`.
         """
-        found = Estimates.room(len(z), int(self._settings["states"]) if states else 0)
+        estimates = Estimates.room(len(z), int(self._settings["states"]) if states else 0)
         if timing is not None:
             if not np.isin(timing, list(Verdict)).all():
-                raise ValueError("timing holds what is no Verdict.")
-            found.verdict[:] = timing
-        rows = found.outputs() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
+                raise ValueError("timing holds a value that is not a Verdict; pass values of Verdict.")
+            estimates.verdict[:] = timing
+        rows = estimates.outputs() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
         process(self._settings, self._coefficients, self._state, **rows)
-        return found
+        return estimates
 
     @property
     def counts(self) -> dict[Verdict, int]:
@@ -144,40 +152,40 @@ class Channel:
 
     @property
     def faults(self) -> dict[Verdict, FaultCount]:
-        """What was wrong with measurements, or with their times, whatever was estimated there."""
+        """Faults of the measurements and of their times, by verdict; independent of what the filter estimated there."""
         met, rows, steps = (self._state[name].tolist() for name in ("met", "first_row", "first_step"))
         return {verdict: FaultCount(met[verdict], rows[verdict], steps[verdict]) for verdict in Verdict if met[verdict]}
 
     @property
     def timing_share(self) -> float:
-        """The largest share that uncertain times have added to sigma."""
+        """The largest relative increase of sigma by uncertain times."""
         return float(self._state["timing_share"])
 
     @property
     def powers(self) -> Floats:
-        """The sums of squares of the last hops of innovations, in sigma^2, in no order."""
+        """Sums of squared innovations of the last hops, in sigma^2, not in order of time."""
         powers: Floats = self._state["powers"][: int(self._state["hops"])].copy()
         return powers
 
     @property
     def drift_since(self) -> int | None:
-        """The row in which the first drift that was found began."""
+        """The row in which the first detected drift began; None without a drift."""
         since = int(self._state["drift_since"])
         return None if since < 0 else since
 
     @property
     def settled_row(self) -> int | None:
-        """The first row that was filtered with a settled gain."""
+        """The first row with the steady-state gain; None before that."""
         row = int(self._state["settled_row"])
         return None if row < 0 else row
 
     @property
     def is_silent(self) -> bool:
-        """Whether the last window of innovations was that of a dead sensor."""
+        """Whether the last window of innovations was as quiet as that of a dead sensor."""
         return bool(self._state["silent"])
 
     def begin_after(self, before: History) -> None:
-        """Say, before the first row, what went before it."""
+        """Set the history before the first row, for a run that starts in the middle of a record."""
         begin_after(
             self._settings,
             self._coefficients,
@@ -190,29 +198,29 @@ class Channel:
         )
 
     def forget_counts(self) -> None:
-        """Count verdicts and faults from 0 again, and find anew when the gain settles."""
+        """Reset the counts of verdicts and faults, and the row at which the gain settles."""
         forget_counts(self._state)
 
     def comparable_state(self) -> dict[str, Codes]:
-        """Return only what later estimates depend on: two channels that stand alike estimate alike, to the bit.
+        """Return the part of the state that determines all later estimates, bit for bit.
 
-        Under `HOPS` there is what only matters to a sensor that may be dead.
+        The entry `HOPS` also holds what matters only if the sensor may be dead.
         """
-        alive, whole = (reduced(self._settings, self._state, alive=alive).tobytes() for alive in (True, False))
-        return {"channel": np.frombuffer(alive, np.int8), HOPS: np.frombuffer(whole, np.int8)}
+        if_alive, complete = (reduced(self._settings, self._state, alive=alive).tobytes() for alive in (True, False))
+        return {"channel": np.frombuffer(if_alive, np.int8), HOPS: np.frombuffer(complete, np.int8)}
 
     def state_dict(self) -> dict[str, Codes]:
-        """Return all that later rows depend on, as plain bytes."""
+        """Return everything that later rows depend on, as plain bytes."""
         return {"state": saved(self._settings, self._state)}
 
     def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` returned.
+        """Restore the state from the result of `state_dict`.
 
         Raises
         ------
         ModelError
-            If these are not the bytes of such a channel.
+            If the bytes are not the state of a channel with these settings.
         KeyError
-            If there is no "state" among them.
+            If the entry "state" is missing.
         """
         self._state = loaded(self._settings, np.asarray(arrays["state"]))

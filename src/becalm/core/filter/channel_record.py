@@ -1,4 +1,4 @@
-"""A whole record of one channel, filtered, smoothed, or only scored, by the filter in C.
+"""Filter, smooth or score a complete record of one channel with the C kernel.
 
 The smoother is that of Bryson and Frazier (1963) in Bierman's form (1973), equations (9) to (12) of
 `becalm.core.reference.kalman`; the likelihood is equation (8).
@@ -22,18 +22,18 @@ from becalm.native.smoothers import Smoother
 
 
 class ChannelRecord:
-    """Measurements of one channel, all of which may enter its filter, however long the gaps between them.
+    """A record of one channel; every measurement may enter the filter, and no gap is too long.
 
     Parameters
     ----------
     component : Component
-        In steps; the signal is all that is measured, with what disturbs it.
+        The model, in steps; the signal is all that is measured, disturbances included.
     noise_variance : float
         R, in unit^2.
     z : (N,) float array
         Measurements, in unit; NaN where missing.
     elapsed : (N,) float array
-        Steps since the row before; not looked at for the first row.
+        Steps since the row before; ignored for the first row.
 
     Raises
     ------
@@ -60,37 +60,37 @@ class ChannelRecord:
 
     @property
     def process_noise(self) -> Floats:
-        """Q (u, n, n) of each length of a step that it has."""
+        """Q (u, n, n) for each of the u different step lengths of the record."""
         return np.asarray(self._rows["Q"])
 
     def filtered(self) -> Estimates:
-        """Return what each row tells with those before it."""
-        found = Estimates.room(len(self._rows["z"]))
-        Smoother(self._settings, self._coefficients).forward(ends=True, **found.outputs(), **self._rows)
-        return found
+        """Return the filtered estimates: each row uses the measurements up to its own."""
+        estimates = Estimates.room(len(self._rows["z"]))
+        Smoother(self._settings, self._coefficients).forward(ends=True, **estimates.outputs(), **self._rows)
+        return estimates
 
     def smoothed(self, process_noise: Floats | None = None) -> Estimates:
-        """Return what each row tells with all others; innovations are those of the pass forward.
+        """Return the smoothed estimates: each row uses all measurements. Innovations are those of the forward pass.
 
         Parameters
         ----------
         process_noise : (u, n, n) float array, optional
-            In the place of its own.
+            Q to use in place of that of the component.
         """
-        found, smoother = Estimates.room(len(self._rows["z"])), Smoother(self._settings, self._coefficients)
-        passed = smoother.forward(ends=True, **found.outputs(), **self._with(process_noise))
-        smoother.backward(passed, smoother.nothing())
-        return found
+        estimates, smoother = Estimates.room(len(self._rows["z"])), Smoother(self._settings, self._coefficients)
+        forward_pass = smoother.forward(ends=True, **estimates.outputs(), **self._with(process_noise))
+        smoother.backward(forward_pass, smoother.nothing())
+        return estimates
 
     def score(self, scored_from: int, process_noise: Floats | None = None) -> Sums:
-        """Return what makes the likelihood of the rows from one on that are foretold.
+        """Return the terms of the log-likelihood of the rows from `scored_from` on that have a prediction.
 
         Parameters
         ----------
         scored_from : int
-            Rows before it only start the filter.
+            The first row that counts; earlier rows only start the filter.
         process_noise : (u, n, n) float array, optional
-            In the place of its own.
+            Q to use in place of that of the component.
         """
         return Sums(*score(self._settings, self._coefficients, scored_from, **self._with(process_noise)))
 

@@ -1,4 +1,4 @@
-"""What one channel is made of, as the kernel in C takes it."""
+"""The settings and coefficients of one channel, and their form for the C kernel."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from becalm.errors import ModelError
 from becalm.native.rows import COEFFICIENTS, MOST_STATES
 from becalm.native.scans import PARTS
 
-_OF_LIMITS = {
+_LIMIT_FIELDS = {
     *("low", "high", "largest", "stuck", "outlier_distance", "plausible_low", "plausible_high"),
     *("repeats_are_one", "blank", "far_from_0"),
 }
-_OF_GATE = {"states", "largest_accepted", "gated", "gate_threshold", "gate_agree", "gate_most", "gate_level"}
+_GATE_FIELDS = {"states", "largest_accepted", "gated", "gate_threshold", "gate_agree", "gate_most", "gate_level"}
 
 
 class Widening(NamedTuple):
-    """What makes the sigma of a signal larger than its filter's: by a share, by times, and by a calibration."""
+    """How the sigma of a signal is widened beyond the filter's: by a factor, uncertain times and a calibration."""
 
     factor: float = 1.0
     time_std_s: float | None = None  # standard uncertainty of a measurement's time
-    included_std: float = 0.0  # what of it the noise holds already
-    calibration: tuple[float, float] | None = None  # standard uncertainties of sensitivity, as a share, and of zero
+    included_std: float = 0.0  # the part of its effect that R already includes, in unit
+    calibration: tuple[float, float] | None = None  # standard uncertainties: relative, of sensitivity; of zero, in unit
 
 
 class ChannelSettings(NamedTuple):
-    """What a recipe says of one channel."""
+    """The settings of one channel, from a recipe."""
 
     component: Component  # in steps
     noise_variance: float  # R, in unit^2
@@ -48,11 +48,11 @@ class ChannelSettings(NamedTuple):
     alarms: Alarms = NO_ALARMS
     gate: Gate | None = None
     widening: Widening = Widening()
-    unknown_from: float = np.inf  # sigma from which on a row without a measurement is a hole, in unit
+    unknown_from: float = np.inf  # a row without a measurement is a hole from this sigma on, in unit
 
     @property
     def disturbed(self) -> bool:
-        """Whether its signal is less than what is measured."""
+        """Whether the signal leaves out disturbances that are part of the measurement."""
         return any(part.disturbance for part in self.component.parts)
 
 
@@ -62,9 +62,10 @@ class StepTable:
     Parameters
     ----------
     component : Component
-        In steps.
+        The signal's model, in steps.
     nearest : bool
-        Whether coloured noise, which goes in whole steps, takes the nearest to any other: no stream ends by a late row.
+        Whether to round steps to whole ones for coloured noise, which needs them; a late row then does not end a
+        stream with an error.
     """
 
     def __init__(self, component: Component, *, nearest: bool = True) -> None:
@@ -73,11 +74,11 @@ class StepTable:
 
     @property
     def matrices(self) -> tuple[Floats, Floats]:
-        """F and Q (u, n, n) of the steps that were asked for last; at first of one step."""
+        """F and Q (u, n, n) of the last call of `before`; at first those of one step."""
         return self._matrices
 
     def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
-        """Return which step each of some rows follows, and the matrices of these steps; those of the last are kept."""
+        """Return the index of the step before each row, and the matrices F and Q of these steps; keep the last ones."""
         lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
         if not (elapsed == lengths).all():
             lengths, rows = np.unique(elapsed, return_inverse=True)
@@ -90,7 +91,7 @@ class StepTable:
 
 
 def packed_settings(settings: ChannelSettings, gap_limit: GapLimit | None = None) -> NDArray[np.void]:
-    """Return the settings of a channel as C's struct; `gap_limit` is by default that of its component."""
+    """Return the settings of a channel as C's struct; the default `gap_limit` is that of its component."""
     packed, component, widening = settings.limits.packed(), settings.component, settings.widening
     gap_limit = gap_limit or gap_limit_of(component, settings.noise_variance)
     timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
@@ -111,14 +112,16 @@ def packed_settings(settings: ChannelSettings, gap_limit: GapLimit | None = None
         "offset_std": widening.calibration[1] if widening.calibration else 0.0,
         "unknown_from": settings.unknown_from,
     }
-    assert set(values) | _OF_LIMITS | _OF_GATE == set(packed.dtype.names or ()), "every field of C's settings is filled"
+    assert set(values) | _LIMIT_FIELDS | _GATE_FIELDS == set(packed.dtype.names or ()), (
+        "a field of the C settings is not set"
+    )
     for name, value in values.items():
         packed[name] = value
     return packed
 
 
 def model_settings(model: Model, gate: Gate | None) -> NDArray[np.void]:
-    """Return settings of a channel that is a model's only one, and is not watched, as C's struct."""
+    """Return the settings for a model of one channel, without monitoring, as C's struct."""
     packed = Limits().packed()
     packed["longest_gap"] = packed["gap_spans"] = packed["unknown_from"] = np.inf
     packed["factor"], packed["drift_threshold"] = 1.0, int(NEVER * PARTS)
@@ -138,7 +141,7 @@ def _fill_in_gate(packed: NDArray[np.void], gate: Gate | None, model: Model) -> 
         "gate_most": gate.at_most if gate else 0,
         "gate_level": level_of(model) if gate else -1,
     }
-    assert set(values) == _OF_GATE, "no other field is filled in here"
+    assert set(values) == _GATE_FIELDS, "no other field is filled in here"
     for name, value in values.items():
         packed[name] = value
 
@@ -149,16 +152,16 @@ def packed_coefficients(component: Component, noise_variance: float, *, disturbe
     Parameters
     ----------
     component : Component
-        In steps.
+        The signal's model, in steps.
     noise_variance : float
         R, in unit^2.
     disturbed : bool
-        Whether its signal leaves the disturbances out.
+        Whether the signal leaves out the disturbances.
 
     Raises
     ------
     ModelError
-        If it has too many states, or cannot start from measurements alone.
+        If the component has too many states, or cannot start from measurements alone.
     """
     model = component.to_model(1.0, noise_variance)
     refuse_singular(model_system(model))
@@ -169,12 +172,12 @@ def packed_coefficients(component: Component, noise_variance: float, *, disturbe
 
 
 def model_coefficients(model: Model) -> NDArray[np.void]:
-    """Return the coefficients of a channel that is a model's only one, and tells what is measured, as C's struct.
+    """Return the coefficients for a model of one channel, as C's struct; the signal is all that is measured.
 
     Raises
     ------
     ModelError
-        If it has too many states.
+        If the model has too many states.
     """
     n = model.states
     if n > MOST_STATES:

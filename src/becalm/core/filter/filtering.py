@@ -1,4 +1,4 @@
-"""The forward pass over a record: signal, standard uncertainty, innovations, exact likelihood."""
+"""Filter a record forward: signal, standard uncertainty, innovations, exact likelihood."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ from becalm.native.multivariate import (
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a filter or smoother found; N readings, m channels, n states.
+    """The result of a filter or smoother for N readings, m channels and n states.
 
     Attributes
     ----------
     signal : (N, m) float array
         H x, the clean signal, in the channels' units.
     sigma : (N, m) float array
-        One standard uncertainty of `signal`, same units; inf where nothing is known yet.
+        One standard uncertainty of `signal`, same units; inf while the signal is undetermined.
     log_likelihood : float
-        Exact Gaussian log-likelihood. Without x0 and P0, of the readings after the first ones that
-        were needed to know the state, given those.
+        Exact Gaussian log-likelihood. Without x0 and P0, the first readings, which determine the state, do not
+        count; it is then the likelihood of the later readings, given the first.
     innovations, innovation_sigma : (N, m) float array
-        Reading minus its prediction, and the standard deviation expected of it; NaN where a
-        channel is missing or nothing could be predicted yet.
+        Reading minus its prediction, and the expected standard deviation of this difference; NaN where the
+        reading is missing or there is no prediction yet.
     mean : (N, n) float array or None
         States, on request.
     cov : (N, n, n) float array or None
-        Covariance of the states, on request. Of a state that the readings do not determine
-        (`Model.observable_states`) it is only what was gathered since the start.
+        Covariance of the states, on request. For a state that the readings do not determine
+        (`Model.observable_states`) it only carries forward an assumed unit variance at the start.
     used : int
-        Readings, channels counted one by one, that entered the likelihood.
+        Number of readings that entered the likelihood; each channel of a row counts.
     settled_row : int or None
-        The first row whose gain was the settled one; None if it never settled.
+        The first row with the steady-state gain; None if the gain did not reach a steady state.
 
     Notes
     -----
-    `sigma`, or `innovations` and `innovation_sigma`, have no rows where they were not asked for.
+    `sigma`, or `innovations` and `innovation_sigma`, have no rows if the caller did not request them.
     """
 
     signal: Floats
@@ -68,7 +68,7 @@ class Estimate:
 
 
 class WantedResults(NamedTuple):
-    """Which results are to be written; the likelihood always is."""
+    """Flags for the results that the filter writes; it always writes the likelihood."""
 
     states: bool = False
     covariances: bool = False
@@ -81,18 +81,18 @@ EVERYTHING = WantedResults()
 
 
 def require_model(model: object) -> None:
-    """Refuse what is no Model."""
+    """Raise a ModelError unless `model` is a Model."""
     if not isinstance(model, Model):
         raise ModelError(f"A Model is needed; {type(model).__name__} came. Make one: becalm.Model(F=, H=, Q=, R=).")
 
 
 def checked_readings(model: Model, z: ArrayLike) -> Floats:
-    """Return z as (N, m) float64 in rows.
+    """Return z as a C-contiguous (N, m) float64 array.
 
     Raises
     ------
     ModelError
-        If z is not numbers or does not have the model's channels.
+        If z does not hold numbers or its shape does not fit the model's channels.
     """
     require_model(model)
     readings = z if type(z) is np.ndarray and z.dtype == np.float64 else numbers(z)
@@ -100,20 +100,20 @@ def checked_readings(model: Model, z: ArrayLike) -> Floats:
         readings = readings[:, np.newaxis]
     if readings.ndim != 2 or readings.shape[1] != model.channels:
         wanted = "(N,) or (N, 1)" if model.channels == 1 else f"(N, {model.channels})"
-        many = " For many records at once use becalm.core.filter.batch.filter_batch." if readings.ndim == 3 else ""
-        raise ModelError(f"z has shape {np.shape(z)}; this model needs {wanted}.{many}")
+        hint = " For many records at once use becalm.core.filter.batch.filter_batch." if readings.ndim == 3 else ""
+        raise ModelError(f"z has shape {np.shape(z)}; this model needs {wanted}.{hint}")
     return np.ascontiguousarray(readings)
 
 
 def numbers(z: ArrayLike) -> Floats:
-    """Return float64 numbers, or say that these are none."""
+    """Return z as float64 numbers; raise a ModelError if it does not hold numbers."""
     try:
         return np.asarray(real(z), dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as cause:
         raise ModelError(f"z is not an array of numbers ({cause}).") from cause
 
 
-def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
+def kalman_filter(  # noqa: PLR0913  (one flag for each result)
     model: Model,
     z: ArrayLike,
     *,
@@ -122,19 +122,19 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
     sigma: bool = True,
     innovations: bool = True,
 ) -> Estimate:
-    """Filter readings causally: each estimate knows the readings up to its own.
+    """Filter readings causally: each estimate uses the readings up to its own row.
 
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step a row.
+        The signal and its sensors, one step per row.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units; NaN or Inf where one did not arrive, and what no sensor
-        reads (beyond 1e100) counts as such. Never modified.
+        Readings in the channels' units; NaN or Inf where one is missing. A magnitude beyond 1e100, which no sensor
+        gives, also counts as missing. The array is not modified.
     states, covariances : bool
         Whether to return `mean` (N, n) and `cov` (N, n, n).
     sigma, innovations : bool
-        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them less is written.
+        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them the filter writes less.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
     Notes
     -----
     Kalman (1960) with Joseph's update; equations (1) to (8) of `becalm.core.reference.kalman`. Not to be
-    confused with `kalman_smoother`, whose estimates also know the readings after their own.
+    confused with `kalman_smoother`, whose estimates also use the later readings.
     """
     readings = checked_readings(model, z)
     wanted = WantedResults(states, covariances, sigma, innovations)
@@ -156,22 +156,22 @@ def kalman_filter(  # noqa: PLR0913  (what is wanted, each by its name)
 
 
 class Run(NamedTuple):
-    """A forward pass."""
+    """The result of a forward pass."""
 
     estimate: Estimate
-    begun: int  # the first row after those that were needed to know the state
-    cov: Floats  # (n, n) of the state after the last row, if it is known
+    begun: int  # the first row after those that determine the state
+    cov: Floats  # (n, n) covariance of the state after the last row, if the state is determined
 
 
 def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = EVERYTHING) -> Run:
     """Filter z (N, m) over a timeline; see `kalman_filter`."""
-    kernel, beliefs = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
-    kernel.filter(rows_of(timeline, z), beliefs)
-    return Run(estimate_of(kernel, beliefs), int(kernel.head["opened"]), kernel.covariance.copy())
+    kernel, buffers = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
+    kernel.filter(rows_of(timeline, z), buffers)
+    return Run(estimate_of(kernel, buffers), int(kernel.head["opened"]), kernel.covariance.copy())
 
 
 def new_kernel(model: Model, timeline: Timeline, wanted: WantedResults) -> Multivariate:
-    """Return a filter before the first row: at x0 and P0, or with what is known without them.
+    """Return a filter before the first row: it starts at x0 and P0, or from the model's prior without them.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def new_kernel(model: Model, timeline: Timeline, wanted: WantedResults) -> Multi
     if n > MOST_STATES or m > MOST_CHANNELS:
         raise ModelError(
             f"The model has {n} states and {m} channels; up to {MOST_STATES} states and {MOST_CHANNELS} channels are"
-            " filtered together. Leave some out, or filter independent channels by models of their own."
+            " filtered together. Leave some out, or give independent channels a model each."
         )
     H, R = (np.require(array, np.float64, ["C", "A"]) for array in (timeline.system.H, timeline.system.R))
     x0, P0 = model.x0, model.P0
@@ -199,7 +199,7 @@ def new_kernel(model: Model, timeline: Timeline, wanted: WantedResults) -> Multi
 
 
 def rows_of(timeline: Timeline, z: Floats) -> MeasurementRows:
-    """Lay z (N, m) out for the filter in C, beside the steps."""
+    """Return z (N, m) and the timeline's steps in the layout of the C filter."""
     F, Q = timeline.system.F, timeline.system.Q
     lengths = timeline.lengths if len(timeline.lengths) == len(F) else np.arange(float(len(F)))
     z, F, Q, lengths = (np.require(array, np.float64, ["C", "A"]) for array in (z, F, Q, lengths))
@@ -207,31 +207,31 @@ def rows_of(timeline: Timeline, z: Floats) -> MeasurementRows:
 
 
 def new_beliefs(model: Model, count: int, wanted: WantedResults) -> EstimateBuffers:
-    """Make room for what is wanted of `count` rows."""
+    """Allocate arrays for the requested results of `count` rows."""
     n, m = model.states, model.channels
-    asked = (wanted.signal, wanted.sigma, wanted.innovations, wanted.innovations, wanted.states, wanted.covariances)
+    flags = (wanted.signal, wanted.sigma, wanted.innovations, wanted.innovations, wanted.states, wanted.covariances)
     shapes = ((count, m),) * 4 + ((count, n), (count, n, n))
-    return EstimateBuffers(*(np.empty(shape) if asks else None for asks, shape in zip(asked, shapes, strict=True)))
+    return EstimateBuffers(*(np.empty(shape) if flag else None for flag, shape in zip(flags, shapes, strict=True)))
 
 
 def sums_of(kernel: Multivariate) -> Sums:
-    """Return what makes the log-likelihood of the rows that were filtered."""
+    """Return the terms of the log-likelihood of the filtered rows."""
     head = kernel.head
     log_det = np.log(head["product"]) + head["exponent"] * np.log(2.0)
     return Sums(float(head["squares"]), float(log_det), int(head["used"]))
 
 
 def estimate_of(kernel: Multivariate, beliefs: EstimateBuffers) -> Estimate:
-    """Return what was found; what was not wanted has no rows, or is None."""
+    """Return the results as an `Estimate`; a result that was not requested has no rows, or is None."""
     head = kernel.head
     signal, sigma, innovation, deviation, mean, cov = beliefs
-    nothing = np.empty((0, kernel.channels))
+    no_rows = np.empty((0, kernel.channels))
     return Estimate(
-        signal=nothing if signal is None else signal,
-        sigma=nothing if sigma is None else sigma,
+        signal=no_rows if signal is None else signal,
+        sigma=no_rows if sigma is None else sigma,
         log_likelihood=sums_of(kernel).log_likelihood,
-        innovations=nothing if innovation is None else innovation,
-        innovation_sigma=nothing if deviation is None else deviation,
+        innovations=no_rows if innovation is None else innovation,
+        innovation_sigma=no_rows if deviation is None else deviation,
         mean=mean,
         cov=cov,
         used=int(head["used"]),

@@ -1,8 +1,8 @@
-"""A channel smoothed with a fixed lag, any rows at a time, in constant memory; the same bits however rows are cut.
+"""Smooth one channel with a fixed lag of L rows, block by block and in constant memory.
 
-What is told of row k is what `SmoothedFlow` says of it on the record that ends L rows later, but for the gate, which
-decides as a causal filter does. The filter is `native/fixed_lag.c`: rows that wait go through it again, from the state
-before them, once later ones are there.
+The estimate of row k is that of `SmoothedFlow` on the record that ends at row k + L, except for the gate, which decides
+causally. The cuts between blocks change no bit. The filter is `native/fixed_lag.c`: when later rows arrive, it filters
+the waiting rows again, from the state before them.
 """
 
 from __future__ import annotations
@@ -26,34 +26,34 @@ from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 from becalm.native.smoothers import LateSmoother
 
-_MOST_NUMBERS = 1 << 19  # of the states of rows that are taken at once
-_FEW = 8 * BLOCK  # rows that are
+_MOST_NUMBERS = 1 << 19  # largest size of the state matrices of the rows that are processed at once
+_FEW = 8 * BLOCK  # rows that are processed at once in any case
 
 
 class _Steps(Protocol):
     def before(self, elapsed: Floats) -> dict[str, Any]:
-        """Return which step each of some rows follows, and the matrices of these steps."""
+        """Return the index of the step before each row, and the matrices of these steps."""
         ...
 
 
 class LateRows:
-    """Rows of one channel, each told by those up to a lag after it.
+    """A fixed-lag smoother of one channel: it estimates each row when the rows up to a lag after it are there.
 
     Parameters
     ----------
     settings, coefficients : () structured array
-        Of the channel, as C takes them.
+        Those of the channel, as C's structs.
     steps : object
-        Its `before` gives the matrices of steps.
+        Its method `before` returns the matrices of steps.
     lag : int
-        Later rows that are waited for, 1 or more.
+        Lag in rows, 1 or more.
     split : bool
-        Whether the smoothed states are wanted, too.
+        Whether to return the smoothed states, too.
 
     Attributes
     ----------
     settled_row : int or None
-        The first row with a settled gain.
+        The first row with the steady-state gain; None before that.
     """
 
     def __init__(
@@ -74,38 +74,39 @@ class LateRows:
 
     @property
     def state(self) -> NDArray[np.void]:
-        """What is known before the rows that wait."""
+        """The state before the waiting rows."""
         return self._smoother.state
 
     @property
     def waiting(self) -> int:
-        """Rows that wait."""
+        """Number of waiting rows."""
         return len(self._waiting.z)
 
     def begin_after(self, reading: float, readings: int, steps: float) -> None:
-        """Say what went before: the first reading of all, how many came, and how many steps went by."""
+        """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
         self._smoother.begin_after(reading, readings, steps)
 
     def take(self, rows: Rows) -> Iterator[tuple[Estimates, Estimates]]:
-        """Take the next rows, a part at a time; give what is told of rows that have waited, and the newest filtered."""
+        """Take the next rows in parts; for each part yield the due rows, smoothed, and the new ones, filtered."""
         for at in range(0, len(rows.z), self._at_once):
             waited = len(self._waiting.z)
             all_rows = Rows.joined([self._waiting, rows.part(slice(at, at + self._at_once))])
             count = max(0, len(all_rows.z) - self.lag)
-            found = self._smoothed(all_rows, count)
-            left = all_rows.part(slice(count, None))
-            self._waiting = Rows(left.z.copy(), left.elapsed.copy(), left.verdicts.copy())
-            yield found.rows(slice(count)), found.rows(slice(waited, None))
+            estimates = self._smoothed(all_rows, count)
+            rest = all_rows.part(slice(count, None))
+            self._waiting = Rows(rest.z.copy(), rest.elapsed.copy(), rest.verdicts.copy())
+            yield estimates.rows(slice(count)), estimates.rows(slice(waited, None))
 
     def stepper(self) -> Callable[[float], tuple[float, float]]:
-        """Return what takes a reading one step after the last, and returns signal and sigma of the first that waits.
+        """Return a fast function that takes one reading, one step after the last, and returns signal and sigma.
 
-        Nothing is checked anew. As many rows have to wait as the lag has, without a gate; none may come another way.
+        They are those of the oldest waiting row. The function checks nothing. It needs as many waiting rows as the lag
+        has, and no gate; once it is in use, rows must not come in another way.
         """
         now = self._waiting
         z, elapsed, verdicts = np.append(now.z, 0.0), np.append(now.elapsed, 1.0), np.append(now.verdicts, np.int8(0))
-        found, self._waiting = Estimates.room(len(z)), Rows(z[:-1], elapsed[:-1], verdicts[:-1])
-        arrays = found.outputs() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
+        estimates, self._waiting = Estimates.room(len(z)), Rows(z[:-1], elapsed[:-1], verdicts[:-1])
+        arrays = estimates.outputs() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
         call = self._smoother.caller(self.lag, **arrays)
 
         def step(reading: float) -> tuple[float, float]:
@@ -113,45 +114,45 @@ class LateRows:
             call()
             for array in (z, elapsed, verdicts):
                 array[:-1] = array[1:]
-            return found.signal.item(0), found.sigma.item(0)
+            return estimates.signal.item(0), estimates.sigma.item(0)
 
         return step
 
     def rest(self) -> Estimates:
-        """Return the rows that wait, with what there is after them; nothing changes by it."""
+        """Return estimates of the waiting rows from the rows so far; the state does not change."""
         state, settled = self._smoother.state, self.settled_row
         self._smoother.state = np.frombuffer(bytearray(state.tobytes()), state.dtype).reshape(())
-        found = self._smoothed(self._waiting, len(self._waiting.z))
+        estimates = self._smoothed(self._waiting, len(self._waiting.z))
         self._smoother.state, self.settled_row = state, settled
-        return found
+        return estimates
 
     def saved(self) -> dict[str, Any]:
-        """Return what later rows depend on, as arrays."""
+        """Return the state that later rows depend on, as arrays."""
         waiting = {f"lag_{name}": array for name, array in self._waiting._asdict().items()}
         return self._smoother.state_dict() | waiting
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned; raises a ModelError if it is not that of such a filter and lag."""
+        """Restore the result of `saved`; raise a ModelError if it does not fit this filter and lag."""
         z, elapsed, verdicts = (np.array(arrays[f"lag_{name}"]) for name in Rows._fields)
-        alike = z.dtype == elapsed.dtype == np.float64 and verdicts.dtype == np.int8
-        if not (alike and z.shape == elapsed.shape == verdicts.shape == (z.size,)) or z.size > self.lag:
-            raise ModelError("The snapshot's rows that wait are not those of this lag; pass what snapshot() returned.")
+        fits = z.dtype == elapsed.dtype == np.float64 and verdicts.dtype == np.int8
+        if not (fits and z.shape == elapsed.shape == verdicts.shape == (z.size,)) or z.size > self.lag:
+            raise ModelError("The snapshot's waiting rows do not fit this lag; pass what snapshot() returned.")
         if not ((elapsed >= 0).all() and np.isin(verdicts, list(Verdict)).all()):
-            raise ModelError("The snapshot's rows that wait go back in time, or have no verdict; it is damaged.")
+            raise ModelError("The snapshot's waiting rows go back in time, or have no verdict; it is damaged.")
         self._smoother.load_state_dict(arrays)
         self._waiting = Rows(z, elapsed, verdicts)
 
     def _smoothed(self, rows: Rows, count: int) -> Estimates:
-        """Filter rows that wait, and new ones; smooth the first of them."""
-        found = Estimates.room(len(rows.z), self._states)
-        arrays = found.outputs() | self._steps.before(rows.elapsed) | {"z": rows.z, "elapsed": rows.elapsed}
+        """Filter the waiting rows and the new ones; smooth the first `count` of them."""
+        estimates = Estimates.room(len(rows.z), self._states)
+        arrays = estimates.outputs() | self._steps.before(rows.elapsed) | {"z": rows.z, "elapsed": rows.elapsed}
         settled = self._smoother.smooth(self.lag, count, **arrays)
         self.settled_row = settled if self.settled_row is None else self.settled_row
-        return found._replace(verdict=np.where(found.verdict == Verdict.USED, rows.verdicts, found.verdict))
+        return estimates._replace(verdict=np.where(estimates.verdict == Verdict.USED, rows.verdicts, estimates.verdict))
 
 
 class FixedLagFlow:
-    """A fixed-lag smoother of one channel that is fed any rows at a time.
+    """A fixed-lag smoother of one channel; a push may have any number of rows.
 
     Parameters
     ----------
@@ -160,21 +161,21 @@ class FixedLagFlow:
     noise_variance : float
         R, in unit^2; a *small* one trusts the readings.
     lag : int
-        Later rows that are waited for, 1 or more, however far apart; with a *small* one more noise is left.
+        Lag in rows, 1 or more, whatever the time between rows; a *small* lag leaves more noise.
     judge : callable, optional
-        Shown the innovations of each push.
+        It receives the innovations of each push, and their expected standard deviations.
     split : bool
-        Whether to tell the share of each part of the component, disturbances among them, too.
+        Whether to return the contribution of each part of the component, too, disturbances included.
     gate : Gate, optional
-        What leaves spikes out, and follows steps, as readings come; by default every reading is believed.
+        The innovation gate, which rejects spikes and follows steps causally; by default every reading is used.
 
     Raises
     ------
     ModelError
-        If the lag is no whole number, or the filter cannot start from measurements alone.
+        If the lag is not a whole number, or the filter cannot start from measurements alone.
     """
 
-    def __init__(  # noqa: PLR0913  (each by its name)
+    def __init__(  # noqa: PLR0913  (keyword arguments)
         self,
         component: Component,
         noise_variance: float,
@@ -189,50 +190,50 @@ class FixedLagFlow:
         steps = StepTable(component, nearest=False)
         self._late = LateRows(packed_settings(settings), coefficients, steps, checked_lag(lag), split=split)
         self._component, self._judge, self._split = component, judge, split
-        self._largest, self._begun = largest_beside(noise_variance), False
+        self._largest, self._has_rows = largest_beside(noise_variance), False
         self.log_likelihood = 0.0
 
     @property
     def settled_row(self) -> int | None:
-        """The first row with a settled gain."""
+        """The first row with the steady-state gain; None before that."""
         return self._late.settled_row
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the rows in each mode; empty, for there are no modes."""
+        """Share of the rows in each mode; empty, because there are no modes."""
         return {}
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take the next rows, readings (B,) and the steps before them; return the rows that have waited for them."""
+        """Take the next rows, readings (B,) and the steps before them; return the waiting rows that are now due."""
         z, elapsed = input_of(z), input_of(elapsed)
-        if len(z) and not self._begun:
-            elapsed, self._begun = np.concatenate([[1.0], elapsed[1:]]), True  # the first row comes when it is due
-        judged, told = judge_readings(z, self._largest), list[EstimatedRows]()
-        for found, newest in self._late.take(Rows(judged.readings, elapsed, judged.verdicts)):
+        if len(z) and not self._has_rows:
+            elapsed, self._has_rows = np.concatenate([[1.0], elapsed[1:]]), True  # the first row is on time
+        judged, output = judge_readings(z, self._largest), list[EstimatedRows]()
+        for due, newest in self._late.take(Rows(judged.readings, elapsed, judged.verdicts)):
             self.log_likelihood += float(np.nansum(log_densities(newest.innovation, newest.deviation)))
             if self._judge is not None:
                 self._judge(newest.innovation, newest.deviation)
-            told.append(self._told(found))
-        return told
+            output.append(self._estimated(due))
+        return output
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the last rows, with what there is after them; nothing changes by it: more rows may follow."""
-        return [self._told(self._late.rest())]
+        """Return estimates of the waiting rows from the rows so far; the state does not change, rows may follow."""
+        return [self._estimated(self._late.rest())]
 
     def begin_after(self, reading: float, readings: int, steps: float) -> None:
-        """Say what went before: the first reading of all, how many came, and how many steps went by."""
+        """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
         self._late.begin_after(reading, readings, steps)
-        self._begun = readings > 0
+        self._has_rows = readings > 0
 
     def saved(self) -> dict[str, Any]:
-        """Return what rows depend on, as arrays."""
-        return self._late.saved() | {"lag_begun": np.array(int(self._begun))}
+        """Return the state that later rows depend on, as arrays."""
+        return self._late.saved() | {"lag_begun": np.array(int(self._has_rows))}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned; raises a ModelError if it is not that of such a filter and lag."""
+        """Restore the result of `saved`; raise a ModelError if it does not fit this filter and lag."""
         self._late.restore(arrays)
-        self._begun = bool(arrays["lag_begun"])
+        self._has_rows = bool(arrays["lag_begun"])
 
-    def _told(self, found: Estimates) -> EstimatedRows:
-        told = found.told()
-        return told._replace(parts=parts_of(self._component, found)) if self._split else told
+    def _estimated(self, estimates: Estimates) -> EstimatedRows:
+        rows = estimates.told()
+        return rows._replace(parts=parts_of(self._component, estimates)) if self._split else rows

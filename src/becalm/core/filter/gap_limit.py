@@ -1,9 +1,10 @@
-"""How long a gap may be that a filter is carried across, before float64 loses what was read before it.
+"""Find the longest gap that a filter may bridge before float64 loses the information from before the gap.
 
-Across a gap of T steps the variance of a motion of order n grows as q T^(2n-1), and what its first readings
-tell is carried on as (T / L)^(2n-2), where L is the time that they span. A reading after the gap takes all of
-that away at once: beyond so many times R the difference has no digit left. The readings before the gap
-then say next to nothing of those after it, so that a filter that starts with the latter loses next to nothing.
+Across a gap of T steps the predicted variance of a kinematic model of order n grows as q T^(2n-1); the part that comes
+from the first readings grows as (T / L)^(2n-2), where L is the time that these readings span. The first reading after
+the gap reduces the variance to about R in one update. If the predicted variance is too many times R, the difference has
+no correct digit left. In that case the readings before the gap have almost no information on those after it, so that a
+filter that restarts after the gap loses almost nothing.
 """
 
 from __future__ import annotations
@@ -17,37 +18,38 @@ import numpy as np
 
 from becalm.core.model.components import Component
 
-_FORGOTTEN = 1e15  # of a predicted variance over R: what is left says nothing; from 1e18 on smoothers lose all digits
-_CARRIED = 1e13  # of one that comes from the first readings, whose covariance has fewer digits: lost from 1e14 on
-_LENGTHS = np.ldexp(1.0, np.arange(53))  # steps: whole ones, for what goes in even steps
-_LEAST = 2.0  # steps: what even time has between two rows is no gap, however nervous the motion
+_FORGOTTEN = 1e15  # largest predicted variance over R; from 1e18 on smoothers lose all digits
+_CARRIED = 1e13  # largest part from the first readings over R; it has fewer digits: all are lost from 1e14 on
+_LENGTHS = np.ldexp(1.0, np.arange(53))  # steps: whole ones, because coloured noise needs whole steps
+_LEAST = 2.0  # steps: two rows one even step apart are not a gap, even with large process noise
 
 
 class GapLimit(NamedTuple):
-    """Which gaps a filter may be carried across, by time since the last reading that arrived."""
+    """The gaps that a filter may bridge, as time since the last reading that arrived."""
 
     longest: float  # steps
-    spans: float = np.inf  # how many times what the readings before span, once they tell the state
-    readings: int = 1  # as many tell it
+    spans: float = np.inf  # longest gap over the time that the earlier readings span, once they determine the state
+    readings: int = 1  # number of readings that determine the state
 
 
 @lru_cache(maxsize=256)
 def gap_limit_of(component: Component, noise_variance: float) -> GapLimit:
-    """Return which gaps a filter of a component may be carried across.
+    """Return the gap limit of a component's filter.
 
     Parameters
     ----------
     component : Component
         The signal's model, in steps; its first part is the motion.
     noise_variance : float
-        R, in unit^2; with a *small* one fewer gaps are bridged.
+        R, in unit^2; with a *small* one the filter bridges fewer gaps.
 
     Notes
     -----
-    The highest coefficient of a polynomial of degree d = n - 1, fitted to m >= n readings evenly over the time L,
-    has the variance (2d + 1) C(2d, d)^2 R / (m L^2d), by Legendre's polynomials; T later it counts T^2d times.
+    The highest coefficient of a polynomial of degree d = n - 1, fitted to m >= n readings at even times over the time
+    L, has the variance (2d + 1) C(2d, d)^2 R / (m L^2d), by Legendre's polynomials. T later this variance counts T^2d
+    times.
     """
-    if len(component.drift) == 1:  # the next reading tells all there is, however far it was
+    if len(component.drift) == 1:  # one reading determines the only state, after a gap of any length
         return GapLimit(np.inf)
     order = 1 if component.returns else len(component.parts[0].state_names)
     degree, spans = order - 1, np.inf
@@ -57,20 +59,20 @@ def gap_limit_of(component: Component, noise_variance: float) -> GapLimit:
 
 
 def longest_gap(component: Component, noise_variance: float) -> float:
-    """Return the longest gap after which a reading leaves digits of what was predicted, in steps; a power of two.
+    """Return the longest gap, in steps, after which the prediction still has correct digits; a power of two.
 
     Parameters
     ----------
     component : Component
         The model, in steps.
     noise_variance : float
-        R, in unit^2; with a *small* one only short gaps do.
+        R, in unit^2; with a *small* one the longest gap is short.
 
     Returns
     -------
     float
-        The longest over which the variance of what is read grows by no more than 1e15 R, 2 at least; inf where it
-        stays below that over any time that a clock can count, or where there is no noise to compare with.
+        The longest gap over which the variance of the measured quantity grows by no more than 1e15 R, at least 2;
+        inf if it stays below that over any time that a clock can count, or if R is 0.
     """
     if not noise_variance > 0:
         return np.inf
@@ -82,6 +84,6 @@ def longest_gap(component: Component, noise_variance: float) -> float:
 
 
 def least_gap_limit(limits: Sequence[GapLimit]) -> GapLimit:
-    """Return the limit of several modes: which gaps all of them bridge."""
+    """Return the gap limit of several modes: the gaps that all of them bridge."""
     longest, spans, readings = zip(*limits, strict=True)
     return GapLimit(min(longest), min(spans), max(readings))

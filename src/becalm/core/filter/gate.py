@@ -1,4 +1,4 @@
-"""The gate of a filter of one channel: spikes are left out, steps are followed, and nothing is locked out."""
+"""The innovation gate of one channel: it rejects spikes, follows steps, and accepts readings again after a few rows."""
 
 from __future__ import annotations
 
@@ -13,33 +13,32 @@ from becalm.errors import ModelError
 from becalm.native.library import CONSTANTS
 
 GOES_ON, WIDE = CONSTANTS["GOES_ON"], float(CONSTANTS["WIDE"])
-"""Readings used since a jump, before which a reject is the same motion that goes on, and believed at once; and how many
-times R a jump adds at the most: a covariance beyond loses the digits of the readings."""
+"""`GOES_ON`: number of readings used since a jump, before which a reject counts as the same motion and is used at once.
+`WIDE`: the largest variance that a jump adds, over R; a larger covariance would lose the digits of the readings."""
 
 LEAST_THRESHOLD = 4.0
-"""Smallest threshold: a narrower gate would reject more good measurements than bad ones."""
+"""Smallest threshold; a narrower gate would reject more good measurements than bad ones."""
 
 
 def threshold_for(false_alarms_per_hour: float, readings_per_second: float) -> float:
-    """Return how many standard deviations an innovation may have, for so many good readings rejected an hour.
+    """Return the gate's threshold in standard deviations for a rate of false alarms.
 
     Parameters
     ----------
     false_alarms_per_hour : float
-        Of Gaussian noise; a *small* one trusts the readings.
+        Good readings with Gaussian noise that the gate rejects per hour; a *small* rate trusts the readings.
     readings_per_second : float
-        How often a reading is judged.
+        Rate of the readings, in Hz.
 
     Returns
     -------
     float
-        Phi^-1(1 - p/2) with p false alarms a reading: 5.0 for one an hour at 500 Hz, 5.55 at 10 kHz; never
-        less than 4.
+        Phi^-1(1 - p/2) with p false alarms per reading: 5.0 for one per hour at 500 Hz, 5.55 at 10 kHz; at least 4.
 
     Raises
     ------
     ModelError
-        If one of them is not a positive number.
+        If one of the rates is not a positive number.
 
     Examples
     --------
@@ -50,26 +49,26 @@ def threshold_for(false_alarms_per_hour: float, readings_per_second: float) -> f
 
     for name, value in (("false_alarms_per_hour", false_alarms_per_hour), ("readings_per_second", readings_per_second)):
         if not 0 < value < np.inf:
-            raise ModelError(f"{name} = {value} is no rate; give a positive number.")
+            raise ModelError(f"{name} = {value} is not a rate; give a positive number.")
     share = false_alarms_per_hour / (3600 * readings_per_second)
     return max(LEAST_THRESHOLD, float(-ndtri(max(min(share, 1.0) / 2, np.finfo(float).tiny))))
 
 
 @dataclass(frozen=True)
 class Gate:
-    """When a reading is not believed, and when it is after all.
+    """The settings of an innovation gate: when it rejects a reading, and when it accepts rejected readings after all.
 
     Attributes
     ----------
     threshold : float
-        z: a reading whose innovation exceeds z of its standard deviations is a spike, and counts as missing;
-        a *small* one trusts the model. `threshold_for` gives it for a rate of false alarms.
+        z: a reading whose innovation exceeds z of its standard deviations is a spike, and counts as missing.
+        A *small* threshold trusts the model. `threshold_for` gives the threshold for a rate of false alarms.
     agree : int
-        So many rejects in a row that agree with each other, to z of their noise, are a step: it is followed.
-        With a *small* one sooner, but spikes that agree by chance are followed too.
+        This many rejects in a row that agree with each other, within z times their noise, are a step, and the filter
+        follows it. With a *small* number it follows sooner, but also follows spikes that agree by chance.
     at_most : int
-        So many rejects in a row are believed whatever they are, so that nothing is locked out for ever; a *small*
-        one trusts the readings.
+        After this many rejects in a row the filter uses the readings in any case, so that it cannot reject for ever.
+        A *small* number trusts the readings.
 
     Raises
     ------
@@ -82,10 +81,10 @@ class Gate:
     at_most: int = AT_MOST
 
     def __post_init__(self) -> None:
-        """Refuse what is no gate."""
+        """Raise a ModelError if a value is not possible."""
         if not (isinstance(self.threshold, Real) and 0 < self.threshold < np.inf):
             raise ModelError(
-                f"threshold = {self.threshold!r} is no gate; give a positive number, as threshold_for does."
+                f"threshold = {self.threshold!r} is not a threshold; give a positive number, as threshold_for does."
             )
         whole = isinstance(self.agree, Integral) and isinstance(self.at_most, Integral)
         if not (whole and 2 <= self.agree <= self.at_most):
@@ -96,6 +95,6 @@ class Gate:
 
 
 def level_of(model: Model) -> int:
-    """Return the state to which a jump adds: one that keeps whatever is added to it, and is read; -1 for none."""
+    """Return the index of the level: a measured state that keeps what a jump adds to it; -1 if there is none."""
     kept = np.all(np.eye(model.states) == model.F, axis=0) & (model.H[0] != 0)
     return int(kept.argmax()) if kept.any() else -1

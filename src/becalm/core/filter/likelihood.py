@@ -1,4 +1,4 @@
-"""The likelihood of a record of a model and nothing else; of one channel `ChannelRecord.score` has it."""
+"""Compute the log-likelihood of a record and nothing else; for one channel see also `ChannelRecord.score`."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def log_likelihood(model: Model, z: ArrayLike) -> float:
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step a row.
+        The signal and its sensors, one step per row.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units, NaN where one did not arrive.
+        Readings in the channels' units, NaN where one is missing.
 
     Raises
     ------

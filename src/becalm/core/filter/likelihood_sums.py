@@ -1,4 +1,4 @@
-"""What makes a log-likelihood, added up over parts of a record."""
+"""The terms of a log-likelihood, summed over parts of a record."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 
 class Sums(NamedTuple):
-    """What makes a log-likelihood."""
+    """The terms of a log-likelihood, summed over readings."""
 
-    squares: float = 0.0  # of nu' S^-1 nu
-    log_det: float = 0.0  # of log det S
-    used: int = 0
+    squares: float = 0.0  # sum of nu' S^-1 nu
+    log_det: float = 0.0  # sum of log det S
+    used: int = 0  # number of readings
 
     @property
     def log_likelihood(self) -> float:
@@ -20,5 +20,5 @@ class Sums(NamedTuple):
         return float(-0.5 * (self.squares + self.log_det + self.used * np.log(2 * np.pi)))
 
     def plus(self, other: Sums) -> Sums:
-        """Return the sums over the readings of both."""
+        """Return the sums over the readings of this and the other."""
         return Sums(self.squares + other.squares, self.log_det + other.log_det, self.used + other.used)

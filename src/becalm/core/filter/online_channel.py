@@ -1,4 +1,4 @@
-"""A stream of one channel of a model, one step a reading: the filter of files, row by row, with or without a lag."""
+"""Filter a stream of one channel, one step per reading, with or without a lag; the kernel is that of files."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ from becalm.native import DETERMINED, GATHERING, loaded, process, saved, start, 
 
 
 class _ModelSteps(NamedTuple):
-    """The matrices of a model's steps, which are all alike."""
+    """The matrices of a model's steps, all of the same length."""
 
     F: Floats  # (1, n, n)
     Q: Floats  # (1, n, n)
 
     def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
-        """Return which step each of some rows follows, and the matrices."""
+        """Return the index of the step before each row, 0, and the matrices."""
         return {"step": np.zeros(len(elapsed), np.int32), "F": self.F, "Q": self.Q}
 
 
 class OnlineChannel:
-    """A stream filter of a model of one channel, one step a measurement.
+    """A stream filter for a model of one channel, one step per measurement.
 
     Parameters
     ----------
     model : Model
-        Of one channel.
+        A model of one channel.
     lag : int
-        Readings that each estimate waits for; 0 filters.
+        Lag in readings; 0 filters.
     gate : Gate, optional
-        What leaves spikes out, and follows steps; by default every reading is believed.
+        The innovation gate, which rejects spikes and follows steps; by default every reading is used.
 
     Raises
     ------
@@ -58,88 +58,88 @@ class OnlineChannel:
         self._settings, self._coefficients = model_settings(model, gate), model_coefficients(model)
         self._largest = BEYOND_ANY_SENSOR if gate is None else largest_beside(float(model.R[0, 0]))
         self._steps = _ModelSteps(*(np.require(A[:1], np.float64, ["C", "A"]) for A in model_system(model)[:2]))
-        self._begun, self._unwaited = False, lag
+        self._has_rows, self._rows_to_skip = False, lag
         self.verdicts: Codes = np.empty(0, np.int8)
-        begins = self._first_state()
+        first_state = self._first_state()
         self._late = LateRows(self._settings, self._coefficients, self._steps, lag) if lag else None
         self._state = start(self._settings)
-        _begin(self._state if self._late is None else self._late.state, begins)
+        _begin(self._state if self._late is None else self._late.state, first_state)
 
     def run(self, z: Floats) -> tuple[Floats, Floats]:
-        """Take a block, (B, 1); return signal and sigma, (B, 1) each, of the readings a lag before them."""
+        """Take a block, (B, 1); return signal and sigma, (B, 1) each, of the readings one lag earlier."""
         signal, sigma = self._run(np.require(z[:, 0], np.float64, ["C", "A"]))
         return signal[:, np.newaxis], sigma[:, np.newaxis]
 
     def _run(self, z: Floats) -> tuple[Floats, Floats]:
         elapsed = np.ones(len(z))
-        if not self._begun:
+        if not self._has_rows:
             elapsed[:1] = 0.0
-        self._begun = self._begun or len(z) > 0
+        self._has_rows = self._has_rows or len(z) > 0
         judged = judge_readings(z, self._largest)
         if self._late is not None:
             return self._run_late(Rows(judged.readings, elapsed, judged.verdicts), self._late)
-        found = Estimates.room(len(z))
-        rows = found.outputs() | self._steps.before(elapsed) | {"z": judged.readings, "elapsed": elapsed}
+        estimates = Estimates.room(len(z))
+        rows = estimates.outputs() | self._steps.before(elapsed) | {"z": judged.readings, "elapsed": elapsed}
         process(self._settings, self._coefficients, self._state, **rows)
-        self.verdicts = np.where(found.verdict > Verdict.MISSING, found.verdict, judged.verdicts)
-        return found.signal, found.sigma
+        self.verdicts = np.where(estimates.verdict > Verdict.MISSING, estimates.verdict, judged.verdicts)
+        return estimates.signal, estimates.sigma
 
     def stepper(self) -> Callable[[float], tuple[float, float]] | None:
-        """Return what takes a number, and returns signal and sigma; None at first, and with a gate."""
-        if not self._begun or self._unwaited or self.gate is not None:
+        """Return a fast function from a reading to signal and sigma; None until the lag is filled, and with a gate."""
+        if not self._has_rows or self._rows_to_skip or self.gate is not None:
             return None
         if self._late is not None:
             return self._late.stepper()
         return stepper(self._settings, self._coefficients, self._state, *self._steps)
 
     def finish(self) -> tuple[Floats, Floats]:
-        """Return signal and sigma, (rows, 1) each, of the readings that wait; nothing changes by it."""
+        """Return signal and sigma, (rows, 1) each, of the waiting readings; the state does not change."""
         if self._late is None:
             return np.empty((0, 1)), np.empty((0, 1))
-        found = self._late.rest()
-        return found.signal[:, np.newaxis], found.sigma[:, np.newaxis]
+        estimates = self._late.rest()
+        return estimates.signal[:, np.newaxis], estimates.sigma[:, np.newaxis]
 
     def saved(self) -> dict[str, Any]:
-        """Return what moves, as arrays."""
-        moves = {"begun": np.array(self._begun), "unwaited": np.array(self._unwaited)}
+        """Return the state, as arrays."""
+        counts = {"begun": np.array(self._has_rows), "unwaited": np.array(self._rows_to_skip)}
         if self._late is not None:
-            return moves | self._late.saved()
-        return moves | {"live": saved(self._settings, self._state)}
+            return counts | self._late.saved()
+        return counts | {"live": saved(self._settings, self._state)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned.
+        """Restore the result of `saved`.
 
         Raises
         ------
         ModelError
-            If these are not the arrays of such a filter.
+            If the arrays do not fit this filter.
         """
-        self._begun, self._unwaited = bool(arrays["begun"]), int(arrays["unwaited"])
+        self._has_rows, self._rows_to_skip = bool(arrays["begun"]), int(arrays["unwaited"])
         if self._late is not None:
             self._late.restore(arrays)
-            if self._unwaited < 0 or self._unwaited + self._late.waiting != self.lag:
-                raise ModelError("The snapshot's rows that wait do not fit its lag; pass what snapshot() returned.")
+            if self._rows_to_skip < 0 or self._rows_to_skip + self._late.waiting != self.lag:
+                raise ModelError("The snapshot's waiting rows do not fit its lag; pass what snapshot() returned.")
         else:
             self._state = loaded(self._settings, np.asarray(arrays["live"]))
 
     def _run_late(self, rows: Rows, late: LateRows) -> tuple[Floats, Floats]:
         count, newest = len(rows.z), list[Codes]()
         signal, sigma = np.full(count, np.nan), np.full(count, np.inf)
-        at = min(self._unwaited, count)
-        self._unwaited -= at
-        for told, new in late.take(rows):
-            signal[at : at + len(told.signal)], sigma[at : at + len(told.signal)] = told.signal, told.sigma
-            at += len(told.signal)
+        at = min(self._rows_to_skip, count)
+        self._rows_to_skip -= at
+        for due, new in late.take(rows):
+            signal[at : at + len(due.signal)], sigma[at : at + len(due.signal)] = due.signal, due.sigma
+            at += len(due.signal)
             newest.append(new.verdict)
         self.verdicts = np.concatenate([np.empty(0, np.int8), *newest])
         return signal, sigma
 
     def _first_state(self) -> tuple[int, Floats, Floats] | None:
-        """Return what is known before the first reading: how, and x and P, or the root of information; else None."""
-        model, wide = self.model, wide_prior(self.model)
-        if wide is not None and model.x0 is not None:
+        """Return phase, mean and covariance before the first reading, or the root of Y; None for a flat prior."""
+        model, prior = self.model, wide_prior(self.model)
+        if prior is not None and model.x0 is not None:
             self._coefficients["widest"] = WIDE
-            root = root_of(wide.Y)
+            root = root_of(prior.Y)
             return GATHERING, root @ model.x0, root
         if model.x0 is not None and model.P0 is not None:
             return DETERMINED, model.x0, model.P0
@@ -147,9 +147,9 @@ class OnlineChannel:
         return None
 
 
-def _begin(state: NDArray[np.void], begins: tuple[int, Floats, Floats] | None) -> None:
-    if begins is None:
+def _begin(state: NDArray[np.void], first_state: tuple[int, Floats, Floats] | None) -> None:
+    if first_state is None:
         return
-    phase, x, P = begins
+    phase, x, P = first_state
     state["phase"], state["has_level"] = phase, 1
     state["x"][: len(x)], state["P"][: P.size] = x, P.ravel()

@@ -1,4 +1,4 @@
-"""A stream of several channels of a model, one step a reading: the filter of `kalman_filter`, with or without a lag."""
+"""Filter a stream of several channels, one step per row, with or without a lag, with the kernel of `kalman_filter`."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from becalm.native.multivariate import EstimateBuffers
 
 
 class OnlineMultivariate:
-    """A stream filter of a model of several channels, one step a row.
+    """A stream filter for a model of several channels, one step per row.
 
     Parameters
     ----------
     model : Model
-        Of several channels.
+        A model of several channels.
     lag : int
-        Readings that each estimate waits for; 0 filters.
+        Lag in rows; 0 filters.
 
     Raises
     ------
@@ -34,49 +34,49 @@ class OnlineMultivariate:
     def __init__(self, model: Model, lag: int) -> None:
         self.model, self.lag = model, lag
         self._kernel = new_kernel(model, even_timeline(model, 1), EVERYTHING)
-        self._waiting, self._unwaited = np.empty((0, model.channels)), lag
+        self._waiting, self._rows_to_skip = np.empty((0, model.channels)), lag
 
     def run(self, z: Floats) -> tuple[Floats, Floats]:
-        """Take a block, (B, m); return signal and sigma, (B, m) each, of the readings a lag before them."""
+        """Take a block, (B, m); return signal and sigma, (B, m) each, of the rows one lag earlier."""
         if not self.lag:
             signal, sigma = np.empty((2, *z.shape))
             self._kernel.filter(rows_of(self._timeline(len(z)), z), EstimateBuffers(signal, sigma))
             return signal, sigma
-        rows, at = np.concatenate([self._waiting, z]), min(self._unwaited, len(z))
+        rows, at = np.concatenate([self._waiting, z]), min(self._rows_to_skip, len(z))
         signal, sigma = np.full(z.shape, np.nan), np.full(z.shape, np.inf)
         signal[at:], sigma[at:] = self._smoothed(rows, len(z) - at)
-        self._waiting, self._unwaited = rows[len(z) - at :].copy(), self._unwaited - at
+        self._waiting, self._rows_to_skip = rows[len(z) - at :].copy(), self._rows_to_skip - at
         return signal, sigma
 
     def stepper(self) -> Callable[[float], tuple[float, float]] | None:
-        """Return None: a row of several channels is not one number."""
+        """Return None: the fast function of one number does not exist for several channels."""
         return None
 
     def finish(self) -> tuple[Floats, Floats]:
-        """Return signal and sigma, (rows, m) each, of the readings that wait; nothing changes by it."""
+        """Return signal and sigma, (rows, m) each, of the waiting rows; the state does not change."""
         state = self._kernel.state.copy()
-        told = self._smoothed(self._waiting, len(self._waiting))
+        estimates = self._smoothed(self._waiting, len(self._waiting))
         self._kernel.state = state
-        return told
+        return estimates
 
     def saved(self) -> dict[str, Any]:
-        """Return what moves, as arrays."""
-        return {"live": self._kernel.saved(), "waiting": self._waiting, "unwaited": np.array(self._unwaited)}
+        """Return the state, as arrays."""
+        return {"live": self._kernel.saved(), "waiting": self._waiting, "unwaited": np.array(self._rows_to_skip)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned.
+        """Restore the result of `saved`.
 
         Raises
         ------
         ModelError
-            If these are not the arrays of such a filter.
+            If the arrays do not fit this filter.
         """
-        waiting, unwaited = np.array(arrays["waiting"]), int(arrays["unwaited"])
+        waiting, rows_to_skip = np.array(arrays["waiting"]), int(arrays["unwaited"])
         fits = waiting.dtype == np.float64 and waiting.ndim == 2 and waiting.shape[1] == self.model.channels
-        if not fits or not 0 <= unwaited <= self.lag or len(waiting) + unwaited != self.lag:
-            raise ModelError("The snapshot's rows that wait are not those of this lag; pass what snapshot() returned.")
+        if not fits or not 0 <= rows_to_skip <= self.lag or len(waiting) + rows_to_skip != self.lag:
+            raise ModelError("The snapshot's waiting rows do not fit this lag; pass what snapshot() returned.")
         self._kernel.load(np.asarray(arrays["live"]))
-        self._waiting, self._unwaited = waiting, unwaited
+        self._waiting, self._rows_to_skip = waiting, rows_to_skip
 
     def _smoothed(self, rows: Floats, count: int) -> tuple[Floats, Floats]:
         return self._kernel.smooth_late(rows_of(self._timeline(len(rows)), rows), self.lag, count)

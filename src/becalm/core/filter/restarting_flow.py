@@ -1,4 +1,4 @@
-"""A channel that starts anew after gaps so long that float64 cannot hold what was read before them: see `gap_limit`."""
+"""Restart the filter of a channel after a gap that is too long for float64; `gap_limit` explains the limit."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.core.verdict import judge as judge_readings
 
-_LOOK = 4096  # rows
-_SHORTEST = 1e-300  # steps: no time at all, of which inf times is no number
+_LOOK = 4096  # rows that are searched at once
+_SHORTEST = 1e-300  # steps: replaces a time of 0, because inf * 0 is NaN
 
 
 class PartialFlow(Protocol):
-    """What filters or smooths one part of a record, such as `ImmFlow`."""
+    """The interface of a filter or smoother for one part of a record, such as `ImmFlow`."""
 
     @property
     def log_likelihood(self) -> float:
@@ -27,54 +27,54 @@ class PartialFlow(Protocol):
 
     @property
     def settled_row(self) -> int | None:
-        """The first of its rows with a settled gain; None if there is none."""
+        """The first row of the part with the steady-state gain; None if there is none."""
         ...
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take the next rows; return what can be told for good."""
+        """Take the next rows; return the rows whose estimates are final."""
         ...
 
     def finish(self) -> list[EstimatedRows]:
-        """Say that no more rows will come; return the rest."""
+        """End the part; return the rows that were waiting."""
         ...
 
     def saved(self) -> dict[str, Any] | None:
-        """Return what later rows depend on, as arrays; None where rows wait."""
+        """Return the state that later rows depend on, as arrays; None while rows wait."""
         ...
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the result of `saved`."""
         ...
 
     def tell_from(self, reading: float) -> None:
-        """Tell all readings from one that came first, before those that will be pushed."""
+        """Set the level that readings count from to the first reading of the record, before any push."""
         ...
 
 
 class _Part(NamedTuple):
-    """What is known of one part."""
+    """The results of one part of the record."""
 
     rows: int
     weight: int  # rows from the first reading on
     log_likelihood: float
     settled_row: int | None
-    shares: dict[str, float]  # of each mode of a bank
+    shares: dict[str, float]  # share of the rows in each mode of an IMM
 
 
 class RestartingFlow:
-    """A filter, or a smoother, of one channel that starts anew after a gap beyond its limit.
+    """A filter or smoother of one channel that restarts after a gap beyond its limit.
 
-    Without one its flow sees every push as it is. After one, pushes are joined into stretches as long as the
-    first push, counted from the new start, so that the rest has the bits of a record of its own.
+    Before the first such gap the inner filter gets every push as it is. After it, pushes are joined into stretches as
+    long as the first push, counted from the restart, so that the bits are those of a separate record.
 
     Parameters
     ----------
     open_flow : callable
-        Opens what filters one part.
+        It returns a new filter or smoother for one part.
     gap_limit : GapLimit
-        Which gaps it bridges; with a *small* one the channel starts anew more often.
+        The gaps that the filter bridges; with a *small* limit the channel restarts more often.
     largest : float
-        Magnitude beyond which a value is no reading, as the flow itself takes it, in unit.
+        Magnitude, in unit, beyond which a value does not count as a reading; the same as in the inner filter.
     """
 
     def __init__(
@@ -84,61 +84,61 @@ class RestartingFlow:
         self._gaps = Gaps(gap_limit)
         self._flow = open_flow()
         self._finished: list[_Part] = []
-        self._rows = self._weight = 0  # of the part that is open
+        self._rows = self._weight = 0  # those of the current part
         self._stretch: int | None = None
-        self._few = np.empty((2, 0))  # readings, and steps before them, that make no stretch yet
+        self._incomplete = np.empty((2, 0))  # readings, and the steps before them, of an incomplete stretch
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take the next rows, readings (B,) and the steps before them; return what can be told for good."""
+        """Take the next rows, readings (B,) and the steps before them; return the rows whose estimates are final."""
         if self._stretch is None and len(z):
             self._stretch = max(BLOCK, len(z) // BLOCK * BLOCK)
         arrived = np.isfinite(judge_readings(z, self._largest).readings)
-        told, begin = list[EstimatedRows](), 0
+        estimates, begin = list[EstimatedRows](), 0
         for row in self._gaps.starts(arrived, elapsed):
             if row > begin:
-                told += self._take(z[begin:row], elapsed[begin:row], arrived[begin:row])
-            told += self._start_anew()
+                estimates += self._take(z[begin:row], elapsed[begin:row], arrived[begin:row])
+            estimates += self._start_anew()
             begin = row
-        return told + self._take(z[begin:], elapsed[begin:], arrived[begin:])
+        return estimates + self._take(z[begin:], elapsed[begin:], arrived[begin:])
 
     def finish(self) -> list[EstimatedRows]:
-        """Say that no more rows will come; return what was waiting for them."""
-        few, self._few = self._few, np.empty((2, 0))
-        told = self._flow.push(few[0], few[1]) if few.shape[1] else []
-        return told + self._flow.finish()
+        """End the record; return the rows that were waiting."""
+        incomplete, self._incomplete = self._incomplete, np.empty((2, 0))
+        estimates = self._flow.push(incomplete[0], incomplete[1]) if incomplete.shape[1] else []
+        return estimates + self._flow.finish()
 
     def saved(self) -> dict[str, Any] | None:
-        """Return what later rows depend on, as arrays; None where rows wait."""
-        held = None if self._few.shape[1] else self._flow.saved()
-        if held is None:
+        """Return the state that later rows depend on, as arrays; None while rows wait."""
+        flow_state = None if self._incomplete.shape[1] else self._flow.saved()
+        if flow_state is None:
             return None
-        told = np.array([self._stretch or 0, len(self._finished)])
-        return held | {"parted_gaps": self._gaps.saved(), "parted_told": told}
+        counts = np.array([self._stretch or 0, len(self._finished)])
+        return flow_state | {"parted_gaps": self._gaps.saved(), "parted_told": counts}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the result of `saved`."""
         stretch, finished = arrays["parted_told"].tolist()
         self._stretch, self._finished = stretch or None, [_Part(0, 0, 0.0, None, {})] * finished
         self._gaps.restore(arrays["parted_gaps"])
         self._flow.restore(arrays)
 
     def tell_from(self, reading: float) -> None:
-        """Tell all readings from one that came first, before those that will be pushed."""
+        """Set the level that readings count from to the first reading of the record, before any push."""
         self._flow.tell_from(reading)
 
     def begin_after(self, reading: float, readings: int, steps: float) -> None:
-        """Say what went before: the first reading of all, how many came, and how many steps went by."""
+        """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
         self.tell_from(reading)
         self._gaps.restore(np.array([steps, steps, float(readings)]))
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood of all measurements so far but the first of each part."""
+        """Log-likelihood of all measurements so far, except the first of each part."""
         return sum(part.log_likelihood for part in self._parts())
 
     @property
     def settled_row(self) -> int | None:
-        """The first row with a settled gain."""
+        """The first row with the steady-state gain; None if there is none."""
         begin = 0
         for part in self._parts():
             if part.settled_row is not None:
@@ -148,7 +148,7 @@ class RestartingFlow:
 
     @property
     def shares(self) -> dict[str, float]:
-        """What share of the rows so far each mode of a bank was in force; nothing where there is no bank."""
+        """Share of the rows so far in each mode of an IMM; empty for a single model."""
         parts = self._parts()
         if len(parts) == 1:
             return parts[0].shares
@@ -162,38 +162,39 @@ class RestartingFlow:
 
     def _take(self, z: Floats, elapsed: Floats, arrived: Booleans) -> list[EstimatedRows]:
         self._rows += len(z)
-        unread = int(arrived.argmax()) if arrived.any() else len(z)
-        self._weight += len(z) if self._weight else len(z) - unread
+        first_reading = int(arrived.argmax()) if arrived.any() else len(z)
+        self._weight += len(z) if self._weight else len(z) - first_reading
         if not self._finished:
             return self._flow.push(z, elapsed)
         assert self._stretch is not None, "a part follows rows"
-        self._few = np.hstack([self._few, [z, elapsed]])
-        told = list[EstimatedRows]()
-        while self._few.shape[1] >= self._stretch:
-            rows, self._few = self._few[:, : self._stretch], self._few[:, self._stretch :]
-            told += self._flow.push(rows[0].copy(), rows[1].copy())
-        return told
+        self._incomplete = np.hstack([self._incomplete, [z, elapsed]])
+        estimates = list[EstimatedRows]()
+        while self._incomplete.shape[1] >= self._stretch:
+            rows, self._incomplete = self._incomplete[:, : self._stretch], self._incomplete[:, self._stretch :]
+            estimates += self._flow.push(rows[0].copy(), rows[1].copy())
+        return estimates
 
     def _start_anew(self) -> list[EstimatedRows]:
-        told = self.finish()
+        estimates = self.finish()
         self._finished = self._parts()
         self._flow, self._rows, self._weight = self._open_flow(), 0, 0
-        return told
+        return estimates
 
 
 class Gaps:
-    """Finds the readings before which a gap is beyond the limit.
+    """A detector of gaps beyond the limit.
 
-    Times are summed row by row from each start, so that they are the same wherever rows are cut.
+    It sums times row by row from each start, so that the cuts between blocks do not change them.
     """
 
     def __init__(self, gap_limit: GapLimit) -> None:
         self._limit = gap_limit
-        self._now = self._last = 0.0  # steps from the first reading since the start to the last row, and last reading
+        # Steps from the first reading since the start: to the last row, and to the last reading.
+        self._now = self._last = 0.0
         self._readings = 0
 
     def starts(self, arrived: Booleans, elapsed: Floats) -> Iterator[int]:
-        """Give the rows, of the next (B,), that start anew."""
+        """Yield those of the next B rows at which the filter restarts."""
         unusual = np.append(np.flatnonzero(~arrived | (elapsed != 1.0)), len(arrived))
         begin = 0
         while begin < len(arrived):
@@ -202,33 +203,33 @@ class Gaps:
                 begin = usual
                 continue
             rows = slice(begin, begin + _LOOK)
-            found = self._first_start(arrived[rows], elapsed[rows])
-            if found is not None:
-                yield begin + found
-                begin += found + 1
+            start = self._first_start(arrived[rows], elapsed[rows])
+            if start is not None:
+                yield begin + start
+                begin += start + 1
             else:
                 begin += _LOOK
 
     def saved(self) -> Floats:
-        """Return what moves."""
+        """Return the state (3,): time of the last row and of the last reading, in steps, and the number of readings."""
         return np.array([self._now, self._last, float(self._readings)])
 
     def restore(self, moved: Floats) -> None:
-        """Take over what `saved` returned."""
+        """Restore the result of `saved`."""
         self._now, self._last, self._readings = float(moved[0]), float(moved[1]), int(moved[2])
 
     def _bridges(self, rows: int) -> bool:
-        """Take rows of which none is missing in even time at once, as mostly; say whether they were taken."""
+        """Advance over rows in even time of which none is missing, the usual case; return whether this was possible."""
         near = min(self._limit.longest, self._limit.spans * self._last) >= 1.0 and self._now.is_integer()
-        waits = self._now != self._last  # rows without a reading came last
-        if waits or not (near and self._readings >= self._limit.readings):
+        in_gap = self._now != self._last  # the last rows had no reading
+        if in_gap or not (near and self._readings >= self._limit.readings):
             return False
         self._now += rows
         self._last, self._readings = self._now, self._readings + rows
         return True
 
     def _first_start(self, arrived: Booleans, elapsed: Floats) -> int | None:
-        """Return the first row that starts anew, and count the readings up to it."""
+        """Return the first row at which the filter restarts, and count the readings up to it; None if there is none."""
         rows = np.flatnonzero(arrived)
         times = np.append(self._now, elapsed)
         if not self._readings:  # time begins with the first reading
@@ -236,8 +237,8 @@ class Gaps:
         times = np.cumsum(times)[1:]
         spans = np.append(self._last, times[rows[:-1]])[: len(rows)]
         gaps, before = times[rows] - spans, self._readings + np.arange(len(rows))
-        told = (before >= self._limit.readings) & (spans > 0)
-        carried = np.where(told, self._limit.spans * np.maximum(spans, _SHORTEST), np.inf)
+        determined = (before >= self._limit.readings) & (spans > 0)
+        carried = np.where(determined, self._limit.spans * np.maximum(spans, _SHORTEST), np.inf)
         beyond = np.flatnonzero((gaps > np.minimum(self._limit.longest, carried)) & (before > 0))
         if len(beyond):
             self._now, self._last, self._readings = 0.0, 0.0, 1

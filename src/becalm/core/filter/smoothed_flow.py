@@ -1,9 +1,9 @@
-"""A smoother of one channel of any length, in constant memory.
+"""Smooth one channel of any length in constant memory.
 
-Rows are filtered forward in stretches of one length, counted from the first row, so that the bits are the same however
-rows are pushed. A stretch is smoothed once so many later rows are there that all that could follow would change
-nothing: how far back the last of them reach is measured, by coming back from there with two futures as different as
-can be. The filter itself, its gate, and where it starts anew are `native/smoother.c`.
+The forward pass works on stretches of one length, counted from the first row, so that the cuts between pushes change no
+bit. A stretch is smoothed once enough later rows are there that no further row can change the result. This is measured:
+two backward passes start after the last row with the two most different futures possible, and must agree at the end
+of the stretch. The filter, its gate and its restarts are in `native/smoother.c`.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from becalm.native import DETERMINED
 from becalm.native.smoothers import ForwardPass, Smoother
 
 _LONGEST = 1 << 14  # rows of a stretch
-_MOST_NUMBERS = 1 << 21  # of the matrices of its steps, where each row has some of its own
-_DIFFERENT = 1e14  # two futures this far apart ...
-_SAME = 1e-12  # ... have come this close: then `FORGOTTEN`, squared, lies between
-_STRETCHES = 4  # that are told at once, if more may wait
+_MOST_NUMBERS = 1 << 21  # largest size of a stretch's step matrices, if each row has its own
+_DIFFERENT = 1e14  # two futures start this far apart ...
+_SAME = 1e-12  # ... and must come this close; the ratio is the square of `FORGOTTEN`
+_STRETCHES = 4  # stretches that are smoothed at once, if memory allows
 _FAR = 1 << 40  # rows
 
 
 class _Stretch(NamedTuple):
-    passed: ForwardPass
-    found: Estimates
+    forward_pass: ForwardPass
+    estimates: Estimates
     verdicts: Codes  # (B,)
-    known: bool  # whether the state after it is
-    variances: Floats  # (n,) after it
+    determined: bool  # whether the state after the stretch is determined
+    variances: Floats  # (n,) variances of the state after the stretch
 
 
 class SmoothedFlow:
-    """A smoother of one channel that is fed any rows at a time.
+    """A smoother of one channel; a push may have any number of rows.
 
     Parameters
     ----------
@@ -54,17 +54,17 @@ class SmoothedFlow:
     noise_variance : float
         R, in unit^2.
     judge : callable, optional
-        Shown the innovations of each stretch.
+        It receives the innovations of each stretch, and their expected standard deviations.
     split : bool
-        Whether to tell the share of each part of the component, disturbances among them, too.
+        Whether to return the contribution of each part of the component, too, disturbances included.
     gate : Gate, optional
-        What leaves spikes out, and follows steps, from the first reading after them on; by default every reading is
-        believed.
+        The innovation gate: it rejects spikes, and follows a step from the first reading after it. By default every
+        reading is used.
 
     Attributes
     ----------
     log_likelihood : float
-        Of the readings so far that were foretold.
+        Log-likelihood of the readings so far that had a prediction.
     """
 
     def __init__(
@@ -84,88 +84,88 @@ class SmoothedFlow:
         self._steps, self._largest = StepTable(component, nearest=False), largest_beside(noise_variance)
         states = self._model.states
         self._length = max(BLOCK, min(_LONGEST, _MOST_NUMBERS // states**2 // BLOCK * BLOCK))
-        self._few, self._count = list[Rows](), 0  # rows that make no stretch yet
-        self._wanted = self._length  # so many of them make one
-        self._held: list[_Stretch] = []  # until what follows tells the future
-        self._begun = False
-        self._reach = 0  # rows that later rows are looked at across, once they are needed
+        self._incomplete, self._count = list[Rows](), 0  # rows of an incomplete stretch, and their number
+        self._wanted = self._length  # rows that complete the stretch
+        self._held: list[_Stretch] = []  # filtered stretches, until enough later rows are there
+        self._has_rows = False
+        self._reach = 0  # rows that a backward pass starts ahead of a stretch; 0 before it is needed
         self.log_likelihood = 0.0
 
     @property
     def settled_row(self) -> int | None:
-        """The first row with a settled gain."""
+        """The first row with the steady-state gain; None before that."""
         row = int(self._smoother.state["settled_row"])
         return None if row < 0 else row
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the rows in each mode; empty, for there are no modes."""
+        """Share of the rows in each mode; empty, because there are no modes."""
         return {}
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take the next rows, readings (B,) and the steps before them; return what can be told for good."""
+        """Take the next rows, readings (B,) and the steps before them; return the rows whose estimates are final."""
         z, elapsed = input_of(z), input_of(elapsed)
-        if len(z) and not self._begun:
-            elapsed = np.concatenate([[1.0], elapsed[1:]])  # the first row comes when it is due
-            self._begun = True
+        if len(z) and not self._has_rows:
+            elapsed = np.concatenate([[1.0], elapsed[1:]])  # the first row is on time
+            self._has_rows = True
         judged = judge_readings(z, self._largest)
-        readings, steps = judged.readings.copy(), elapsed.copy()  # a caller may write into its own
-        self._few.append(Rows(readings, steps, judged.verdicts))
+        readings, steps = judged.readings.copy(), elapsed.copy()  # the caller may overwrite its own arrays
+        self._incomplete.append(Rows(readings, steps, judged.verdicts))
         self._count += len(z)
-        told = list[EstimatedRows]()
+        output = list[EstimatedRows]()
         if self._count < self._wanted:
-            return told
-        rows, at = Rows.joined(self._few), 0
+            return output
+        rows, at = Rows.joined(self._incomplete), 0
         while self._count >= self._wanted:
             left = self._filter(rows.part(slice(at, at + self._wanted)), ends=False)
             taken = self._wanted - len(left.z)
             at += taken
             self._count -= taken
             self._wanted = self._length if taken else 2 * self._wanted
-            told += self._told_for_good()
-        self._few = [rows.part(slice(at, None))]
-        return told
+            output += self._final_rows()
+        self._incomplete = [rows.part(slice(at, None))]
+        return output
 
     def finish(self) -> list[EstimatedRows]:
-        """Say that no more rows will come; return what was waiting for them."""
+        """End the record; return the rows that were waiting."""
         if self._count:
-            self._filter(Rows.joined(self._few), ends=True)
-        self._few, self._count = [], 0
+            self._filter(Rows.joined(self._incomplete), ends=True)
+        self._incomplete, self._count = [], 0
         return self._smoothed(len(self._held), self._smoother.nothing())
 
     def begin_after(self, reading: float, readings: int, steps: float) -> None:
-        """Say what went before: the first reading of all, how many came, and how many steps went by."""
+        """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
         self._smoother.begin_after(reading, readings, steps)
-        self._begun = readings > 0
+        self._has_rows = readings > 0
 
     def _filter(self, rows: Rows, *, ends: bool) -> Rows:
-        """Filter a stretch forward; return the rows that are not decided yet."""
-        found = Estimates.room(len(rows.z), self._model.states if self._split else 0)
+        """Filter a stretch forward; return the rows whose gating is still undecided."""
+        estimates = Estimates.room(len(rows.z), self._model.states if self._split else 0)
         steps = self._steps.before(rows.elapsed)
-        passed = self._smoother.forward(ends=ends, **found.outputs(), **steps, z=rows.z, elapsed=rows.elapsed)
-        taken, left = slice(passed.taken), rows.part(slice(passed.taken, None))
-        if not passed.taken:
+        forward = self._smoother.forward(ends=ends, **estimates.outputs(), **steps, z=rows.z, elapsed=rows.elapsed)
+        taken, left = slice(forward.taken), rows.part(slice(forward.taken, None))
+        if not forward.taken:
             return left
-        innovation, deviation = found.innovation[taken], found.deviation[taken]
+        innovation, deviation = estimates.innovation[taken], estimates.deviation[taken]
         self.log_likelihood += float(np.nansum(log_densities(innovation, deviation)))
         if self._judge is not None:
             self._judge(innovation, deviation)
         state, n = self._smoother.state, self._model.states
-        known = bool(state["phase"] == DETERMINED)
+        determined = bool(state["phase"] == DETERMINED)
         variances = state["P"][: n * n : n + 1].copy()
-        self._held.append(_Stretch(passed, found, rows.verdicts[taken], known, variances))
+        self._held.append(_Stretch(forward, estimates, rows.verdicts[taken], determined, variances))
         return left
 
-    def _told_for_good(self) -> list[EstimatedRows]:
-        """Tell the stretches whose future is known."""
-        rows = np.array([stretch.passed.taken for stretch in self._held])
+    def _final_rows(self) -> list[EstimatedRows]:
+        """Return the smoothed rows of the stretches that have enough later rows."""
+        rows = np.array([stretch.forward_pass.taken for stretch in self._held])
         if len(rows) < _STRETCHES:
             return []
         self._reach = self._reach or self._usual_reach
-        after = rows[::-1].cumsum()[::-1] - rows  # each stretch
-        if rows.sum() < self._reach + max(self._reach, _STRETCHES * self._length):  # so that looking back costs little
+        after = rows[::-1].cumsum()[::-1] - rows  # number of rows after each stretch
+        if rows.sum() < self._reach + max(self._reach, _STRETCHES * self._length):  # keeps the backward passes rare
             return []
-        cuts = [k for k, stretch in enumerate(self._held) if stretch.known and after[k] >= self._reach]
+        cuts = [k for k, stretch in enumerate(self._held) if stretch.determined and after[k] >= self._reach]
         if not cuts:
             return []
         future = self._future_of(self._held[cuts[-1] + 1 :])
@@ -176,22 +176,22 @@ class SmoothedFlow:
         return self._smoothed(cuts[-1] + 1, future)
 
     def _smoothed(self, count: int, future: NDArray[np.void]) -> list[EstimatedRows]:
-        """Smooth the first stretches that are held, and let them go."""
-        now, self._held = self._held[:count], self._held[count:]
-        for stretch in reversed(now):
-            self._smoother.backward(stretch.passed, future)
-        return [self._told(stretch) for stretch in now]
+        """Smooth and remove the first `count` stretches."""
+        first, self._held = self._held[:count], self._held[count:]
+        for stretch in reversed(first):
+            self._smoother.backward(stretch.forward_pass, future)
+        return [self._estimated(stretch) for stretch in first]
 
-    def _told(self, stretch: _Stretch) -> EstimatedRows:
-        taken = slice(stretch.passed.taken)
-        found = stretch.found.rows(taken)
-        verdicts = np.where(found.verdict == Verdict.USED, stretch.verdicts, found.verdict)
-        told = found._replace(verdict=verdicts).told()
-        return told._replace(parts=parts_of(self._component, found)) if self._split else told
+    def _estimated(self, stretch: _Stretch) -> EstimatedRows:
+        taken = slice(stretch.forward_pass.taken)
+        estimates = stretch.estimates.rows(taken)
+        verdicts = np.where(estimates.verdict == Verdict.USED, stretch.verdicts, estimates.verdict)
+        rows = estimates._replace(verdict=verdicts).told()
+        return rows._replace(parts=parts_of(self._component, estimates)) if self._split else rows
 
     def _future_of(self, later: Sequence[_Stretch]) -> NDArray[np.void] | None:
-        """Return what all rows after a stretch say of its end; None if more of them are needed to know."""
-        variances = [stretch.variances for stretch in later if stretch.known]
+        """Return the information of the later rows on the end of a stretch; None if more rows are needed."""
+        variances = [stretch.variances for stretch in later if stretch.determined]
         if not variances:
             return None
         n, future, other = self._model.states, self._smoother.nothing(), self._smoother.nothing()
@@ -203,17 +203,17 @@ class SmoothedFlow:
         return future if np.all(np.abs(other_M - M) <= _SAME * np.outer(scale, scale)) else None
 
     def _look_back(self, later: Sequence[_Stretch], future: NDArray[np.void]) -> None:
-        """Look at rows from so far ahead as later ones reach."""
+        """Pass back from `_reach` rows ahead to the first row of the later stretches."""
         reach, parts = self._reach, list[tuple[_Stretch, int]]()
         for stretch in later:
-            count = min(stretch.passed.taken, max(reach, 0))
+            count = min(stretch.forward_pass.taken, max(reach, 0))
             parts.append((stretch, count))
             reach -= count
         for stretch, count in reversed(parts):
             if count:
-                self._smoother.look_back(stretch.passed, future, count)
+                self._smoother.look_back(stretch.forward_pass, future, count)
 
     @cached_property
     def _usual_reach(self) -> int:
-        """Rows after which a steady filter has forgotten where it came from, in whole blocks."""
+        """Rows after which the steady-state filter no longer depends on its start, in whole blocks."""
         return BLOCK * (1 + int(min(rows_until(FORGOTTEN, self._model), _FAR) // BLOCK))

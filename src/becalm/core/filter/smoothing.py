@@ -1,4 +1,4 @@
-"""The backward pass over a record: every estimate knows all readings."""
+"""Smooth a record: every estimate uses all readings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from becalm.core.model.model import Model
 from becalm.core.model.timeline import Timeline, even_timeline
 
 
-def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
+def kalman_smoother(  # noqa: PLR0913  (one flag for each result)
     model: Model,
     z: ArrayLike,
     *,
@@ -29,19 +29,19 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
     sigma: bool = True,
     innovations: bool = True,
 ) -> Estimate:
-    """Smooth readings: each estimate knows the whole record, before and after its own time.
+    """Smooth readings: each estimate uses the whole record, before and after its own row.
 
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step a row.
+        The signal and its sensors, one step per row.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units; NaN or Inf where one did not arrive. Never modified.
+        Readings in the channels' units; NaN or Inf where one is missing. The array is not modified.
     states, covariances : bool
         Whether to return `mean` (N, n) and `cov` (N, n, n).
     sigma, innovations : bool
-        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them less is done.
-        Covariances bring `sigma` with them.
+        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them the smoother does less.
+        `covariances` implies `sigma`.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
     -----
     Bryson and Frazier (1963) in Bierman's form (1973), which gives the same as Rauch, Tung and
     Striebel (1965) without inverting a covariance; equations (9) to (12) of
-    `becalm.core.reference.kalman`. With a flat start the mean is that of penalised least squares.
+    `becalm.core.reference.kalman`. With a flat prior the mean is that of penalised least squares.
     """
     readings = checked_readings(model, z)
     wanted = WantedResults(states, covariances, sigma or covariances, innovations)
@@ -66,7 +66,7 @@ def kalman_smoother(  # noqa: PLR0913  (what is wanted, each by its name)
 
 def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = EVERYTHING) -> Estimate:
     """Smooth z (N, m) over a timeline; see `kalman_smoother`."""
-    kernel, beliefs = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
-    innovation = np.empty(z.shape) if beliefs.innovation is None else beliefs.innovation
-    kernel.smooth(rows_of(timeline, z), beliefs._replace(innovation=innovation))
-    return estimate_of(kernel, beliefs)
+    kernel, buffers = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
+    innovation = np.empty(z.shape) if buffers.innovation is None else buffers.innovation
+    kernel.smooth(rows_of(timeline, z), buffers._replace(innovation=innovation))
+    return estimate_of(kernel, buffers)

@@ -1,1 +1,1 @@
-"""What is wrong with a sensor, its measurements and its noise."""
+"""Detect faults of a sensor, its measurements, their times and their noise."""

@@ -1,7 +1,7 @@
-"""What is wrong with readings themselves, told as they come: clipped, stuck, late, repeated, after a gap.
+"""Detect faults of readings as they arrive: clipped, stuck, late, repeated, after a gap.
 
-No filter is asked, only the limits of the channel. Time since the first row is counted in whole parts of a step, so
-that sums are exact, and the verdicts those of the whole record wherever it is cut.
+The verdicts depend only on the channel's limits, not on a filter. Time since the first row is counted in whole parts of
+a step, so that sums are exact: the cuts between blocks do not change the verdicts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _TIME = 1 << 10  # of a step, for the time since the first row
 
 
 class FaultCount(NamedTuple):
-    """How often a fault was found."""
+    """How often, and where first, a fault was detected."""
 
     readings: int
     first_row: int  # 0 is the first row pushed
@@ -30,22 +30,22 @@ class FaultCount(NamedTuple):
 
 
 class Faults:
-    """Watches the readings of one channel, in constant memory.
+    """A detector of faults in the readings of one channel, in constant memory.
 
     Parameters
     ----------
     limits : Limits
-        What the channel keeps to.
+        The limits of the healthy channel.
 
     Attributes
     ----------
     found : dict
-        `FaultCount` of each verdict but `USED` that was given so far.
+        `FaultCount` of each verdict given so far, except `USED`.
 
     Notes
     -----
-    A reading of 0 that is the least, or the greatest, so far is not stuck however long it is held: speeds
-    and loads rest there. Nor is one that is held for 128 readings, where 0 is not amid what is plausible.
+    A run of 0 is not stuck, however long, if 0 is the least or the greatest reading so far: speeds and loads rest
+    there. A 0 held for 128 readings is not stuck either, unless 0 lies in the middle of the plausible range.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -57,21 +57,21 @@ class Faults:
         self._rhythm = TimeFaults(limits)
 
     def push(self, z: Floats, elapsed: Floats, beside: Codes | None = None) -> Codes:
-        """Take the next rows and tell what is wrong with each.
+        """Take the next rows and return a verdict for each.
 
         Parameters
         ----------
         z : (B,) float array
             Readings, in unit; NaN where missing.
         elapsed : (B,) float array
-            Steps since the row before; not looked at for the first row of all.
+            Steps since the row before; ignored for the very first row.
         beside : (B,) int8 array, optional
-            What is wrong with each reading by those on both sides of it; 0 for nothing.
+            Verdicts from a comparison with neighbours on both sides, as of `LookAhead`; 0 where the reading is good.
 
         Returns
         -------
         (B,) int8 array
-            `USED` where nothing is. What is wrong with the reading goes before what is wrong with its time.
+            `USED` where there is no fault. A fault of the reading takes precedence over one of its time.
 
         Raises
         ------
@@ -85,44 +85,44 @@ class Faults:
         even = bool((elapsed[0 if self._rows else 1 :] == 1.0).all())
         if not even or not self._rows:
             elapsed = possible_steps(elapsed).copy()
-            elapsed[0] = elapsed[0] if self._rows else 1.0  # it came when it was due
+            elapsed[0] = elapsed[0] if self._rows else 1.0  # the first row is on time
         if not even or not self._rhythm.undisturbed:
             self._rhythm.write(codes, elapsed)
-        found = scan_faults(self._settings, self._state, input_of(z), input_of(elapsed), codes)
+        fault_count = scan_faults(self._settings, self._state, input_of(z), input_of(elapsed), codes)
         if beside is not None and beside.any():
             worse = (beside > 0) & (codes != Verdict.CLIPPED)
             codes[worse] = beside[worse]
-            found = 1
+            fault_count = 1
         ticks = np.full(1, _TIME) if even else np.rint(elapsed * _TIME).astype(np.int64)
-        self._count(codes if found else codes[:0], np.broadcast_to(ticks, z.shape))
+        self._count(codes if fault_count else codes[:0], np.broadcast_to(ticks, z.shape))
         return codes
 
     def begin_after(self, rows: int, steps: float, least: float, most: float) -> None:
-        """Say how many rows, and steps, went before those that will come, and between what their readings lay."""
+        """Set how many rows and steps went before, and the least and greatest of their readings, in unit."""
         self._rows, self._ticks = rows, round(steps * _TIME)
         self._state["least"], self._state["most"] = least, most
 
     def saved(self) -> dict[str, Any]:
-        """Return what verdicts depend on, as arrays; what was found so far is not among it."""
-        told, state = np.array([self._rows, self._ticks]), np.frombuffer(self._state.tobytes(), np.int8)
-        return {"faults_state": state, "faults_told": told, "faults_offsets": self._rhythm.offsets}
+        """Return the state that later verdicts depend on, as arrays, without the faults detected so far."""
+        counts, state = np.array([self._rows, self._ticks]), np.frombuffer(self._state.tobytes(), np.int8)
+        return {"faults_state": state, "faults_told": counts, "faults_offsets": self._rhythm.offsets}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned; raises a ModelError if it is not that of such a channel."""
+        """Restore the result of `saved`; raise a ModelError if it does not fit this channel."""
         state = restored(arrays["faults_state"], LIMITS)
         if state is None:
-            raise ModelError("What a snapshot remembers of readings is not valid: pass what snapshot() returned.")
+            raise ModelError("The readings in the snapshot are not valid: pass what snapshot() returned.")
         self._state, self._rhythm.offsets[:] = state, arrays["faults_offsets"]
         self._rows, self._ticks = arrays["faults_told"].tolist()
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return what later verdicts depend on and nothing else, so that it can be compared."""
+        """Return only what later verdicts depend on, so that two states can be compared."""
         offsets = self._rhythm.offsets
         readings = np.frombuffer(reduced_limits(self._settings, self._state), np.int8)
         return {"readings": readings, "rhythm": np.asarray(offsets - offsets[-1], np.float64)}
 
     def _count(self, codes: Codes, ticks: Integers) -> None:
-        """Remember how often each verdict was given, and where first; time begins with the first row of all."""
+        """Count each verdict and note its first row; time begins with the very first row."""
         begun = 0 if self._rows else -int(ticks[0])
         counts = np.bincount(codes, minlength=len(Verdict))
         for code in np.flatnonzero(counts[1:]) + 1:
@@ -137,7 +137,7 @@ class Faults:
 
 
 def require_steps(elapsed: Floats, rows: int) -> None:
-    """Raise a UsageError unless there is one step before each row: C would read beyond the last."""
+    """Raise a UsageError unless there is one step for each row; otherwise C would read beyond the last one."""
     if len(elapsed) != rows:
         raise UsageError(
             f"{len(elapsed)} elapsed steps came with {rows} rows; each row needs the steps since the one before it, as"
@@ -146,42 +146,42 @@ def require_steps(elapsed: Floats, rows: int) -> None:
 
 
 def said(found: Mapping[Verdict, FaultCount], limits: Limits, step_s: float) -> list[str]:
-    """Say what was found, where first, and what to do about it: a sentence or two for each verdict.
+    """Return a sentence or two for each detected fault: what, how often, where first, and what to do.
 
     Parameters
     ----------
     found : mapping
-        As `Faults.found`, with `InnovationMonitor.found` joined in where there is one.
+        `Faults.found`, joined with `InnovationMonitor.found` if there is a monitor.
     limits : Limits
-        What the channel was held against.
+        The limits of the channel.
     step_s : float
         One step, in seconds.
 
     Returns
     -------
     list of str
-        In the order of the verdicts.
+        The sentences, in the order of the verdicts.
     """
     return [
-        f"{_what(verdict, found[verdict].readings, limits)}, first at {found[verdict].first_step * step_s:.6g} s"
+        f"{_description(verdict, found[verdict].readings, limits)}, first at {found[verdict].first_step * step_s:.6g} s"
         f" (row {found[verdict].first_row + 1}). {ADVICE.get(verdict, '')}".rstrip()
         for verdict in sorted(found)
     ]
 
 
-def _what(verdict: Verdict, count: int, limits: Limits) -> str:
+def _description(verdict: Verdict, count: int, limits: Limits) -> str:
     readings = f"{count} reading{'s' if count != 1 else ''}"
     if verdict == Verdict.CLIPPED:
         return f"{readings} at a rail or beyond ({_range(limits)})"
     if verdict == Verdict.OVERRANGE:
         return f"{readings} beyond {f'{limits.largest:.3g}'.replace('e+', 'e')}"
     if verdict == Verdict.OUTLIER:
-        return f"{readings} far from all readings beside {'it' if count == 1 else 'them'}"
+        return f"{readings} far from all readings next to {'it' if count == 1 else 'them'}"
     if verdict == Verdict.STUCK:
         return f"{readings} in runs of {limits.stuck_readings} equal ones or more"
     if verdict == Verdict.GAP:
         return f"{count} gap{'s' if count != 1 else ''} of more than {limits.gap_steps:.3g} steps"
-    return f"{readings} {_WORDS.get(verdict, verdict.name.lower())}"
+    return f"{readings} {_PHRASES.get(verdict, verdict.name.lower())}"
 
 
 def _range(limits: Limits) -> str:
@@ -190,7 +190,7 @@ def _range(limits: Limits) -> str:
     return f"{limits.low:.6g} and less" if np.isfinite(limits.low) else f"{limits.high:.6g} and more"
 
 
-_WORDS = {
+_PHRASES = {
     Verdict.NONFINITE: "not finite",
     Verdict.DEAD: "of a dead channel",
     Verdict.DRIFT: "at which a drift was seen",

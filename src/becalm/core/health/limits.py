@@ -1,9 +1,10 @@
-"""What a healthy channel does, found from a record of it: its rails, its codes, how long it holds one of them.
+"""Find the limits of a healthy channel from a record: saturation limits, resolution, longest run of equal readings.
 
-Of runs of equal readings the tail is geometric: of a noise each reading has the chance p to be as the one
-before, about LSB / (2 sqrt(pi) sigma), and a slow signal leaves its code at about one rate. So runs beyond a
-threshold tell p, and p^n how rare a run of n is. Coarse codes hide the worst of it: a level in the middle of a
-code is left more seldom than one at its edge. How far the codes reach tells sigma, and sigma the worst.
+The lengths of runs of equal readings have a geometric tail. With noise, a reading equals the one before with a
+probability p of about LSB / (2 sqrt(pi) sigma), and a slow signal leaves its code at about one rate. So the runs beyond
+a threshold give p, and p^n is the probability of a run of n more. Coarse codes hide the worst case: a level in the
+middle of a code stays there longer than one at its edge. The spread of the codes gives sigma, and sigma this worst
+case.
 """
 
 from __future__ import annotations
@@ -24,44 +25,44 @@ from becalm.errors import UsageError
 from becalm.native.rows import SETTINGS
 from becalm.native.scans import EVERY_REPEAT
 
-_MARGIN = 2.0  # of a limit over what the record itself shows
-_WIDE_MARGIN = 10.0  # where only the signal ends a run
-_FEWEST_RUNS = 50  # of equal readings: fewer tell no law
-_MOST_FAULTS = 10  # stretches of a record in which a channel was stuck
-_TAIL, _FEWEST_IN_TAIL = 0.05, 20
-_UNSEEN = 3.0  # what never happened may come so often: the 95 % limit of Poisson's law
-_FEWEST_OF_A_SIDE = 5  # readings beyond the edge of a code, for its place to be told
-_LATTICE = 1e-5  # of a step: how far text and arithmetic may round a reading off its code
-_ROUNDED = 1e-4  # of a step: what is left of a distance by that, before the step itself is known well
-_FEWEST_CODES = 3  # two lie on any lattice
-_MOST_CODES = 1 << 16  # differences that a lattice is looked for in
-_MOST_ALIKE, _FEWEST_ALIKE = 0.95, 8  # share of readings that come more than once to tell their step, and values
-_EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, of so many rows
-_SLOW = 1e-3  # of a step
-_LEAVES = 1 / 36  # share of the plausible range: a value that noise leaves by larger jumps fills in
-_ENDLESS = 1 << 53  # equal readings in a row: no record has so many
+_MARGIN = 2.0  # a limit over the largest value in the record
+_WIDE_MARGIN = 10.0  # the same, where only the signal ends a run
+_FEWEST_RUNS = 50  # runs of equal readings; fewer do not determine the tail
+_MOST_FAULTS = 10  # stretches of a record in which the channel may have been stuck
+_TAIL, _FEWEST_IN_TAIL = 0.05, 20  # share and least number of the runs that make the tail
+_UNSEEN = 3.0  # 95 % limit of Poisson's law for the number of events if none was seen
+_FEWEST_OF_A_SIDE = 5  # readings on either side of a code's edge that determine its place
+_LATTICE = 1e-5  # of a step: text and arithmetic may round a reading off its code by this much
+_ROUNDED = 1e-4  # of a step: the same for a distance, while the step is not yet accurate
+_FEWEST_CODES = 3  # two codes lie on any lattice
+_MOST_CODES = 1 << 16  # values that are searched for a lattice
+_MOST_ALIKE, _FEWEST_ALIKE = 0.95, 8  # share of readings, and number of values, that repeat and so determine the step
+_EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, and the share of rows that come so close, in even time
+_SLOW = 1e-3  # of a step: largest mean deviation of even time
+_LEAVES = 1 / 36  # share of the plausible range: if noise leaves a value by larger jumps, it marks missing readings
+_ENDLESS = 1 << 53  # equal readings in a row: more than any record has
 
 
 class Limits(NamedTuple):
-    """What a channel keeps to while it is healthy.
+    """The limits of a channel while it is healthy.
 
     Attributes
     ----------
     low, high : float
-        The rails, in unit: readings there or beyond are clipped. -inf, inf: none is known.
+        Saturation limits (rails), in unit: readings there or beyond are clipped. -inf, inf: unknown.
     resolution : float
-        The step between two codes, in unit; 0 where readings lie on no lattice.
+        The step between two codes, in unit; 0 if the readings do not lie on a lattice.
     stuck_readings : int or None
-        So many equal readings in a row, and the channel is stuck; None: never. A *small* one finds it
-        sooner, and calls slow signals stuck.
+        This many equal readings in a row mean that the channel is stuck; None: never. A *small* number detects a
+        fault sooner, but calls slow signals stuck.
     gap_steps : float
         More steps than this since the row before are a gap.
     even : bool
-        Whether rows come in even time, so that one can be late.
+        Whether rows come in even time; only then a row can be late.
     largest : float
         Readings of a greater magnitude, in unit, are impossible.
     outliers : Outliers
-        How far readings jump; those that are farther out are gross outliers.
+        The rule for gross outliers, from the jumps between readings.
     """
 
     low: float = -np.inf
@@ -75,11 +76,11 @@ class Limits(NamedTuple):
 
     @property
     def rails(self) -> SaturationLimits:
-        """The rails alone."""
+        """The saturation limits alone."""
         return SaturationLimits(self.low, self.high)
 
     def packed(self) -> NDArray[np.void]:
-        """Return them as C's settings, in which nothing else is set."""
+        """Return the limits in C's settings struct; the other fields are not set."""
         settings, rule = np.zeros((), SETTINGS), self.outliers
         settings["low"], settings["high"], settings["largest"] = self.low, self.high, self.largest
         settings["largest_accepted"] = np.inf
@@ -97,7 +98,7 @@ def find_limits(
     step_s: float,
     sensor_range: tuple[float, float] | None = None,
 ) -> Limits:
-    """Find what a channel keeps to, from a record that may hold a few stuck stretches itself.
+    """Find the limits of a channel from a record, which may have a few stuck stretches itself.
 
     Parameters
     ----------
@@ -106,17 +107,17 @@ def find_limits(
     elapsed : (N,) float array
         Steps since the row before; 0 for the first.
     false_alarms_per_hour : float
-        Healthy stretches that may be called stuck; a *small* one trusts the sensor.
+        Rate at which healthy stretches may be called stuck; a *small* rate trusts the sensor.
     step_s : float
         One step, in seconds.
     sensor_range : (float, float), optional
-        The rails as a person knows them, in unit; used as they are.
+        Known saturation limits, in unit; used as they are.
 
     Returns
     -------
     Limits
-        No rails, and no limit of equal readings, where the record cannot tell. It cannot tell of holds
-        far longer than those in it: it should show the slowest that the signal does.
+        Without saturation limits, or without a limit of equal readings, if the record does not determine them. A
+        record cannot show runs far longer than its own, so it should include the slowest motion of the signal.
 
     Raises
     ------
@@ -131,7 +132,7 @@ def find_limits(
     if sensor_range is not None and not sensor_range[0] < sensor_range[1]:
         raise UsageError(f"sensor_range = {sensor_range!r} is not a range; give (low, high), as in (-50.0, 50.0).")
     largest = find_largest(z)
-    kept = (np.abs(z) <= largest) & ((elapsed != 0) | (np.arange(len(z)) == 0))  # possible, and of a time of its own
+    kept = (np.abs(z) <= largest) & ((elapsed != 0) | (np.arange(len(z)) == 0))  # possible, and not at a repeated time
     readings = np.asarray(z[kept])
     resolution = find_resolution(readings)
     near_others = readings[~_isolated(np.cumsum(elapsed)[kept])]
@@ -143,16 +144,16 @@ def find_limits(
     )
     hours = float(elapsed[kept].sum()) * step_s / 3600
     plain = readings[~rails.reached(readings) & ~is_outlier(readings, outliers)]
-    held = repeats_readings(plain, resolution)
-    stuck = EVERY_REPEAT if held else _stuck_readings(plain, resolution, false_alarms_per_hour * hours, outliers)
+    repeats = repeats_readings(plain, resolution)
+    stuck = EVERY_REPEAT if repeats else _stuck_readings(plain, resolution, false_alarms_per_hour * hours, outliers)
     gap_steps, even = _rhythm(elapsed[1:])
     return Limits(rails.low, rails.high, resolution, stuck, gap_steps, even, largest, outliers)
 
 
 def _isolated(steps: Floats) -> Booleans:
-    """Return which readings, after so many steps (N,), have a gap on both sides; their value says nothing of others.
+    """Return which readings, at times `steps` (N,), have a gap on both sides; they cannot be compared with others.
 
-    Where many are so, those gaps are the rhythm of the channel, and none is.
+    If there are many of them, such gaps are the normal rhythm of the channel, and no reading counts as isolated.
     """
     waits = np.diff(steps)
     if not len(waits):
@@ -162,19 +163,19 @@ def _isolated(steps: Floats) -> Booleans:
 
 
 def stuck_at_once(limits: Limits) -> int:
-    """Return how many equal readings in a row count as stuck from the first on, where rows may wait; 0 for none.
+    """Return how many equal readings in a row count as stuck from the first one on, if rows may wait; 0 for none.
 
-    They do where a channel hardly repeats a reading; where others do, the first of them may be good.
+    This applies to a channel that hardly ever repeats a reading. In other channels the first of them may be good.
     """
     stuck = limits.stuck_readings or 0
     return stuck if limits.outliers.repeats_are_one and stuck > EVERY_REPEAT else 0
 
 
 def find_resolution(z: Floats) -> float:
-    """Return the step of the lattice that finite readings (N,) lie on, in unit; 0 if they lie on none.
+    """Return the step of the lattice that finite readings (N,) lie on, in unit; 0 if there is no lattice.
 
-    A few that come only once, as wild ones do, need not lie on it. Steps below a billionth of the largest reading are
-    not told from rounding.
+    A few readings that come only once, such as outliers, need not lie on it. Steps below a billionth of the largest
+    reading cannot be distinguished from rounding.
     """
     values, counts = np.unique(z, return_counts=True)
     often = counts > 1
@@ -183,7 +184,7 @@ def find_resolution(z: Floats) -> float:
 
 
 def _step_of(values: Floats) -> float:
-    """Return the step of the lattice that sorted values lie on; 0 for none. Euclid's algorithm on their distances."""
+    """Return the step of the lattice of sorted values, by Euclid's algorithm on their distances; 0 for none."""
     values = values[:: -(-len(values) // _MOST_CODES) or 1]
     if len(values) < _FEWEST_CODES:
         return 0.0
@@ -204,16 +205,16 @@ def _step_of(values: Floats) -> float:
 
 
 def run_lengths(z: Floats) -> Integers:
-    """Return how many readings (N,) in a row are equal, for each run of them."""
+    """Return the length of each run of equal readings; z is (N,)."""
     ends = np.flatnonzero(np.append(z[1:] != z[:-1], True)) if len(z) else np.empty(0, dtype=np.int64)
     return np.diff(ends, prepend=-1)
 
 
 def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outliers) -> int | None:
-    """Return the run of equal readings (N,) that comes less than `alarms` times in as many readings; None if unknown.
+    """Return the run length that healthy readings (N,) exceed less than `alarms` times; None if it is unknown.
 
-    A few of the longest runs are held against the others first: far beyond them they are faults, and not of them.
-    Where no noise is seen above the codes, only the signal ends a run, and no law holds for that: the margin is wider.
+    A few of the longest runs are first compared with the others: if they are far longer, they are faults and are left
+    out. If the noise is below the codes, only the signal ends a run, and its law is unknown: then the margin is wider.
     """
     runs = run_lengths(z)
     if len(runs) < _FEWEST_RUNS or not alarms > 0:
@@ -234,21 +235,22 @@ def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outli
 
 
 def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outliers: Outliers) -> bool:
-    """Return whether equal readings in a row, up to rows (k,), are no rest: the 0 a channel ends at, or what repeats.
+    """Return whether the runs that end at the rows `last` (k,) are faults and not a signal at rest.
 
-    A value that repeats fills in for readings all the same, if noise leaves it by jumps.
+    A 0 at an end of the range is rest, and so is a value that several runs share; but if noise leaves the values by
+    jumps, they mark missing readings.
     """
-    held = z[last]
-    if 0.0 in held and (z.min() == 0 or z.max() == 0) and not outliers.far_from_0:
+    run_values = z[last]
+    if 0.0 in run_values and (z.min() == 0 or z.max() == 0) and not outliers.far_from_0:
         return False
-    beside = np.maximum(last - lengths, 0), np.minimum(last + 1, len(z) - 1)
-    jumps = np.min([np.abs(z[rows] - held) for rows in beside], axis=0)
+    neighbours = np.maximum(last - lengths, 0), np.minimum(last + 1, len(z) - 1)
+    jumps = np.min([np.abs(z[rows] - run_values) for rows in neighbours], axis=0)
     leaves = noisy and bool(np.median(jumps) > _LEAVES * (outliers.high - outliers.low))
-    return leaves or len(np.unique(held)) == len(held)
+    return leaves or len(np.unique(run_values)) == len(run_values)
 
 
 def _longest_run(runs: Integers, alarms: float) -> float:
-    """Return the length that sorted runs pass `alarms` times in as many, by the tail of their geometric law."""
+    """Return the length that sorted runs exceed `alarms` times in a record like this, by their geometric tail."""
     count = max(_FEWEST_IN_TAIL, int(_TAIL * len(runs)))
     threshold = int(runs[-count])
     tail = runs[np.searchsorted(runs, threshold) :]
@@ -258,9 +260,9 @@ def _longest_run(runs: Integers, alarms: float) -> float:
 
 
 def _longest_hold(z: Floats, alarms: float) -> float:
-    """Return how long noise on a level in the middle of a code keeps to it, but `alarms` times; inf if unknown.
+    """Return the longest run of a noisy level in the middle of a code, exceeded `alarms` times; inf if unknown.
 
-    A code's edges lie LSB / sigma apart in the quantiles of a normal law; what moves only makes them closer.
+    The edges of a code are LSB / sigma apart in quantiles of the normal distribution; motion only brings them closer.
     """
     from scipy.special import ndtr, ndtri
 
@@ -275,16 +277,16 @@ def _longest_hold(z: Floats, alarms: float) -> float:
 
 
 def _times(p: float, count: float) -> float:
-    """Return n with p^n of `count` left: one."""
+    """Return the n for which count * p^n = 1."""
     if count <= 1 or p <= 0:
         return 0.0
     return float(np.log(count) / -np.log(p)) if p < 1 else np.inf
 
 
 def _rhythm(elapsed: Floats) -> tuple[float, bool]:
-    """Return the steps beyond which rows were lost, and whether time is even; uneven time has gaps of its own.
+    """Return the steps beyond which rows were lost, and whether time is even; uneven time has its own limit.
 
-    In even time nearly all rows come a whole step after the one before, and what others lose is made up for.
+    In even time nearly all rows come a whole number of steps after the one before, and other deviations cancel.
     """
     off = elapsed - np.maximum(np.round(elapsed), 1.0)
     near = np.abs(off[elapsed > 0])

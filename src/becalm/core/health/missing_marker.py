@@ -1,4 +1,4 @@
-"""The value that a log writes where there is no reading."""
+"""Find the value that marks missing readings in a log."""
 
 from __future__ import annotations
 
@@ -6,18 +6,19 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats, Integers
 
-_FEWEST, _SHARE = 20, 0.05  # of the readings that are blank
-_FEWEST_VALUES = 16
-_OFTENER, _BESIDE = 10.0, 5  # than so many values on each side of it
-_RUN = 3  # rows that most runs of it are long, at the most
-_NOISES, _SPREADS = 4.0, 2.0  # how far it mostly is from readings around it: times their noise, and their distance
-_OF_NOISE = 0.6745 * np.sqrt(2.0)  # median distance of two readings, of white noise of variance 1
+_FEWEST, _SHARE = 20, 0.05  # least number and share of readings that have the marker
+_FEWEST_VALUES = 16  # least number of different readings
+_OFTENER, _NEIGHBOURS = 10.0, 5  # how often it comes, over the median of this many values on each side
+_RUN = 3  # rows: most runs of the marker are no longer
+_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around it, over their noise and over their difference
+_OF_NOISE = 0.6745 * np.sqrt(2.0)  # median distance of two readings, for white noise of variance 1
 
 
 def find_blank(z: Floats) -> float:
-    """Return the value that fills in for readings that are missing, one row here and one there; inf if none does.
+    """Return the value that stands in for single missing readings; inf if there is none.
 
-    It comes far more often than values beside it, and readings before and after it agree, mostly without it.
+    It comes far more often than neighbouring values. The readings before and after it agree mostly with each other, and
+    not with it.
 
     Parameters
     ----------
@@ -29,8 +30,8 @@ def find_blank(z: Floats) -> float:
         return np.inf
     place = int(counts.argmax())
     blank, count = float(values[place]), int(counts[place])
-    beside = np.delete(counts[max(place - _BESIDE, 0) : place + _BESIDE + 1], min(place, _BESIDE))
-    if count < max(_FEWEST, _SHARE * len(z), _OFTENER * float(np.median(beside))):
+    neighbours = np.delete(counts[max(place - _NEIGHBOURS, 0) : place + _NEIGHBOURS + 1], min(place, _NEIGHBOURS))
+    if count < max(_FEWEST, _SHARE * len(z), _OFTENER * float(np.median(neighbours))):
         return np.inf
     first, last = _runs_inside(z == blank)
     if not len(first) or np.quantile(last - first + 1, 0.9) > _RUN:
@@ -42,9 +43,9 @@ def find_blank(z: Floats) -> float:
     return blank if np.mean(np.abs(blank - (before + after) / 2) > least) > 0.5 else np.inf
 
 
-def _runs_inside(there: Booleans) -> tuple[Integers, Integers]:
-    """Return the first and the last rows of runs that neither begin nor end a record (N,)."""
-    edges = np.diff(there.astype(np.int8), prepend=0, append=0)
+def _runs_inside(is_marker: Booleans) -> tuple[Integers, Integers]:
+    """Return the first and the last rows of runs of True (N,) that touch neither end of the record."""
+    edges = np.diff(is_marker.astype(np.int8), prepend=0, append=0)
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
-    inner = (first > 0) & (last < len(there) - 1)
+    inner = (first > 0) & (last < len(is_marker) - 1)
     return first[inner], last[inner]

@@ -1,7 +1,7 @@
-"""Whether innovations stay what they should be, white noise of variance 1: drift, a dead sensor, a change of noise.
+"""Monitor innovations, which should stay white noise of variance 1: detect drift, a dead sensor, a change of noise.
 
-Innovations are counted in whole parts of a sigma, so that all sums are exact: the alarms are those of the whole
-record wherever it is cut. One pass makes the sums of hops; what follows looks at hops alone, as long as all is well.
+Innovations are rounded to whole parts of a sigma, so that all sums are exact: the cuts between blocks do not change the
+alarms. One pass sums each hop (16 innovations); later steps use only these sums as long as there is no alarm.
 """
 
 from __future__ import annotations
@@ -22,25 +22,26 @@ from becalm.native.rows import SETTINGS
 from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, new_watched, restored, scan_innovations
 
 HOPS = "hops"
-"""Key in `comparable_state` of what matters only to a channel that may be dead."""
+"""Key in `comparable_state` of the part that matters only if the sensor may be dead."""
 
 NEVER = 1e12
 """Threshold, in sigma, that no cumulative sum reaches."""
 
-_DEAD = 0.05  # of the variance that was expected; what is quieter than chance but above only rests
-_THAN_REST = 0.25  # of the quietest window of a healthy record
-_ALARMS = 3  # of drift to either side, and of death: each gets its share of the false alarms
+_DEAD = 0.05  # of the expected variance: a quieter window is dead; one above it may be a sensor at rest
+_THAN_REST = 0.25  # of the variance of the quietest window of a healthy record
+_ALARMS = 3  # kinds of alarm, which share the false alarms: drift up, drift down, dead
 
 
 class Alarms(NamedTuple):
-    """Where innovations stop being noise of variance 1.
+    """The thresholds of a monitor of innovations.
 
     Attributes
     ----------
     drift_threshold : float
-        h of the cumulative sum, in sigma; a *small* one finds a drift sooner, and more that are none.
+        h of the cumulative sum, in sigma; a *small* one detects a drift sooner, with more false alarms.
     dead_variance : float
-        Variance of a window below which the channel is dead; a *small* one lets it rest, 0 never calls it dead.
+        Variance of a window, in sigma^2, below which the sensor counts as dead; a *small* one tolerates a sensor at
+        rest, and 0 switches the alarm off.
     """
 
     drift_threshold: float
@@ -48,46 +49,47 @@ class Alarms(NamedTuple):
 
     @property
     def drift_delay(self) -> float:
-        """Readings that a shift of one sigma lasts, on average, until it is told."""
+        """Mean number of readings until the monitor detects a shift of one sigma."""
         return cusum_delay(self.drift_threshold, 1.0)
 
     @property
     def dead_delay(self) -> int:
-        """Readings without noise, at most, until the channel is told to be dead; the filter must be at rest."""
+        """Largest number of readings without noise until the monitor calls the sensor dead, if the signal rests."""
         return WINDOW + HOP
 
 
 NO_ALARMS = Alarms(NEVER, 0.0)
-"""Thresholds that no innovation reaches: nothing is watched."""
+"""Thresholds that no innovation reaches: they switch the monitor off."""
 
 
 def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | None = None) -> Alarms:
-    """Choose the thresholds so that white innovations of variance 1 raise no more false alarms than this.
+    """Choose thresholds for a rate of false alarms, for white innovations of variance 1.
 
     Parameters
     ----------
     false_alarms_per_hour : float
-        Of all kinds together; a *small* one trusts the sensor.
+        Largest rate of false alarms, all kinds together; a *small* rate trusts the sensor.
     step_s : float
         One step, in seconds.
     healthy : (N,) float array, optional
         Normalised innovations of a healthy record. A filter tuned on motion expects more noise than a sensor at rest
-        has; with these, only what is far quieter than the quietest of them is dead.
+        has; with this record, only a window far quieter than the quietest of the record counts as dead.
 
     Returns
     -------
     Alarms
-        Without a healthy record, `dead_variance` is a twentieth of the expected one, or what chance allows if less.
+        Without a healthy record, `dead_variance` is a twentieth of the expected variance, or less if the rate of
+        false alarms requires it.
 
     Raises
     ------
     UsageError
-        If a rate or step is not above 0.
+        If the rate or the step is not above 0.
 
     Notes
     -----
-    The variance of a window about its mean is chi-square of WINDOW - 1 degrees of freedom; windows that
-    overlap are counted as if they did not, which only makes false alarms fewer.
+    The variance of a window about its mean is chi-square with WINDOW - 1 degrees of freedom. Overlapping windows count
+    as independent, which only lowers the number of false alarms.
     """
     from scipy.special import gammaincinv
 
@@ -105,25 +107,25 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
 
 
 class _Watch:
-    """The one pass over innovations that go on from push to push."""
+    """The pass over innovations; its state continues from push to push."""
 
     def __init__(self, drift_threshold: float) -> None:
         self.state, self._settings = new_watched(), np.zeros((), SETTINGS)
         self._settings["drift_threshold"] = int(np.ceil(min(drift_threshold, NEVER) * PARTS))
 
     def push(self, normalised: Floats, elapsed: Floats, codes: Codes) -> Hops:
-        """Take innovations (B,) and the steps before them, write DRIFT into their codes; return the hops that ended."""
+        """Take innovations (B,) and the steps before them, write DRIFT into `codes`; return the completed hops."""
         return scan_innovations(self._settings, self.state, input_of(normalised), input_of(elapsed), codes)
 
 
 def _hops_of(normalised: Floats) -> Integers:
-    """Return the sums, and the sums of squares, of the hops of a whole record: (2, H)."""
+    """Return the sums and the sums of squares of all H hops of a record, (2, H)."""
     rows = len(normalised)
     return np.array(_Watch(NEVER).push(normalised, np.ones(rows), np.zeros(rows, dtype=np.int8))[:2])
 
 
 def _window_spreads(sums: Integers) -> Integers:
-    """Return WINDOW^2 times the variance of each window of hops (2, H), in parts^2; none where hops are too few."""
+    """Return WINDOW^2 times the variance of each window of hops (2, H), in parts^2; empty if H is too small."""
     hops = WINDOW // HOP
     count = max(sums.shape[1] - hops + 1, 0)
     total, squares = sum((sums[:, k : k + count] for k in range(1, hops)), start=sums[:, :count])
@@ -131,19 +133,19 @@ def _window_spreads(sums: Integers) -> Integers:
 
 
 def _variances(spreads: Integers) -> Floats:
-    """Return variances about the mean of a window, in sigma^2."""
+    """Return the variances about the mean of each window, in sigma^2."""
     return np.asarray(spreads / float(WINDOW * (WINDOW - 1) * PARTS**2))
 
 
 class InnovationMonitor:
-    """Watches the normalised innovations nu / sqrt(S) of one channel, in constant memory.
+    """A monitor of the normalised innovations nu / sqrt(S) of one channel, in constant memory.
 
-    Drift is told by a two-sided cumulative sum of k = 0.5: the best for a shift of one sigma (Page, Biometrika 41
-    (1954) 100). It is told again for as long as it lasts. Innovations are what the filter did *not* follow: one that
-    follows drift, as all that keep no level do, takes the slow drift of a strain gauge for signal, and its
-    innovations stay white. Such a drift shows only against something that has none: push (reading - reference) / sigma
-    instead, the reference being a value known at rest (a tare), or a slow sensor beside it. Innovations that are
-    coloured, of a model that does not fit, are told as drift more often than stated.
+    A two-sided cumulative sum with k = 0.5 detects drift, the best choice for a shift of one sigma (Page, Biometrika 41
+    (1954) 100). The alarm repeats as long as the drift lasts. Innovations only show what the filter does *not* follow:
+    every model that does not keep a level follows the slow drift of a strain gauge as signal, and its innovations
+    stay white. Such a drift shows only against a reference without drift: push (reading - reference) / sigma instead,
+    where the reference is a value known at rest (a tare), or a slow second sensor. If the model does not fit,
+    innovations are coloured, and there are more false alarms of drift than stated.
 
     Parameters
     ----------
@@ -153,13 +155,13 @@ class InnovationMonitor:
     Attributes
     ----------
     found : dict
-        `FaultCount` of `DRIFT` and `DEAD`; rows are counted as they came.
+        `FaultCount` of `DRIFT` and of `DEAD`; it counts all rows that were pushed.
     history : NoiseHistory
-        How large the innovations were, and when.
+        Mean squares of the innovations over time.
     powers : (up to 32,) float array
         Sums of squares of the last hops of 16 innovations, in sigma^2.
     aliveness : Aliveness
-        Whether no window can have been dead, wherever hops begin.
+        It tells whether the sensor is surely alive, wherever hops begin.
     """
 
     def __init__(self, alarms: Alarms) -> None:
@@ -171,28 +173,28 @@ class InnovationMonitor:
         self._watch = _Watch(alarms.drift_threshold)
         self._rows = 0
         self._hops = np.zeros((2, 0), dtype=np.int64)  # sums, and sums of squares, of the last hops
-        self._silent = False  # whether the last window was that of a dead channel
+        self._silent = False  # whether the last window was that of a dead sensor
 
     @property
     def drift_since(self) -> int | None:
-        """The row in which the drift that was told first began, as far as the sum tells."""
+        """The row in which the first detected drift began, estimated from the cumulative sum; None without a drift."""
         since = int(self._watch.state["drift_since"])
         return None if since < 0 else since
 
     def push(self, normalised: Floats, elapsed: Floats | None = None) -> Codes:
-        """Take innovations and tell what is wrong with them.
+        """Take the next innovations and return a verdict for each.
 
         Parameters
         ----------
         normalised : (B,) float array
-            The next ones, over their standard deviations; NaN where there is none.
+            Innovations over their standard deviations; NaN where there is none.
         elapsed : (B,) float array, optional
-            Steps since the row before; one by default. Not looked at for the first row of all.
+            Steps since the row before; one by default. Ignored for the very first row.
 
         Returns
         -------
         (B,) int8 array
-            DRIFT, DEAD or USED for each.
+            DRIFT, DEAD or USED for each row.
 
         Raises
         ------
@@ -202,7 +204,7 @@ class InnovationMonitor:
         elapsed = np.ones(len(normalised)) if elapsed is None else elapsed
         require_steps(elapsed, len(normalised))
         codes, open_before = np.zeros(len(normalised), dtype=np.int8), int(self._watch.state["hop_count"])
-        begun = float(self._watch.state["now"])
+        now = float(self._watch.state["now"])
         hops = self._watch.push(normalised, elapsed, codes)
         self.history.push(hops.powers, hops.steps)
         self.powers = np.append(self.powers, hops.powers)[-KEPT_HOPS:]
@@ -214,29 +216,29 @@ class InnovationMonitor:
             self._mark(codes, np.flatnonzero(~np.isnan(normalised)), open_before, silent)
         for verdict in (Verdict.DRIFT, Verdict.DEAD) if codes.any() else ():
             if len(rows := np.flatnonzero(codes == verdict)):
-                self._count(verdict, rows, begun, elapsed)
+                self._count(verdict, rows, now, elapsed)
         self._rows += len(codes)
         return codes
 
     @property
     def is_silent(self) -> bool:
-        """Whether the last window was that of a dead channel."""
+        """Whether the last window was that of a dead sensor."""
         return self._silent
 
     def begin_after(self, innovations: int, rows: int, steps: float) -> None:
-        """Say how much went before what will come, so that hops end, and rows are counted, as in the whole."""
+        """Set how many innovations, rows and steps went before, so that hops and rows count as in the whole record."""
         state = self._watch.state
         self._rows = state["rows"] = rows
         state["hop_count"], state["now"] = innovations % HOP, steps
 
     def saved(self) -> dict[str, Any]:
-        """Return what alarms depend on, as arrays; what was found so far is not among it."""
-        told = np.array([self._rows, int(self._silent)])
+        """Return the state that later alarms depend on, as arrays, without the faults detected so far."""
+        flags = np.array([self._rows, int(self._silent)])
         watched = {"monitor_state": np.frombuffer(self._watch.state.tobytes(), np.int8)}
-        return watched | {"monitor_hops": self._hops, "monitor_told": told, "monitor_powers": self.powers}
+        return watched | {"monitor_hops": self._hops, "monitor_told": flags, "monitor_powers": self.powers}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned; raises a ModelError if it is not that of such a channel."""
+        """Restore the result of `saved`; raise a ModelError if it does not fit this monitor."""
         state = restored(arrays["monitor_state"], WATCHED)
         hops = arrays["monitor_hops"]
         if (
@@ -246,35 +248,35 @@ class InnovationMonitor:
             or len(hops) != 2
             or hops.shape[1] > WINDOW // HOP - 1
         ):
-            raise ModelError("What a snapshot remembers of innovations is not valid: pass what snapshot() returned.")
+            raise ModelError("The innovations in the snapshot are not valid: pass what snapshot() returned.")
         self._watch.state = state
         self._hops, self.powers = arrays["monitor_hops"], arrays["monitor_powers"]
         rows, silent = arrays["monitor_told"].tolist()
         self._rows, self._silent = rows, bool(silent)
 
     def comparable_state(self) -> dict[str, Floats]:
-        """Return what later alarms depend on and nothing else; under `HOPS` what only matters to a dead channel."""
+        """Return only what later alarms depend on; the entry `HOPS` matters only if the sensor may be dead."""
         state, never = self._watch.state, self.alarms.drift_threshold >= NEVER
         sums = [] if never else [state["above"], state["below"]]
         hop = [state["hop_count"], state["hop_total"], state["hop_squares"]]
         dead = [float(self.is_silent)]
         return {"alarms": np.array(sums, np.float64), HOPS: np.array([*hop, *np.ravel(self._hops), *dead], np.float64)}
 
-    def _count(self, verdict: Verdict, rows: Integers, begun: float, elapsed: Floats) -> None:
+    def _count(self, verdict: Verdict, rows: Integers, now: float, elapsed: Floats) -> None:
         if verdict not in self.found:
-            steps = np.append(begun, elapsed[0 if self._rows else 1 : rows[0] + 1])
+            steps = np.append(now, elapsed[0 if self._rows else 1 : rows[0] + 1])
             self.found[verdict] = FaultCount(0, self._rows + int(rows[0]), float(np.cumsum(steps)[-1]))
         before = self.found[verdict]
         self.found[verdict] = before._replace(readings=before.readings + len(rows))
 
     def _mark(self, codes: Codes, rows: Integers, open_before: int, silent: Booleans) -> None:
-        """Write DEAD where the last whole window was that of a dead channel when an innovation came, in these rows."""
-        said = np.append(self._silent, silent)[(open_before + 1 + np.arange(len(rows))) // HOP]
-        codes[rows[said]] = Verdict.DEAD
-        self._silent = bool(said[-1]) if len(said) else self._silent
+        """Write DEAD into the codes of `rows` where the last complete window was that of a dead sensor."""
+        dead = np.append(self._silent, silent)[(open_before + 1 + np.arange(len(rows))) // HOP]
+        codes[rows[dead]] = Verdict.DEAD
+        self._silent = bool(dead[-1]) if len(dead) else self._silent
 
     def _silences(self, about: Integers, count: int) -> Booleans:
-        """Return whether the windows that end with the last hops (count,) are those of a dead channel."""
+        """Return for each of the last `count` hops whether the window that ends with it is that of a dead sensor."""
         silent = np.zeros(count, dtype=bool)
         silent[count - len(about) :] = _variances(about) < self.alarms.dead_variance
         return silent

@@ -1,4 +1,4 @@
-"""How far the readings of a channel jump, found from a record: what is farther is a gross outlier."""
+"""Find from a record how far the readings of a channel jump, and detect gross outliers, which jump farther."""
 
 from __future__ import annotations
 
@@ -21,48 +21,48 @@ from becalm.native.scans import (
 
 
 class Outliers(NamedTuple):
-    """How far readings of a channel jump; a gross outlier is far from the median of six neighbours that lie together.
+    """A rule for gross outliers: readings far from the median of six neighbours that lie close together.
 
-    A peak of motion, a shock or a step has neighbours that lead there, and that spread as wide. The lowest and the
-    highest neighbour do not count for the spread, so that one other outlier does not hide the first.
+    The neighbours of a peak of motion, a shock or a step lead up to it, so that they spread as wide. The lowest and the
+    highest neighbour do not count for the spread, so that another outlier does not hide the first.
     """
 
-    distance: float = np.inf  # in unit, from the median of neighbours on both sides; inf finds none
-    causal_distance: float = np.inf  # and of neighbours before; inf finds none
-    low: float = -np.inf  # plausible first readings, in unit
-    high: float = np.inf
+    distance: float = np.inf  # from the median of neighbours on both sides, in unit; inf: no outliers
+    causal_distance: float = np.inf  # from the median of neighbours before, in unit; inf: no outliers
+    low: float = -np.inf  # lowest plausible first reading, in unit
+    high: float = np.inf  # highest plausible first reading, in unit
     repeats_are_one: bool = False  # whether equal readings in a row count as one
-    blank: float = np.inf  # what is written where there is no reading, in unit; inf where nothing is
-    far_from_0: float = 0.0  # in unit: a 0 whose neighbours are all farther away is no reading; 0: every 0 is one
+    blank: float = np.inf  # value that marks a missing reading, in unit; inf: no such value
+    far_from_0: float = 0.0  # a 0 whose neighbours are all farther from 0 is not a reading, in unit; 0: every 0 is one
 
     @property
     def without_neighbours(self) -> Outliers:
-        """Return what it says of a reading by itself: what is plausible, and what is written for none."""
+        """The part of the rule that needs no neighbours: the plausible range, and the marker of missing readings."""
         return NO_OUTLIERS._replace(low=self.low, high=self.high, blank=self.blank)
 
 
 NO_OUTLIERS = Outliers()
-"""A rule that finds no outlier."""
+"""A rule that detects no outliers."""
 
 MOST_OUTLIERS = 0.1
-"""Share of the readings beyond which they are no exceptions."""
+"""Largest share of outliers; readings that come more often are not exceptions."""
 
-_FEWEST = 8  # readings that tell how far they jump
-_NOISES = 30.0  # standard deviations of the noise that a gross outlier is away, at the least
-_OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # of white noise: the median distance from neighbours, and that of one in ten
-_AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # times an outlier's distance, that hardly any reading of motion is away; their share
-_NEARLY = 0.8  # times the spread of its neighbours that motion is away, which may be taken for an outlier
-_MANY, _NEARER = 8, 3.0  # outliers, of which there are others that are so many times nearer
-_JUMPS = 2.0  # times the largest jump of a record is beyond what it shows
-_HIDDEN = 0.1  # of the outliers that were found, so many more are hidden beside motion that is as large
-_RARE = 0.05  # share of readings that are as the one before
-_FEWEST_VALUES = 16  # different readings, below which nothing is said of 0
-_FAR, _MOVES = 1 / 12, 6.0  # parts of the range of most readings that are far from 0, and median steps, at the least
-_BULK = 0.01, 0.99  # quantiles that most readings lie between
-_BY_CHANCE = 0.05  # readings that rounding makes 0, at the most, where a 0 is none
+_FEWEST = 8  # readings needed to measure jumps
+_NOISES = 30.0  # smallest distance of a gross outlier, in standard deviations of the noise
+_OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # median and 90 % quantile of the distance from neighbours, for white noise
+_AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # of an outlier's distance; at most this share of moving readings is that far away
+_NEARLY = 0.8  # of the neighbours' spread: a moving reading that far away could pass for an outlier
+_MANY, _NEARER = 8, 3.0  # with this many outliers, others are expected this many times nearer
+_JUMPS = 2.0  # limit for a causal jump, over the largest jump in the record
+_HIDDEN = 0.1  # number of outliers hidden in equally large motion, over the number detected
+_RARE = 0.05  # share of readings that equal the one before
+_FEWEST_VALUES = 16  # different readings needed for a rule about 0
+_FAR, _MOVES = 1 / 12, 6.0  # smallest distance from 0: share of the bulk's range, and in median steps
+_BULK = 0.01, 0.99  # quantiles that bound the bulk of the readings
+_BY_CHANCE = 0.05  # expected number of readings rounded to 0, at most, if 0 is not a reading
 _SECOND = 1.732  # second differences of white noise, over first ones
-_SEVERAL = 4  # returns to 0 that tell what they are
-_AGREE, _MOSTLY = 0.25, 0.75  # of their mean, that readings before and after a fill differ by, at the most; mostly
+_SEVERAL = 4  # returns from 0 that suffice to compare the readings around it
+_AGREE, _MOSTLY = 0.25, 0.75  # largest difference of readings around a fill, over their mean; share that keeps to it
 
 
 def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0) -> Outliers:
@@ -71,25 +71,25 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     Parameters
     ----------
     z : (N,) float array
-        Finite readings, in unit, in order; up to one in ten may be an outlier, and one value may fill in for none.
+        Finite readings, in unit, in order. Up to one in ten may be an outlier, and one value may mark missing readings.
     held : bool
-        Whether the channel holds its last reading where no new one comes.
+        Whether the channel repeats its last reading while there is no new one.
     resolution : float
-        The step between two codes, in unit; 0 where readings lie on no lattice.
+        The step between two codes, in unit; 0 if the readings do not lie on a lattice.
 
     Returns
     -------
     Outliers
-        It finds none where the record cannot tell.
+        A rule that detects no outliers if the record does not determine one.
     """
     blank = find_blank(z)
     seen = z[z != blank]
     repeats = np.zeros(len(seen), bool)
     repeats[1:] = seen[1:] == seen[:-1]
-    runs = np.count_nonzero(repeats[1:] & ~repeats[:-1])  # of equal readings
+    runs = np.count_nonzero(repeats[1:] & ~repeats[:-1])  # number of runs of equal readings
     rests = _rests_at_0(seen)
     are_one = held or bool(runs < _RARE * np.count_nonzero(~repeats) and not rests)
-    values = seen[~repeats] if held else _that_vary(seen, repeats) if are_one else seen
+    values = seen[~repeats] if held else _without_repeats(seen, repeats) if are_one else seen
     if len(values) < _FEWEST:
         return NO_OUTLIERS
     distances, spreads = distances_of(values)
@@ -107,7 +107,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
 
 
 def _rests_at_0(z: Floats) -> bool:
-    """Return whether 0 comes too often to be an exception, and does not lie in the middle third of what else comes."""
+    """Return whether 0 is too frequent for an exception, and lies outside the middle third of the other readings."""
     others = z[z != 0]
     if not len(others) or len(z) - len(others) <= MOST_OUTLIERS * len(z):
         return False
@@ -116,19 +116,19 @@ def _rests_at_0(z: Floats) -> bool:
 
 
 def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
-    """Return how far from 0 the neighbours of a 0 have to be, in unit, for it to be no reading; 0 where it is one.
+    """Return the distance of its neighbours from 0, in unit, from which a 0 is not a reading; 0 if every 0 is one.
 
-    It is one where readings are on both sides of it, lead to it, or mostly differ before and after it, where rounding
-    may make it of others, and where readings repeat and it comes several times.
+    Every 0 is a reading if readings lie on both sides of 0, lead up to it, or mostly differ before and after it; if
+    rounding may produce it; or if readings repeat and 0 comes several times.
 
     Parameters
     ----------
     z : (N,) float array
-        Readings in order.
+        Readings in order, in unit.
     kept : (M,) float array
-        Those that are no outliers.
+        The readings without outliers, in unit.
     resolution : float
-        The step between two codes, in unit; inf where equal readings in a row do not count as one.
+        The step between two codes, in unit; inf if equal readings in a row do not count as one.
     """
     others = kept[kept != 0]
     if len(np.unique(others)) < _FEWEST_VALUES:
@@ -138,36 +138,36 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
         return 0.0
     far: float = max(_FAR * (high - low), _MOVES * _usual_step(others))
     near = int(np.count_nonzero(np.abs(others) <= far))
-    by_chance = near * min(resolution / (2 * far), 1.0)  # zeros, of so many readings in so many codes
+    by_chance = near * min(resolution / (2 * far), 1.0)  # expected number of readings that are rounded to 0
     measured = z[z != 0]
-    after = np.cumsum(z != 0)[np.flatnonzero((z[1:] != 0) & (z[:-1] == 0))]  # of `measured`, that which follows a 0
+    after = np.cumsum(z != 0)[np.flatnonzero((z[1:] != 0) & (z[:-1] == 0))]  # index in `measured` after each run of 0
     before, after = measured[after[after > 0] - 1], measured[after[after > 0]]
     several = len(before) >= _SEVERAL
     agree = np.abs(after - before) <= _AGREE * np.abs(after + before) / 2
     if by_chance > _BY_CHANCE or (np.abs(before) <= far).any() or (several and np.mean(agree) < _MOSTLY):
         return 0.0
-    if not near:  # half of what no reading passes
+    if not near:  # no reading is near 0: take half of the smallest magnitude
         far = 0.0 if several and np.isinf(resolution) else 0.5 * float(np.abs(others).min())
     return far
 
 
 def _usual_step(z: Floats) -> float:
-    """Return the median step between readings (N,) that is not their steady motion."""
+    """Return the median step between readings (N,), in unit, without the part of a steady motion."""
     steps = np.diff(z)
     first, second = np.abs(steps[steps != 0]), np.abs(np.diff(steps)) / _SECOND
     usual = float(np.median(first))
     return min(usual, float(np.median(second[second > 0]))) if (second > 0).any() else usual
 
 
-def _that_vary(z: Floats, repeats: Booleans) -> Floats:
-    """Return readings without repeats, and without those that are held: how these jump is no motion."""
+def _without_repeats(z: Floats, repeats: Booleans) -> Floats:
+    """Return the readings without repeats and without long runs; the jump at the end of a run is not motion."""
     first = np.flatnonzero(~repeats)
     rows = np.diff(np.append(first, len(z)))
     return z[first[rows < SHORTEST_FILL]]
 
 
 def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distance: float) -> Floats:
-    """Return readings without outliers, and without those that hid behind others among their neighbours."""
+    """Return the readings without outliers; repeat, because an outlier may hide another one among its neighbours."""
     while (out := (distances > distance) & (distances > SPREADS * spreads)).any():
         values = values[~out]
         distances, spreads = distances_of(values)
@@ -175,14 +175,21 @@ def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distan
 
 
 def is_outlier(z: Floats, rule: Outliers) -> Booleans:
-    """Return which readings (N,), NaN where missing, are gross outliers by their neighbours on both sides."""
+    """Return which readings (N,), NaN where missing, are gross outliers, from neighbours on both sides."""
     return np.asarray((beside_others(z, rule) == Verdict.OUTLIER) | (z == rule.blank))
 
 
 def beside_others(z: Floats, rule: Outliers, stuck: int = 0) -> Codes:
-    """Return what readings (N,), NaN where missing, are by those on both sides of them: `OUTLIER`, `STUCK` or `USED`.
+    """Return a verdict for each reading from its neighbours on both sides: `OUTLIER`, `STUCK` or `USED`.
 
-    Stuck are so many equal ones in a row as `stuck` tells; 0: none are.
+    Parameters
+    ----------
+    z : (N,) float array
+        Readings, in unit, NaN where missing.
+    rule : Outliers
+        The rule for outliers.
+    stuck : int
+        This many equal readings in a row are stuck; 0: any number may be equal.
     """
     codes, seen = np.zeros(len(z), np.int8), input_of(np.where(z == rule.blank, np.nan, z))
     scan_outliers(plausible(rule), seen, codes, distance=rule.distance, stuck=stuck, begun=0, whole=True)
@@ -190,7 +197,7 @@ def beside_others(z: Floats, rule: Outliers, stuck: int = 0) -> Codes:
 
 
 def plausible(rule: Outliers) -> NDArray[np.void]:
-    """Return what a rule says of readings, as C's settings."""
+    """Return the rule in C's settings struct."""
     settings = np.zeros((), SETTINGS)
     settings["plausible_low"], settings["plausible_high"] = rule.low, rule.high
     settings["repeats_are_one"], settings["outlier_distance"] = rule.repeats_are_one, rule.causal_distance
@@ -199,31 +206,32 @@ def plausible(rule: Outliers) -> NDArray[np.void]:
 
 
 def distances_of(z: Floats) -> tuple[Floats, Floats]:
-    """Return how far readings (N,) are from the median of six neighbours, and how far these lie apart."""
+    """Return the distance of readings (N,) from the median of six neighbours, and the spread of these, in unit."""
     return measure_distances(input_of(z))
 
 
 def _least_distance(distances: Floats, spreads: Floats) -> float:
-    """Return how far an outlier is from its neighbours, in unit: farther than noise, and than motion; 0 without either.
+    """Return the smallest distance of an outlier from its neighbours, in unit: beyond noise and motion; 0 for neither.
 
-    An impact may be as far from neighbours that lie as close, but others of the same kind, or what follows it, are as
-    far from neighbours that do not: there are no outliers among them. A record that has many has nearer ones as well.
+    An impact may also be far from neighbours that lie close together. But other impacts, and the motion that follows,
+    are as far from neighbours that spread wide; such distances are not evidence of outliers. A record with many
+    outliers has nearer ones, too, so that the distance is reduced.
     """
     some = distances[distances > 0]
     if not len(some):
         return 0.0
-    shares = 0.5, 1 - MOST_OUTLIERS  # of few readings one may be an outlier
+    shares = 0.5, 1 - MOST_OUTLIERS
     usual, large = np.quantile(distances, shares, method="lower")
     least = float(max(_NOISES / _OF_NOISE * usual, _NOISES / _LARGE_OF_NOISE * large, _NOISES * some.min()))
     alone = distances > SPREADS * spreads
     least /= _NEARER if np.count_nonzero(alone & (distances > least)) >= _MANY else 1.0
     out = alone & (distances > least)
-    found, motion = np.sort(distances[out]), np.sort(distances[~out & (distances > _NEARLY * spreads)])
-    if not len(found):
+    candidates, motion = np.sort(distances[out]), np.sort(distances[~out & (distances > _NEARLY * spreads)])
+    if not len(candidates):
         return least
-    as_far = len(motion) - np.searchsorted(motion, _AS_FAR * found, side="right")
-    surely = np.append(as_far <= _MOST_MOVE * np.arange(len(found), 0, -1), True)
+    as_far = len(motion) - np.searchsorted(motion, _AS_FAR * candidates, side="right")
+    surely = np.append(as_far <= _MOST_MOVE * np.arange(len(candidates), 0, -1), True)
     first = int(surely.argmax())
-    if first == len(found):
-        return max(least, 2 * float(found[-1]))
-    return float(found[first - 1]) if first else least
+    if first == len(candidates):
+        return max(least, 2 * float(candidates[-1]))
+    return float(candidates[first - 1]) if first else least

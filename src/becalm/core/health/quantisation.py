@@ -1,12 +1,12 @@
-"""What a converter's step leaves in readings: a noise that averaging lowers, and an error that it does not.
+"""Estimate the effect of a converter's step: a noise that averaging reduces, and an error that it does not.
 
 Source: Widrow and Kollar, Quantization Noise (2008), chapters 4 and 9. The mean of many readings of x with a Gaussian
 noise of standard deviation s errs, by a step h, by
 
     sum over k of (-1)^k h / (pi k) sin(2 pi k x / h) exp(-2 pi^2 k^2 s^2 / h^2)
 
-of which `residual_std` is the root of the mean square over x: h / sqrt(12) without noise, and next to nothing for a
-noise of half a step.
+`residual_std` is the root mean square of this error over x: h / sqrt(12) without noise, and almost 0 for a noise of
+half a step.
 """
 
 from __future__ import annotations
@@ -17,17 +17,15 @@ from becalm.core.arrays import Floats
 from becalm.core.health.limits import find_resolution
 
 _TERMS = np.arange(1.0, 4097.0)
-_MOST_REST, _SET_CODES = (
-    0.5,
-    1.5,
-)  # share of readings as the one before; codes that one in four other steps has, of set values
-_OF_NOISE = 0.455  # square of the median of the distance of two readings of variance 1/2 each
+_MOST_REST = 0.5  # largest share of readings that equal the one before, in measured values
+_SET_CODES = 1.5  # a quarter of the other steps are larger, in codes, in set values
+_OF_NOISE = 0.455  # square of the median distance of two readings of variance 1/2 each
 
 
 def converter_step(z: Floats) -> float:
-    """Return the step of the converter that finite readings (N,) come from, in unit; 0 where none is seen.
+    """Return the converter's step of finite readings (N,), in unit; 0 if they show none.
 
-    Values that rest and then change by several codes are set, and not rounded.
+    Values that rest and then change by several codes were set, not rounded by a converter.
     """
     step = find_resolution(z)
     if not step > 0:
@@ -39,14 +37,14 @@ def converter_step(z: Floats) -> float:
 
 
 def residual_std(step: float, noise_std: float) -> float:
-    """Return what of a converter's rounding no averaging lowers, in unit.
+    """Return the standard deviation of the rounding error that averaging does not reduce, in unit.
 
     Parameters
     ----------
     step : float
-        Of the converter, in unit.
+        The converter's step, in unit.
     noise_std : float
-        Standard deviation, before rounding, of what moves the readings over the steps, in unit.
+        Standard deviation, before rounding, of the noise and motion that spread readings over the steps, in unit.
     """
     if not step > 0:
         return 0.0
@@ -55,16 +53,17 @@ def residual_std(step: float, noise_std: float) -> float:
 
 
 def rounding_left(z: Floats, noise_variance: float, averaged: int) -> float:
-    """Return what of its converter's rounding a filter leaves in a signal, in unit.
+    """Return the standard deviation of the rounding error that a filter leaves in the signal, in unit.
 
     Parameters
     ----------
     z : (N,) float array
         Finite readings, in unit, in order.
     noise_variance : float
-        R, in unit^2, with rounding in it.
+        R, in unit^2, rounding included.
     averaged : int
-        Readings over which the filter averages about: what the signal mostly moves meanwhile spreads it over codes.
+        Approximate number of readings that the filter averages. The motion of the signal during this time also spreads
+        readings over codes.
     """
     step = converter_step(z)
     if not step > 0:

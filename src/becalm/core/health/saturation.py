@@ -1,9 +1,9 @@
-"""Where a sensor's range ends: extreme readings that come back far oftener than a signal would bring them.
+"""Find the saturation limits of a sensor: extreme readings that come far more often than a signal would reach them.
 
-A signal passes its extremes seldom: of the codes of a white noise the last are the rarest, and a smooth
-peak holds its last code no more than four times as long as each of the ten before. A rail holds all that would
-have been beyond. What no record tells is a rail from a level that the signal itself keeps without noise: so
-none is looked for where no noise is seen, nor where there are only a few codes.
+A signal rarely reaches its extremes: the last codes of white noise are the rarest, and a smooth peak holds its last
+code at most about four times as long as each of the ten codes before. A saturated sensor shows its limit for everything
+beyond. A record cannot distinguish a limit from a level that the signal keeps without noise. So the search is skipped
+for a record without visible noise, or with only a few codes.
 """
 
 from __future__ import annotations
@@ -14,41 +14,41 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats, Integers
 
-_FEWEST_CODES = 16  # fewer have no end that is rare
-_BESIDE = 10  # different readings beside the extreme one
-_OFTENER = 8  # than those: a smooth peak holds its last code up to 4.3 times as often ...
-_THAN_NEXT = 4  # ... and 2.4 times as often as the next; a level between two codes, as often
-_TURNS_BACK = 0.22  # of all steps: white noise a third of a code wide turns back as often, one of a fifth does not
-_ROUGH = 0.4  # of a code; the rounding of a moving signal alone is 0.29
+_FEWEST_CODES = 16  # with fewer codes the last one is not rare
+_NEIGHBOURS = 10  # different readings next to the extreme one
+_OFTENER = 8  # how often the extreme comes, over the mean of these; up to 4.3 for a smooth peak ...
+_THAN_NEXT = 4  # ... and over the next one; up to 2.4 for a smooth peak, 1 for a level between two codes
+_TURNS_BACK = 0.22  # share of steps that turn back, in white noise of 1/3 code; noise of 1/5 code turns back less
+_ROUGH = 0.4  # standard deviation, in codes; that of the rounding of a moving signal alone is 0.29
 _FOURTH = 0.6745 * np.sqrt(70.0)  # median of the fourth differences of white noise of variance 1
 
 
 class SaturationLimits(NamedTuple):
-    """The lowest and the highest reading a sensor gives, in unit; -inf and inf where none is known."""
+    """The lowest and the highest reading of a sensor, in unit; -inf and inf where unknown."""
 
     low: float = -np.inf
     high: float = np.inf
 
     def reached(self, z: Floats) -> Booleans:
-        """Tell which readings (N,) are at a rail or beyond."""
+        """Return which readings (N,) are at a saturation limit or beyond."""
         return np.asarray((z <= self.low) | (z >= self.high))
 
 
 def find_saturation(z: Floats, resolution: float) -> SaturationLimits:
-    """Find the rails of a channel.
+    """Find the saturation limits of a channel.
 
     Parameters
     ----------
     z : (N,) float array
-        Finite readings, in unit, in order, none of them written twice.
+        Finite readings, in unit, in order, without duplicate rows.
     resolution : float
         The step between two codes, in unit; 0 if there is none.
 
     Returns
     -------
     SaturationLimits
-        Those that were reached at least twice in the record. A clipping that is smooth, or has noise of its
-        own behind it, repeats no reading and is not found; nor is one at 0, where speeds and loads rest.
+        The limits that the record reached at least twice. Smooth clipping, or clipping before a source of noise,
+        repeats no reading and is not detected. Neither is clipping at 0, where speeds and loads rest.
     """
     values, counts = np.unique(z, return_counts=True)
     if len(values) < _FEWEST_CODES or not is_noisy(z[(z > values[0]) & (z < values[-1])], resolution):
@@ -61,21 +61,21 @@ def find_saturation(z: Floats, resolution: float) -> SaturationLimits:
 
 
 def _is_piled_up(counts: Integers) -> bool:
-    """Return whether the first of the counts of different readings is far above those beside it."""
-    beside = counts[1 : 1 + _BESIDE]
-    return bool(counts[0] >= max(_OFTENER * beside.mean(), _THAN_NEXT * beside[0]))
+    """Return whether the first of the counts of different readings is far above the next ones."""
+    neighbours = counts[1 : 1 + _NEIGHBOURS]
+    return bool(counts[0] >= max(_OFTENER * neighbours.mean(), _THAN_NEXT * neighbours[0]))
 
 
-def _comes_back(there: Booleans) -> bool:
-    """Return whether an extreme is held for two readings or more, and reached more than once."""
-    visits = int(there[0]) + int(np.count_nonzero(there[1:] & ~there[:-1]))
-    return 1 < visits < int(np.count_nonzero(there))
+def _comes_back(at_extreme: Booleans) -> bool:
+    """Return whether the record reaches an extreme more than once, and holds it for two readings or more."""
+    visits = int(at_extreme[0]) + int(np.count_nonzero(at_extreme[1:] & ~at_extreme[:-1]))
+    return 1 < visits < int(np.count_nonzero(at_extreme))
 
 
 def is_noisy(z: Floats, resolution: float) -> bool:
-    """Return whether readings (N,) show a noise that no level, and no code, would be kept through.
+    """Return whether readings (N,) show enough noise that they cannot stay on one level or one code.
 
-    Noise turns back; where a signal moves faster than that, its fourth differences are rougher than rounding.
+    Noise often turns back. In a fast signal it makes the fourth differences rougher than rounding alone.
     """
     if len(z) < _FEWEST_CODES:
         return False

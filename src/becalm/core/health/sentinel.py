@@ -1,10 +1,11 @@
-"""Rows of which nothing is told: those whose estimate ran away, and those in holes of which the model knows nothing.
+"""Remove estimates that ran away, and estimates within long holes, from the output of a filter.
 
-The first is an alarm for faults that nobody has thought of. An estimate is called a runaway where it lies outside of
-what is plausible, which is a range of readings beyond both ends of the record that the filter was tuned on, and, for a
-sensor that was zeroed since, as far from the last reading that entered as these bounds are apart. A hole begins with
-its second row: of one reading that is missing the model knows, where motion is violent, all that can be known. Before
-the first row of all none was read.
+The first is an alarm for unexpected faults. An estimate is a runaway if it lies outside the plausible bounds and is
+farther from the last used reading than these bounds are apart. The bounds are those of the record that the filter was
+tuned on, extended by its range on both sides; the second condition allows for a sensor that was zeroed since.
+
+A hole begins with the second missing row: during violent motion sigma may be large after a single missing reading, but
+no better estimate of that row is possible. The rows before the first reading also count as missing.
 """
 
 from __future__ import annotations
@@ -22,51 +23,50 @@ _NO_ROW = -1
 
 
 class Sentinel:
-    """Removes runaway estimates, and those within long holes, from the output of a filter.
+    """A filter's last stage, which removes runaway estimates and those within long holes.
 
     Parameters
     ----------
     limits : Limits
-        What is plausible; of a channel of which nothing is known everything is.
+        They hold the plausible bounds; infinite bounds, the default, make every estimate plausible.
     unknown_from : float
-        Sigma from which on a hole is told nothing of, in unit; inf tells of all.
+        Sigma from which on estimates within a hole are removed, in unit; inf keeps all.
     """
 
     def __init__(self, limits: Limits, unknown_from: float = np.inf) -> None:
         self._low, self._high, self._unknown_from = limits.outliers.low, limits.outliers.high, unknown_from
-        self._read, self._missed, self._waiting = np.nan, True, np.empty(0)
+        self._last_used, self._missed, self._waiting = np.nan, True, np.empty(0)
 
     def push(self, usable: Floats) -> None:
-        """Take the readings of rows that will be told, (B,), NaN where none may enter the filter."""
+        """Take the readings (B,) of the next rows, NaN where none may enter the filter; their estimates come later."""
         self._waiting = np.append(self._waiting, usable)
 
     def told(self, rows: EstimatedRows) -> EstimatedRows:
-        """Return rows of which no estimate ran away, and none is unknown."""
+        """Return the rows with NaN in place of runaways and of unknown estimates in holes, and with their verdicts."""
         count = len(rows.signal)
         readings, self._waiting = self._waiting[:count], self._waiting[count:]
         if not count:
             return rows
         return self._without_holes(self._without_runaways(rows, readings), NOT_READ[rows.verdicts])
 
-    def _without_runaways(self, told: EstimatedRows, readings: Floats) -> EstimatedRows:
-        rows = np.arange(len(readings))
-        entered = np.where(LOST[told.verdicts] | np.isnan(readings), _NO_ROW, rows)
-        latest = np.maximum.accumulate(entered)
-        read = np.where(latest == _NO_ROW, self._read, readings[latest])
-        self._read = float(read[-1])
-        outside = (told.signal < self._low) | (told.signal > self._high)
-        return told.without(outside & (np.abs(told.signal - read) > self._high - self._low), Verdict.RUNAWAY)
+    def _without_runaways(self, rows: EstimatedRows, readings: Floats) -> EstimatedRows:
+        used_rows = np.where(LOST[rows.verdicts] | np.isnan(readings), _NO_ROW, np.arange(len(readings)))
+        latest = np.maximum.accumulate(used_rows)
+        last_used = np.where(latest == _NO_ROW, self._last_used, readings[latest])
+        self._last_used = float(last_used[-1])
+        outside = (rows.signal < self._low) | (rows.signal > self._high)
+        return rows.without(outside & (np.abs(rows.signal - last_used) > self._high - self._low), Verdict.RUNAWAY)
 
-    def _without_holes(self, told: EstimatedRows, missing: Booleans) -> EstimatedRows:
-        goes_on = missing & np.append(self._missed, missing[:-1])
+    def _without_holes(self, rows: EstimatedRows, missing: Booleans) -> EstimatedRows:
+        in_hole = missing & np.append(self._missed, missing[:-1])
         self._missed = bool(missing[-1])
-        return told.without(goes_on & (told.sigma >= self._unknown_from) & np.isfinite(told.signal), Verdict.HOLE)
+        return rows.without(in_hole & (rows.sigma >= self._unknown_from) & np.isfinite(rows.signal), Verdict.HOLE)
 
     def saved(self) -> dict[str, Floats]:
-        """Return what moves, as arrays."""
-        return {"sentinel": np.append([self._read, float(self._missed)], self._waiting)}
+        """Return the state, as arrays."""
+        return {"sentinel": np.append([self._last_used, float(self._missed)], self._waiting)}
 
     def restore(self, arrays: Mapping[str, Floats]) -> None:
-        """Take over what `saved` returned."""
-        read, missed = arrays["sentinel"][:2]
-        self._read, self._missed, self._waiting = float(read), bool(missed), arrays["sentinel"][2:]
+        """Restore the result of `saved`."""
+        last_used, missed = arrays["sentinel"][:2]
+        self._last_used, self._missed, self._waiting = float(last_used), bool(missed), arrays["sentinel"][2:]

@@ -1,7 +1,6 @@
-"""What is wrong with the time of rows, told as they come: late, repeated, after a gap.
+"""Detect faults of the rows' times as rows arrive: late, repeated, after a gap.
 
-Time is counted in whole parts of a step, so that sums are exact, and the verdicts those of the whole record wherever it
-is cut.
+Time is counted in whole parts of a step, so that sums are exact: the cuts between blocks do not change the verdicts.
 """
 
 from __future__ import annotations
@@ -13,16 +12,16 @@ from becalm.core.health.limits import Limits
 from becalm.core.verdict import Verdict
 
 LONGEST = float(1 << 31)
-"""Longest step between two rows that is counted; longer ones are cut to it."""
+"""Longest step between two rows; longer ones are reduced to it."""
 
-_TICKS = 1 << 20  # of a step, for what a row is off its time
-_LATEST = 0.75  # of a step after it was due: a row that comes later is the next one, and the one due was lost
-_REFERENCES = (16, 32, 48)  # rows before, whose median is the even time
-_ON_TIME = 0.1  # steps off a whole one: there a row stands in a place of even time, if not its own
+_TICKS = 1 << 20  # ticks in a step; deviations from even time are counted in them
+_LATEST = 0.75  # of a step: a row that is later than this is the next one, and the expected one was lost
+_REFERENCES = (16, 32, 48)  # rows before; the median of their deviations is the even time
+_ON_TIME = 0.1  # steps: a row this close to a whole number of steps off has the time of another row; it is not late
 
 
 def possible_steps(elapsed: Floats) -> Floats:
-    """Return steps between rows (B,) as they are counted: one where they are no number, 0 to LONGEST otherwise."""
+    """Return the steps between rows (B,) with possible values: 1 in place of NaN, otherwise from 0 to LONGEST."""
     if ((elapsed >= 0.0) & (elapsed <= LONGEST)).all():
         return elapsed
     steps: Floats = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)
@@ -30,17 +29,17 @@ def possible_steps(elapsed: Floats) -> Floats:
 
 
 class TimeFaults:
-    """Watches when rows come, in constant memory.
+    """A detector of faults in the times of rows, in constant memory.
 
     Parameters
     ----------
     limits : Limits
-        What is a gap, and whether time is even.
+        They define a gap, and whether time is even.
 
     Attributes
     ----------
     offsets : (48,) int64 array
-        What moves: of the rows before, in ticks off even time.
+        The state: deviations of the last rows from even time, in ticks.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -49,20 +48,20 @@ class TimeFaults:
 
     @property
     def undisturbed(self) -> bool:
-        """Whether all rows that are remembered came in even time."""
+        """Whether none of the last rows deviates from even time."""
         return not self.offsets.any()
 
     def write(self, codes: Codes, elapsed: Floats) -> None:
-        """Write into the codes (B,) of the next rows what is wrong with their time, given the steps before them."""
+        """Write verdicts on the times of the next rows into `codes` (B,); `elapsed` (B,) are the steps before them."""
         if self._limits.even:
             codes[self._is_late(elapsed)] = Verdict.LATE
         codes[elapsed > self._limits.gap_steps] = Verdict.GAP
         codes[elapsed == 0] = Verdict.REPEATED
 
     def _is_late(self, elapsed: Floats) -> Booleans:
-        """Tell which rows are off their even time by more than half a step, rows that were lost before left aside.
+        """Return which rows deviate from even time by more than half a step; lost rows before them do not count.
 
-        Even time goes on from where most of the rows before had it, so that a clock may run a little fast or slow.
+        Even time follows the median of earlier rows, so that a clock may run a little fast or slow.
         """
         due = np.where(elapsed > self._limits.gap_steps, np.ceil(elapsed - _LATEST), 1.0)
         off = np.where(elapsed > 0, elapsed - due, 0.0)
@@ -76,6 +75,6 @@ class TimeFaults:
 
 
 def _middle(three: list[Integers]) -> Integers:
-    """Return the medians of three rows of numbers."""
+    """Return the elementwise medians of three arrays."""
     least, most = np.minimum(three[0], three[1]), np.maximum(three[0], three[1])
     return np.asarray(np.maximum(least, np.minimum(most, three[2])))

@@ -1,7 +1,7 @@
 """The part of a causal filter's state that later estimates depend on, so that two filters can be compared.
 
-Two filters that began in different rows of a record estimate every later row alike if these numbers are bitwise equal.
-A checkpoint holds more: counts since the first row, which matter only until they are large.
+Two filters that started in different rows of a record give equal estimates for every later row if these numbers are
+bitwise equal. A checkpoint has more: counts since the first row, which matter only until they are large.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from becalm.core.health.monitor import HOPS
 
 
 def comparable_state(saved: Mapping[str, Any], gap_limit: GapLimit) -> dict[str, Floats]:
-    """Return what later rows depend on, of what a `RestartingFlow` of an `ImmFlow` has saved.
+    """Return the part that later rows depend on from the saved state of a `RestartingFlow` with an `ImmFlow` in it.
 
     Parameters
     ----------
     saved : mapping of str to array
-        What it has saved.
+        The result of `RestartingFlow.saved`.
     gap_limit : GapLimit
-        Which gaps it is carried across.
+        The gaps that the filter bridges.
     """
     return {
         "filter": saved["flow_modes"],
@@ -37,12 +37,15 @@ def same_state(one: Mapping[str, Floats], other: Mapping[str, Floats], *, alive:
 
     The phase of the dead-sensor window is ignored for channels that are known to be alive.
     """
-    asked = [name for name in one if not (alive and name == HOPS)]
-    return all(np.array_equal(one[name], other[name], equal_nan=True) for name in asked)
+    compared = [name for name in one if not (alive and name == HOPS)]
+    return all(np.array_equal(one[name], other[name], equal_nan=True) for name in compared)
 
 
 def _of_gaps(gaps: Floats, gap_limit: GapLimit) -> Floats:
-    """Return the time since the last reading, and what was read before, until any gap within the limit is bridged."""
+    """Return the time since the last reading, the time that readings span, and their number.
+
+    The last two are inf once they are so large that the filter bridges every gap within the limit.
+    """
     now, last, readings = gaps
     far = readings >= gap_limit.readings and gap_limit.spans * last >= gap_limit.longest
     return np.array([now - last, np.inf if far else last, np.inf if far else readings])

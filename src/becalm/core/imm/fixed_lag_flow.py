@@ -1,8 +1,8 @@
-"""Fixed-lag smoothing by interacting multiple models: each row is estimated once the L rows after it are there.
+"""Fixed-lag smoothing by interacting multiple models: estimate each row when the L rows after it are there.
 
-What later readings say to a mode has no recursion forward, so the way back is gone again, over L rows, each time
-that a quarter of L came: a row then knows at least three quarters of the L rows after it, at four times the cost
-of a smoother, for any L. Of each row that waits, the beliefs are kept, and what its reading said.
+The information of later readings on a mode has no forward recursion. So a backward pass over L rows runs each time that
+L/4 new rows have come. Each estimate then uses at least three quarters of the L rows after it, at four times the cost
+of a smoother, for any L. For each waiting row, the flow keeps the filtered states and the likelihoods of its reading.
 """
 
 from __future__ import annotations
@@ -20,41 +20,55 @@ from becalm.core.rows import EstimatedRows, Judge
 from becalm.errors import ModelError
 from becalm.native.imm import Bank, State, Steps, Trace, note_size, smooth_late
 
-_WAYS_BACK = 4  # in the time of one lag
-PIECE = 4096  # rows whose beliefs are kept at once
+_BACKWARD_PASSES = 4  # per lag
+PIECE = 4096  # rows that are filtered at once
 
 
 def rows_between(lag: int) -> int:
-    """Return how many rows come between two ways back; a run over a part is the same where it begins at a multiple."""
-    return max(1, (lag + 1) // _WAYS_BACK)
+    """Return the number of rows between two backward passes; runs that start at a multiple of it have the same bits."""
+    return max(1, (lag + 1) // _BACKWARD_PASSES)
 
 
 class WaitingRows:
-    """The rows of a bank that were filtered and wait for those after them.
+    """The filtered rows of an IMM that wait for later rows.
 
     Parameters
     ----------
     states, modes : int
-        Of the bank.
+        Number of states, and of modes.
     lag : int
-        Rows that each waits for, 1 or more; with a *small* one the signal comes soon, and noisier.
+        Lag in rows, 1 or more; with a *small* lag the signal comes sooner and has more noise.
     """
 
     def __init__(self, states: int, modes: int, lag: int) -> None:
         self.lag = lag
         self.every = rows_between(lag)
-        self.width = note_size(states, modes)  # numbers that are kept of a row, K
+        self.width = note_size(states, modes)  # numbers that are kept for each row, K
         self._notes = np.empty((0, self.width))
-        self._turn = self.every  # rows from the first that waits to the next from which the way back is gone
+        self._turn = self.every  # rows from the first waiting row to the start of the next backward pass
 
     def __len__(self) -> int:
-        """Return how many rows wait."""
+        """Return the number of waiting rows."""
         return len(self._notes)
 
     def take(self, notes: Floats, bank: Bank, state: State, steps: Steps, room: Trace) -> int:
-        """Take rows, (B, K), as `filter_rows` noted them; write what can be told, and return of how many rows.
+        """Take the next filtered rows and write the estimates of the rows that are due.
 
-        `bank` and `steps` are of all rows that wait, and then of these; `room` is for as many; `state` is after them.
+        Parameters
+        ----------
+        notes : (B, K) float array
+            The notes of `filter_rows` on the new rows.
+        bank, steps : Bank, int array
+            The modes and the steps for the waiting rows and the new ones.
+        state : () structured array
+            The state after the new rows.
+        room : Trace
+            Arrays for the waiting rows and the new ones; the first rows are written.
+
+        Returns
+        -------
+        int
+            Number of rows with estimates.
         """
         notes = np.vstack([self._notes, notes])
         if self._turn > len(notes):
@@ -62,55 +76,55 @@ class WaitingRows:
             return 0
         smooth_late(bank, state, steps, notes, room, turn=self._turn, every=self.every, lag=self.lag)
         last = self._turn + (len(notes) - self._turn) // self.every * self.every
-        told = max(0, last - 1 - self.lag + self.every)
-        self._notes, self._turn = notes[told:].copy(), last + self.every - told
-        return told
+        due = max(0, last - 1 - self.lag + self.every)
+        self._notes, self._turn = notes[due:].copy(), last + self.every - due
+        return due
 
     def tell_all(self, bank: Bank, state: State, steps: Steps, room: Trace) -> None:
-        """Write what is told of all rows that wait, by what there is after them; they go on waiting."""
+        """Write estimates of all waiting rows from the rows so far; they go on waiting."""
         count = len(self._notes)
         if count:
             smooth_late(bank, state, steps, self._notes, room, turn=count, every=count, lag=count)
 
     def snapshot(self) -> dict[str, Floats]:
-        """Return what moves, as arrays."""
+        """Return the state, as arrays."""
         return {"waiting_notes": self._notes, "waiting_turn": np.array(float(self._turn))}
 
     def restore(self, arrays: Mapping[str, Floats]) -> None:
-        """Take over what moves, of the right shapes and types only: C trusts them.
+        """Restore the result of `snapshot`; check shapes and types, because C does not.
 
         Raises
         ------
         ModelError
-            If the arrays are not those of a snapshot of such a bank and lag.
+            If the arrays do not fit these modes and this lag.
         """
         notes, turn = arrays["waiting_notes"].copy(), float(arrays["waiting_turn"])
         fits = notes.ndim == 2 and notes.shape[1] == self.width and notes.dtype == np.float64
         if not fits or len(notes) > self.lag or not np.isfinite(notes).all() or turn not in range(1, self.lag + 2):
-            raise ModelError("The snapshot's fixed lag is not that of its bank; pass what snapshot() returned.")
+            raise ModelError("The snapshot's waiting rows do not fit its modes and lag; pass what snapshot() returned.")
         self._notes, self._turn = notes, int(turn)
 
 
 class FixedLagImmFlow(ByModes):
-    """A fixed-lag smoother that switches, of one channel that is fed a stretch of rows at a time.
+    """A fixed-lag IMM smoother of one channel; a push may have any number of rows.
 
     Parameters
     ----------
     switching : InteractingModels
         The modes, in steps.
     lag : int
-        Later rows that are waited for, 1 or more, however far apart; with a *small* one more noise is left.
+        Lag in rows, 1 or more, whatever the time between rows; a *small* lag leaves more noise.
     judge : callable, optional
-        Shown the innovations of each stretch, of the mixture of all modes.
+        It receives the innovations of each push, for the mixture of all modes, and their standard deviations.
     split : bool
-        Whether to tell the share of each part of the component, and then the probability of each mode.
+        Whether to return the contribution of each part of the component, followed by the probability of each mode.
     tells_modes : bool
-        Whether to tell the probabilities alone, where nothing is split.
+        Whether to return the probabilities alone if `split` is False.
 
     Raises
     ------
     ModelError
-        If the lag is no whole number.
+        If the lag is not a whole number.
     """
 
     def __init__(
@@ -124,31 +138,31 @@ class FixedLagImmFlow(ByModes):
     ) -> None:
         super().__init__(ForwardImm(switching, judge, split=split, tells_modes=tells_modes))
         self._waiting = WaitingRows(switching.states, len(switching.modes), checked_lag(lag))
-        self._elapsed: Floats = np.empty(0)  # steps before the rows that wait
+        self._elapsed: Floats = np.empty(0)  # steps before the waiting rows
         self._verdicts: Codes = np.empty(0, np.int8)
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take the next rows, readings (B,) and the steps before them; return those that have waited."""
-        judged, told = self._filter.judged(z), list[EstimatedRows]()
+        """Take the next rows, readings (B,) and the steps before them; return the waiting rows that are now due."""
+        judged, estimates = self._filter.judged(z), list[EstimatedRows]()
         for begin in range(0, len(z), PIECE):
             rows = slice(begin, begin + PIECE)
-            told.append(self._take(judged.readings[rows], elapsed[rows], judged.verdicts[rows]))
-        return told
+            estimates.append(self._take(judged.readings[rows], elapsed[rows], judged.verdicts[rows]))
+        return estimates
 
     def finish(self) -> list[EstimatedRows]:
-        """Say that no more rows will come; return the last ones, with what there is after them."""
+        """Return estimates of the waiting rows from the rows so far."""
         lengths, steps = numbered_steps(self._elapsed)
         room = self._filter.room(len(self._waiting))
         self._waiting.tell_all(self.switching.bank(lengths), self._filter.state, steps, room)
         return [self._filter.told(room, self._verdicts)]
 
     def saved(self) -> dict[str, Any]:
-        """Return what rows depend on, as arrays."""
+        """Return the state that later rows depend on, as arrays."""
         waiting = {"flow_elapsed": self._elapsed, "flow_verdicts": self._verdicts}
         return super().saved() | self._waiting.snapshot() | waiting
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned; raises a ModelError if it is not that of such a bank and lag."""
+        """Restore the result of `saved`; raise a ModelError if it does not fit these modes and this lag."""
         super().restore(arrays)
         self._waiting.restore(arrays)
         self._elapsed, self._verdicts = arrays["flow_elapsed"], arrays["flow_verdicts"]
@@ -166,5 +180,5 @@ class FixedLagImmFlow(ByModes):
 
 
 def first_rows(trace: Trace, count: int) -> Trace:
-    """Return what is written of the first rows."""
+    """Return the first `count` rows of each array of a trace."""
     return Trace(*(np.ascontiguousarray(array[..., :count]) for array in trace))

@@ -1,8 +1,8 @@
-"""A channel of any length through interacting multiple models, a stretch of rows at a time, in constant memory.
+"""Filter or smooth one channel of any length by interacting multiple models, block by block and in constant memory.
 
-Causal, each stretch goes on from the beliefs after the one before. Smoothed, rows come in groups whose bounds
-are counted from the start, so that cuts change no bit; a group is smoothed when the next one is complete, and
-groups are so long that the calmest mode has forgotten, by then, what comes after.
+The filter continues from the state after the block before. The smoother works on groups of one length, counted from the
+start, so that the cuts between pushes change no bit. It smooths a group when the next one is complete. Groups are so
+long that even in the calmest mode the rows after the next group have no influence.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from becalm.native.imm import (
 )
 
 _LEAST_GROUP = 64 * BLOCK
-_MOST_GROUP = 1 << 22  # rows: a calmer mode than these tell is all but a constant
+_MOST_GROUP = 1 << 22  # rows: a mode with a longer memory is almost a constant
 
 
 class _Stretch(NamedTuple):
-    """Rows that were filtered, with what it takes to smooth them."""
+    """Filtered rows, with all that the smoother needs."""
 
     bank: Bank
     z: Floats  # (B,)
     steps: Steps  # (B,)
-    before: Floats  # (blocks, K) beliefs before each block
+    before: Floats  # (blocks, K) filter states before each block
     verdicts: Codes  # (B,)
 
 
 class ImmFlow(ByModes):
-    """A filter, or a smoother, that switches, of one channel that is fed a stretch of rows at a time.
+    """An IMM filter or smoother of one channel; a push may have any number of rows.
 
     Parameters
     ----------
     switching : InteractingModels
         The modes, in steps.
     causal : bool
-        Whether to filter (True) or to smooth.
+        True to filter, False to smooth.
     judge : callable, optional
-        Shown the innovations of each stretch, of the mixture of all modes.
+        It receives the innovations of each block, for the mixture of all modes, and their standard deviations.
     split : bool
-        Whether to tell the share of each part of the component, and then the probability of each mode.
+        Whether to return the contribution of each part of the component, followed by the probability of each mode.
     tells_modes : bool
-        Whether to tell the probabilities alone, where nothing is split.
+        Whether to return the probabilities alone if `split` is False.
     """
 
     def __init__(
@@ -69,29 +69,30 @@ class ImmFlow(ByModes):
         self._causal = causal
         super().__init__(ForwardImm(switching, judge, split=split, tells_modes=tells_modes))
         self._group = _LEAST_GROUP if causal else _group_rows(switching)
-        self._few = Rows.nothing()
+        self._incomplete = Rows.nothing()
         self._held: _Stretch | None = None
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take the next rows, readings (B,) and the steps before them; return what can be told for good."""
+        """Take the next rows, readings (B,) and the steps before them; return the rows whose estimates are final."""
         judged = self._filter.judged(z)
         if self._causal:
             return [self._take(Rows(judged.readings, elapsed, judged.verdicts))[1]]
-        rows, told = Rows.joined([self._few, Rows(judged.readings, elapsed, judged.verdicts)]), list[EstimatedRows]()
+        estimates = list[EstimatedRows]()
+        rows = Rows.joined([self._incomplete, Rows(judged.readings, elapsed, judged.verdicts)])
         while len(rows.z) >= self._group:
-            told += self._take_group(rows.part(slice(self._group)))
+            estimates += self._take_group(rows.part(slice(self._group)))
             rows = rows.part(slice(self._group, None))
-        self._few = rows
-        return told
+        self._incomplete = rows
+        return estimates
 
     def finish(self) -> list[EstimatedRows]:
-        """Say that no more rows will come; return what was waiting for them."""
-        told = self._take_group(self._few) if len(self._few.z) else []
-        self._few = Rows.nothing()
+        """End the record; return the rows that were waiting."""
+        estimates = self._take_group(self._incomplete) if len(self._incomplete.z) else []
+        self._incomplete = Rows.nothing()
         if self._held is not None:
-            told.append(self._smooth(self._held, nothing_later(self._held.bank)))
+            estimates.append(self._smooth(self._held, nothing_later(self._held.bank)))
             self._held = None
-        return told
+        return estimates
 
     def _take_group(self, rows: Rows) -> list[EstimatedRows]:
         """Filter a group, and smooth the one before it."""
@@ -112,14 +113,14 @@ class ImmFlow(ByModes):
         return _Stretch(bank, z, steps, before, verdicts), self._filter.told(trace, verdicts)
 
     def _smooth(self, stretch: _Stretch, later: Floats) -> EstimatedRows:
-        """Come back over a stretch with what the rows after it say."""
+        """Smooth a stretch with the information of the rows after it."""
         trace = self._filter.room(len(stretch.z))
         smooth_rows(stretch.bank, self._filter.state, stretch.z, stretch.steps, stretch.before, later, trace)
         return self._filter.told(trace, stretch.verdicts)
 
 
 def _group_rows(switching: InteractingModels) -> int:
-    """Return how many rows later the calmest mode has forgotten, in whole blocks."""
+    """Return the number of rows after which even the calmest mode has no memory, in whole blocks."""
     models = [mode.component.to_model(1.0, mode.noise_variance) for mode in switching.modes]
     longest = max(rows_until(FORGOTTEN, model) for model in models)
     return max(_LEAST_GROUP, int(min(longest, _MOST_GROUP)) // BLOCK * BLOCK)

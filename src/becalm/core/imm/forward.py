@@ -1,4 +1,4 @@
-"""The forward pass of one channel through interacting multiple models, a stretch of rows at a time."""
+"""The forward pass of one channel through interacting multiple models, block by block."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from becalm.native.imm import Bank, Steps, Trace, filter_rows, new_state, restor
 
 
 class ForwardImm:
-    """The forward pass, which goes on from the beliefs after the stretch before.
+    """The forward pass, which continues from the state after the block before.
 
     Parameters
     ----------
     switching : InteractingModels
         The modes, in steps.
     judge : callable, optional
-        Shown the innovations of each stretch, of the mixture of all modes.
+        It receives the innovations of each block, for the mixture of all modes, and their standard deviations.
     split : bool
-        Whether to tell the share of each part of the component, and then the probability of each mode.
+        Whether to return the contribution of each part of the component, followed by the probability of each mode.
     tells_modes : bool
-        Whether to tell the probabilities alone, where nothing is split.
+        Whether to return the probabilities alone if `split` is False.
 
     Attributes
     ----------
     state : () structured array
-        Of the modes, after the rows so far.
+        The state of the modes after the rows so far.
     """
 
     def __init__(
@@ -46,27 +46,27 @@ class ForwardImm:
 
     @property
     def shares(self) -> dict[str, float]:
-        """What share of the rows so far each mode was in force, as the filter believed at the time."""
+        """Share of the rows so far in each mode: the mean of its filtered probability."""
         total = max(float(self._shares.sum()), 1.0)
         return {mode.name: float(share) / total for mode, share in zip(self.switching.modes, self._shares, strict=True)}
 
     def saved(self) -> dict[str, Any]:
-        """Return what rows depend on, as arrays."""
+        """Return the state that later rows depend on, as arrays."""
         return {"flow_modes": np.frombuffer(self.state.tobytes(), np.int8)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned; raises a ModelError if it is not that of such a bank."""
+        """Restore the result of `saved`; raise a ModelError if it does not fit these modes."""
         state = restored(self.switching.bank(np.ones(1)), arrays["flow_modes"])
         if state is None:
-            raise ModelError("The snapshot's modes are not those of its bank; pass what snapshot() returned.")
+            raise ModelError("The snapshot's state does not fit its modes; pass what snapshot() returned.")
         self.state = state
 
     def judged(self, z: Floats) -> Judged:
-        """Let only possible readings (B,) through."""
+        """Return readings (B,) with NaN in place of impossible ones, and their verdicts."""
         return judge(z, largest_beside(self.switching.least_noise_variance))
 
     def tell_from(self, reading: float) -> None:
-        """Tell all readings from one that came first, before those that will be pushed."""
+        """Set the level that readings count from to the first reading of the record, before any push."""
         if not self.state["has_level"]:
             self.state["has_level"] = 1
             self.state["level"] = level_by(reading, self.switching.least_noise_variance)
@@ -80,7 +80,7 @@ class ForwardImm:
         before: Floats | None = None,
         notes: Floats | None = None,
     ) -> Trace:
-        """Filter readings (B,); the room that is given is filled as `filter_rows` says."""
+        """Filter readings (B,); fill `before` and `notes`, if given, as `filter_rows` does."""
         trace = self.room(len(z), innovations=self._judge is not None)
         self.log_likelihood += filter_rows(bank, self.state, z, steps, trace, before=before, notes=notes)
         self._shares += trace.probability.sum(axis=1)
@@ -89,7 +89,7 @@ class ForwardImm:
         return trace
 
     def room(self, rows: int, *, innovations: bool = False) -> Trace:
-        """Make room for what is told of some rows; where nothing is known yet, sigma is inf."""
+        """Allocate arrays for the results of `rows` rows; sigma is inf until it is written."""
         modes, means = len(self.switching.modes), (self.switching.states if self._split else 0, rows)
         wanted = rows if innovations else 0
         return Trace(
@@ -103,7 +103,7 @@ class ForwardImm:
         )
 
     def told(self, trace: Trace, verdicts: Codes) -> EstimatedRows:
-        """Return what was found of some rows, and what became of their readings."""
+        """Return the results of a trace as `EstimatedRows`, with these verdicts."""
         parts = np.empty((0, len(trace.signal)))
         if self._split:
             shares = np.array([output[0] @ trace.mean for _, output in self.switching.component.outputs()])
@@ -115,7 +115,7 @@ class ForwardImm:
 
 
 class ByModes:
-    """What every flow through a bank tells of it.
+    """The base class of the IMM flows: properties and state of their forward pass.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ class ByModes:
     """
 
     settled_row: int | None = None
-    """None: a bank has no one gain that settles."""
+    """Always None: an IMM has no steady-state gain."""
 
     def __init__(self, passes: ForwardImm) -> None:
         self._filter = passes
@@ -136,29 +136,29 @@ class ByModes:
 
     @property
     def shares(self) -> dict[str, float]:
-        """What share of the rows so far each mode was in force, as the filter believed at the time."""
+        """Share of the rows so far in each mode: the mean of its filtered probability."""
         return self._filter.shares
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood of all measurements so far but the first."""
+        """Log-likelihood of all measurements so far, except the first."""
         return self._filter.log_likelihood
 
     def saved(self) -> dict[str, Any]:
-        """Return what rows depend on, as arrays, of one that tells rows at once or with a lag."""
+        """Return the state that later rows depend on, as arrays; for a filter or a fixed-lag smoother."""
         return dict(self._filter.saved())
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned; raises a ModelError if it is not that of such a bank."""
+        """Restore the result of `saved`; raise a ModelError if it does not fit these modes."""
         self._filter.restore(arrays)
 
     def tell_from(self, reading: float) -> None:
-        """Tell all readings from one that came first, before those that will be pushed."""
+        """Set the level that readings count from to the first reading of the record, before any push."""
         self._filter.tell_from(reading)
 
 
 def with_spikes(verdicts: Codes, trace: Trace) -> Codes:
-    """Return verdicts of some rows, with the readings that were more probably wild than not, and left out."""
+    """Return the verdicts with SPIKE for each reading that was rejected because it is more probably wild than not."""
     if not len(trace.wild):
         return verdicts
     spikes = (trace.wild > 0.5) & (verdicts == Verdict.USED)

@@ -1,4 +1,4 @@
-"""Interacting multiple models, live: all that `Online` needs of them."""
+"""Interacting multiple models for a live stream, with the methods that `Online` needs."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from becalm.native.imm import NOTHING_WANTED, Bank, State, Stepper, filter_rows
 
 
 class LiveImm:
-    """A stream filter of interacting multiple models, one step a measurement.
+    """A stream filter of interacting multiple models, one step per measurement.
 
     Parameters
     ----------
     model : Model
-        The richest mode's, over one step.
+        The model of the mode with the most states, over one step.
     names : list of str
-        Of the modes.
+        The names of the modes.
     bank : Bank
         The modes, over one step.
     state : () structured array
-        Of them; it changes in place.
+        The state of the modes; it changes in place.
     """
 
     def __init__(self, model: Model, names: list[str], bank: Bank, state: State) -> None:
@@ -38,21 +38,21 @@ class LiveImm:
         return trace.signal[:, np.newaxis], trace.sigma[:, np.newaxis]
 
     def stepper(self) -> Callable[[float], tuple[float, float]]:
-        """Return what takes a number, and returns signal and sigma."""
+        """Return a fast function from one reading to signal and sigma."""
         return self.step
 
     def finish(self) -> tuple[Floats, Floats]:
-        """Return signal and sigma, (rows, 1) each, of the readings that wait: none."""
+        """Return signal and sigma of the waiting readings, (0, 1) each: there are none."""
         return np.empty((0, 1)), np.empty((0, 1))
 
     @property
     def modes(self) -> dict[str, float]:
-        """How probable each mode is after the last reading; before the first, what was given."""
+        """Probability of each mode after the last reading; before the first reading, the initial ones."""
         mu: Floats = self._state["mu"]
-        told = mu if mu[0] > 0 else self._bank.start[:, 0]
-        return dict(zip(self._names, told.tolist(), strict=True))
+        probabilities = mu if mu[0] > 0 else self._bank.start[:, 0]
+        return dict(zip(self._names, probabilities.tolist(), strict=True))
 
     def saved(self) -> dict[str, Any]:
-        """Return the state as arrays; `restored_imm` takes them, with the model."""
+        """Return modes and state as arrays; `restored_imm` takes them, with the model."""
         modes = {"bank_names": np.array(self._names), "bank_state": np.frombuffer(self._state.tobytes(), np.int8)}
         return modes | {f"bank_{name}": array for name, array in self._bank._asdict().items()}

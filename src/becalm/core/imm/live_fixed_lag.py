@@ -1,4 +1,4 @@
-"""Interacting multiple models, live, with a fixed lag; and the doors to live ones of either kind."""
+"""Interacting multiple models for a live stream with a fixed lag; functions to make or restore either kind."""
 
 from __future__ import annotations
 
@@ -17,61 +17,62 @@ from becalm.native.imm import NOTHING_WANTED, Bank, State, Trace, filter_rows, n
 
 
 class LiveFixedLagImm(LiveImm):
-    """Takes readings one step apart, and tells each of them `lag` readings later.
+    """A fixed-lag smoother of interacting multiple models for a stream, one step per measurement.
 
     Parameters
     ----------
     model, names, bank, state
-        As of `LiveImm`.
+        The parameters of `LiveImm`.
     lag : int
-        Readings that each estimate waits for, and of which it knows at least three quarters; 1 or more.
+        Lag in readings, 1 or more; each estimate uses at least three quarters of the readings within it.
     """
 
     def __init__(self, model: Model, names: list[str], bank: Bank, state: State, lag: int) -> None:
         super().__init__(model, names, bank, state)
         self._waiting = WaitingRows(model.states, len(names), lag)
-        self._unwaited = lag  # rows at the start that come with none so long before them
-        self._due = np.empty((2, 0))  # signal and sigma that were told, and are asked for later
+        self._rows_to_skip = lag  # rows at the start that have no row one lag earlier
+        self._due = np.empty((2, 0))  # signal and sigma that are ready, but not due yet
         self.step = self._step
 
     def run(self, z: Floats) -> tuple[Floats, Floats]:
-        """Take a block, (B, 1); return signal and sigma, (B, 1) each, of the readings `lag` before them."""
+        """Take a block, (B, 1); return signal and sigma, (B, 1) each, of the readings one lag earlier."""
         out = np.full((2, len(z)), np.nan)
         out[1] = np.inf
-        told = [self._due, *(self._take(z[begin : begin + PIECE, 0]) for begin in range(0, len(z), PIECE))]
-        due, early = np.hstack(told), min(self._unwaited, len(z))
+        parts = [self._due, *(self._take(z[begin : begin + PIECE, 0]) for begin in range(0, len(z), PIECE))]
+        due, early = np.hstack(parts), min(self._rows_to_skip, len(z))
         out[:, early:], self._due = due[:, : len(z) - early], due[:, len(z) - early :]
-        self._unwaited -= early
+        self._rows_to_skip -= early
         return out[0, :, np.newaxis], out[1, :, np.newaxis]
 
     def finish(self) -> tuple[Floats, Floats]:
-        """Return signal and sigma, (rows, 1) each, of the readings that wait, with what there is after them."""
+        """Return signal and sigma, (rows, 1) each, of the waiting readings, from the readings so far."""
         room = self._room(len(self._waiting))
         self._waiting.tell_all(self._bank, self._state, np.zeros(len(self._waiting), np.int32), room)
         signal, sigma = np.hstack([self._due, [room.signal, room.sigma]])
         return signal[:, np.newaxis], sigma[:, np.newaxis]
 
     def saved(self) -> dict[str, Any]:
-        """Return what `restored_imm` needs, besides the model."""
-        moves = {"waiting_due": self._due, "waiting_unwaited": np.array(float(self._unwaited))}
+        """Return modes and state as arrays; `restored_imm` takes them, with the model."""
+        moves = {"waiting_due": self._due, "waiting_unwaited": np.array(float(self._rows_to_skip))}
         return super().saved() | self._waiting.snapshot() | moves
 
     def restore(self, arrays: Mapping[str, Floats]) -> None:
-        """Take over what waits; raises a ModelError if it is not that of such a bank and lag."""
+        """Restore the waiting rows; raise a ModelError if they do not fit these modes and this lag."""
         self._waiting.restore(arrays)
-        due, unwaited = arrays["waiting_due"].copy(), float(arrays["waiting_unwaited"])
-        whole = due.ndim == 2 and len(due) == 2 and due.dtype == np.float64 and unwaited in range(self._waiting.lag + 1)
-        rows = self._waiting.lag - unwaited  # that came, and were not asked for
-        if not whole or due.shape[1] + len(self._waiting) != rows:
-            raise ModelError("The snapshot's fixed lag is not that of its bank; pass what snapshot() returned.")
-        self._due, self._unwaited = due, int(unwaited)
+        due, rows_to_skip = arrays["waiting_due"].copy(), float(arrays["waiting_unwaited"])
+        fits = due.ndim == 2 and len(due) == 2 and due.dtype == np.float64
+        fits = fits and rows_to_skip in range(self._waiting.lag + 1)
+        rows = self._waiting.lag - rows_to_skip  # rows that came and were not returned yet
+        if not fits or due.shape[1] + len(self._waiting) != rows:
+            raise ModelError("The snapshot's waiting rows do not fit its modes and lag; pass what snapshot() returned.")
+        self._due, self._rows_to_skip = due, int(rows_to_skip)
 
     def _step(self, reading: float) -> tuple[float, float]:
         signal, sigma = self.run(np.array([[reading]]))
         return float(signal[0, 0]), float(sigma[0, 0])
 
     def _take(self, z: Floats) -> Floats:
-        """Filter readings (B,); return signal and sigma of those that have waited, (2, rows)."""
+        """Filter readings (B,); return signal and sigma, (2, rows), of the rows that are ready."""
         steps = np.zeros(len(self._waiting) + len(z), np.int32)
         notes = np.empty((len(z), self._waiting.width))
         filter_rows(self._bank, self._state, np.ascontiguousarray(z), steps[: len(z)], notes=notes)
@@ -84,7 +85,7 @@ class LiveFixedLagImm(LiveImm):
 
 
 def new_live_imm(switching: InteractingModels, lag: int) -> LiveImm:
-    """Make a live bank that has read nothing yet."""
+    """Return a new live IMM filter, or a fixed-lag smoother if the lag is above 0."""
     bank = switching.bank(np.ones(1))
     state = new_state(bank, keeps_level=switching.component.keeps_level)
     model = switching.component.to_model(1.0, switching.modes[0].noise_variance)
@@ -93,12 +94,12 @@ def new_live_imm(switching: InteractingModels, lag: int) -> LiveImm:
 
 
 def restored_imm(model: Model, arrays: Mapping[str, Any]) -> LiveImm | None:
-    """Return the bank of a snapshot; None where there is none.
+    """Return the live IMM of a snapshot; None if the snapshot has no modes.
 
     Raises
     ------
     ModelError
-        If the arrays are not those of a bank of the model's states.
+        If the arrays do not fit each other, or the model's number of states.
     """
     if "bank_state" not in arrays:
         return None

@@ -1,8 +1,8 @@
-"""Interacting multiple models: several modes, each a model of its own, one of which is in force at a time.
+"""The modes of interacting multiple models (IMM): each is a model of its own, and one is in force at a time.
 
-Still when it is still, quick when it moves: a fixed gain must trade noise against lag, a gain that follows
-the mode need not. Each mode has its component, its measurement noise, and how long it lasts on average;
-which mode is in force is told from the readings (interacting multiple models, Blom and Bar-Shalom 1988).
+A fixed gain must trade noise against lag. An IMM has little noise while the signal rests and little lag while it moves.
+Each mode has its component, its measurement noise, and a mean duration. The filter estimates the probability of each
+mode from the readings (Blom and Bar-Shalom 1988).
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from becalm.core.steady.steady_gain import steady
 from becalm.errors import ModelError
 from becalm.native.imm import MOST_MODES, Bank, Steps
 
-_WIDE = 1e6  # times the variance of a settled filter's slopes: what is known of them before the first readings
-_ASLEEP = 1e-6  # times the process noise of one step, which a state has that sleeps
-_MOST_BANKS = 16
-_TERMS = 16  # of a series whose argument is below 1/4
+_WIDE = 1e6  # initial variance of the slopes, over that of the steady-state filter
+_ASLEEP = 1e-6  # variance of an inactive state, over the process noise of one step
+_MOST_BANKS = 16  # number of banks in the cache
+_TERMS = 16  # terms of a series whose argument is below 1/4
 
 
 @dataclass(frozen=True)
 class Mode:
-    """One way in which a signal may behave.
+    """One mode of an IMM: a model of the signal, and how long it stays in force.
 
     Attributes
     ----------
     name : str
-        As "still" or "moving".
+        Name of the mode, such as "still" or "moving".
     component : Component
-        The signal, in steps. One of fewer states than the richest mode's has the first of its states, the others
-        sleep: they are all but 0, and wake with the process noise of a step.
+        The signal's model, in steps. If it has fewer states than the largest mode, it has the first of those states;
+        the others are inactive: they are almost 0, and start with the process noise of a step when they are needed.
     noise_variance : float
         R, the variance of a reading's noise, in unit^2.
     lasts : float
-        Mean number of steps before it ends; a *large* one trusts the mode to stay.
+        Mean duration of the mode, in steps; a *large* one trusts the mode to stay.
     then : str
-        The mode that follows it; "" for any other, all alike.
+        The mode that follows; "" for any other mode, with equal probabilities.
     wild_share : float
-        Share of readings, in this mode, that are wild: spread by `InteractingModels.wild_variance`. A *small* one
-        believes in a switch sooner than in a wild reading.
+        Share of wild readings in this mode; their variance is larger by `InteractingModels.wild_variance`. With a
+        *small* share the filter assumes a change of mode rather than a wild reading.
     """
 
     name: str
@@ -57,21 +57,21 @@ class Mode:
 
 @dataclass(frozen=True)
 class InteractingModels:
-    """Interacting multiple models: the modes, and how wild measurements are treated.
+    """Interacting multiple models: the modes, and the treatment of wild measurements.
 
     Attributes
     ----------
     modes : tuple of Mode
-        One to eight, the calmest first.
+        One to eight modes, the calmest first.
     wild_variance : float
-        By how much a wild reading's variance exceeds a tame one's, in unit^2.
+        Extra variance of a wild reading, in unit^2.
     rejects : bool
-        Whether a wild reading is left out of the estimate, or only told nothing of the mode.
+        Whether the estimate leaves out wild readings; otherwise they only do not count for the mode.
 
     Raises
     ------
     ModelError
-        If there are no modes or too many, two have one name, or a number is not finite or not possible.
+        If there are no modes or too many, two have the same name, or a number is not finite or not possible.
     """
 
     modes: tuple[Mode, ...]
@@ -79,10 +79,10 @@ class InteractingModels:
     rejects: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what makes no bank."""
+        """Raise a ModelError if a value is not possible."""
         names = [mode.name for mode in self.modes]
         if not 1 <= len(names) <= MOST_MODES or len(set(names)) != len(names):
-            raise ModelError(f"The modes {names} make no bank; give 1 to {MOST_MODES} modes of different names.")
+            raise ModelError(f"The modes {names} came; give 1 to {MOST_MODES} modes with different names.")
         for mode in self.modes:
             if not (0 < mode.noise_variance < np.inf and 0 < mode.lasts < np.inf and 0 <= mode.wild_share < 1):
                 raise ModelError(
@@ -90,13 +90,13 @@ class InteractingModels:
                     f" and has a wild share of {mode.wild_share:.3g}; give the first two above 0, the last from 0 to 1."
                 )
             if mode.then and mode.then not in names:
-                raise ModelError(f"After {mode.name!r} comes {mode.then!r}, which is none of the modes {names}.")
+                raise ModelError(f"After {mode.name!r} comes {mode.then!r}, which is not one of the modes {names}.")
         if not 0 <= self.wild_variance < np.inf:
-            raise ModelError(f"wild_variance = {self.wild_variance!r} is no variance; give 0 or a positive number.")
+            raise ModelError(f"wild_variance = {self.wild_variance!r} is not a variance; give 0 or a positive number.")
 
     @cached_property
     def component(self) -> Component:
-        """The richest mode's component, whose states all share."""
+        """The component with the most states; all modes share these states."""
         return max((mode.component for mode in self.modes), key=lambda component: len(component.drift))
 
     @property
@@ -106,12 +106,12 @@ class InteractingModels:
 
     @property
     def least_noise_variance(self) -> float:
-        """R of the mode that is read most finely, in unit^2."""
+        """The smallest R of all modes, in unit^2."""
         return min(mode.noise_variance for mode in self.modes)
 
     @cached_property
     def start(self) -> Floats:
-        """How modes begin with the first reading: each one's probability, and variances of its states, (M, 1 + n)."""
+        """The start of each mode at the first reading: its probability, and the variances of its states, (M, 1 + n)."""
         lasts = np.array([mode.lasts for mode in self.modes])
         spread = _WIDE * self._settled_variances if self.states > 1 else np.empty(1)
         own = [
@@ -122,29 +122,29 @@ class InteractingModels:
 
     @cached_property
     def _settled_variances(self) -> Floats:
-        """Variances of the states of the richest mode, once settled."""
+        """Steady-state variances of the states of the largest mode, (n,)."""
         mode = max(self.modes, key=lambda mode: len(mode.component.drift))
         try:
             variances = np.diag(steady(mode.component.to_model(1.0, mode.noise_variance)).predicted_cov)
-        except ModelError:  # it never forgets its start
+        except ModelError:  # the mode has no steady state
             variances = np.empty(0)
         return variances if len(variances) == self.states else np.full(self.states, mode.noise_variance)
 
     def bank(self, lengths: Floats) -> Bank:
-        """Lay the modes out, for steps of several lengths (u,)."""
-        key, known = lengths.tobytes(), self._banks
-        if key not in known:
-            if len(known) >= _MOST_BANKS:
-                known.clear()
-            known[key] = self._laid_out(lengths)
-        return known[key]
+        """Return the matrices of all modes for the C kernel, for steps of several lengths (u,)."""
+        key, cache = lengths.tobytes(), self._banks
+        if key not in cache:
+            if len(cache) >= _MOST_BANKS:
+                cache.clear()
+            cache[key] = self._new_bank(lengths)
+        return cache[key]
 
     @cached_property
     def _banks(self) -> dict[bytes, Bank]:
-        """What was laid out last, for lengths that come again."""
+        """A cache of banks, by the lengths of their steps."""
         return {}
 
-    def _laid_out(self, lengths: Floats) -> Bank:
+    def _new_bank(self, lengths: Floats) -> Bank:
         F, Q = (
             np.stack(parts, axis=1) for parts in zip(*(self._over(mode, lengths) for mode in self.modes), strict=True)
         )
@@ -163,7 +163,7 @@ class InteractingModels:
         )
 
     def _over(self, mode: Mode, lengths: Floats) -> tuple[Floats, Floats]:
-        """Integrate one mode over steps, (u, n, n) each; states that it has not are asleep."""
+        """Return F and Q of one mode over steps, (u, n, n) each; states that it does not have are inactive."""
         own, n = len(mode.component.drift), self.states
         F, Q = mode.component.over(lengths)
         if own == n:
@@ -172,8 +172,8 @@ class InteractingModels:
         wide_F[:, :own, :own], wide_Q[:, :own, :own] = F, Q
         asleep = np.arange(own, n)
         wide_Q[:, asleep, asleep] = _ASLEEP * np.diag(self.component.over(np.ones(1))[1][0])[own:]
-        nothing = lengths == 0.0
-        wide_F[nothing], wide_Q[nothing] = np.eye(n), 0.0
+        no_time = lengths == 0.0
+        wide_F[no_time], wide_Q[no_time] = np.eye(n), 0.0
         return wide_F, wide_Q
 
     def transitions(self, lengths: Floats) -> Floats:
@@ -182,7 +182,7 @@ class InteractingModels:
 
     @cached_property
     def _rates(self) -> Floats:
-        """How often a step goes from mode i to mode j, (M, M); rows add up to 0."""
+        """Transition rates from mode i to mode j, per step, (M, M); each row sums to 0."""
         names, count = [mode.name for mode in self.modes], len(self.modes)
         rates = np.zeros((count, count))
         for i, mode in enumerate(self.modes):
@@ -193,22 +193,22 @@ class InteractingModels:
 
 
 def _exponentials(rates: Floats, lengths: Floats) -> Floats:
-    """Return exp(rates t) for several t, (u, M, M): a Taylor series of a small part of the time, squared again."""
+    """Return exp(rates t) for several t, (u, M, M), by scaling and squaring of a Taylor series."""
     most = float(np.abs(np.diag(rates)).max(initial=0.0)) * lengths
-    halvings = np.maximum(np.ceil(np.log2(np.maximum(most, 1e-300))) + 2, 0)  # each its own: so alone, so in company
+    halvings = np.maximum(np.ceil(np.log2(np.maximum(most, 1e-300))) + 2, 0)  # for each t alone: no influence of others
     part = np.multiply.outer(lengths / 2.0**halvings, rates)
-    term = found = np.broadcast_to(np.eye(len(rates)), part.shape)
+    term = result = np.broadcast_to(np.eye(len(rates)), part.shape)
     for k in range(1, _TERMS):
         term = term @ part / k
-        found = found + term
+        result = result + term
     for k in range(int(halvings.max(initial=0))):
-        found[halvings > k] = found[halvings > k] @ found[halvings > k]
-    found = np.maximum(found, 0.0)
-    return np.ascontiguousarray(found / found.sum(axis=2, keepdims=True))
+        result[halvings > k] = result[halvings > k] @ result[halvings > k]
+    result = np.maximum(result, 0.0)
+    return np.ascontiguousarray(result / result.sum(axis=2, keepdims=True))
 
 
 def numbered_steps(elapsed: Floats) -> tuple[Floats, Steps]:
-    """Return the lengths of all steps (u,), and which of them precedes each row (N,)."""
+    """Return the different lengths of the steps (u,), and the index of the step before each row (N,)."""
     if len(elapsed) and (elapsed == elapsed[0]).all():  # no need to sort
         return elapsed[:1].copy(), np.zeros(len(elapsed), np.int32)
     lengths, steps = np.unique(elapsed, return_inverse=True)
