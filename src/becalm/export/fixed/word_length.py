@@ -110,8 +110,8 @@ def _refuse(design: Design, point: BinaryPoint, word: WordLength, lsb: float) ->
         f"{design.name}: with q31 the error is {word.share:.2g} of the signal's standard deviation of"
         f" {design.settled_std:.3g}{unit} for readings that span {word.range:.3g}{unit}; at most a tenth is allowed"
         f" (it stalls {word.stall:.2g}{unit} off, rounding adds {word.noise:.2g}{unit}; its states are"
-        f" {states_error * lsb:.2g}{unit} of that, where {_PROMISED * design.noise_std:.2g}{unit} is allowed); give a narrower"
-        " --range, a larger process_noise_density, or --precision float64."
+        f" {states_error * lsb:.2g}{unit} of that, where {_PROMISED * design.noise_std:.2g}{unit} is allowed); give a"
+        " narrower --range, a larger process_noise_density, or --precision float64."
     )
 
 

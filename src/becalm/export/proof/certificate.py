@@ -16,14 +16,14 @@ def certificate(bundle: Bundle, verified: Verified) -> str:
     names = list(dict.fromkeys(one.build.compiler for one in verified.runs))
     vectors = sum(len(one.vectors) for one in bundle.channels)
     lines = [f"# Certificate of {bundle.stem}", ""]
-    lines += [f"What was run when these files were made, and what came out. {vectors} golden vectors.", ""]
+    lines += [f"Results of the checks that ran when these files were made, with {vectors} golden vectors.", ""]
     lines += [f"- {name}: {version_of(name)}" for name in names]
     lines += ["", "| compiler | flags | vectors and checks |", "|---|---|---|"]
     lines += [
         f"| {one.build.compiler} | `{' '.join(one.build.flags)}` | {'all passed' if one.passed else 'FAILED'} |"
         for one in verified.runs
     ]
-    lines += ["", "| channel | record | rows | beside | greatest difference | signal over difference |"]
+    lines += ["", "| channel | record | rows | reference | greatest difference | signal over difference |"]
     lines += ["|---|---|---|---|---|---|"]
     lines += [
         f"| {one.channel} | {one.record} | {one.rows} | {one.beside} | {_greatest(one)} | {_decibels(one)} |"
