@@ -81,10 +81,10 @@ def fit_noise(stretches: Sequence[Floats]) -> NoiseModel:
     Notes
     -----
     A slow drift and noise with a long memory look alike: within one stretch nobody can distinguish a sensor's wandering
-    bias from a slow motion. Therefore frequencies slower than a quarter of a stretch are left out, a random walk is
-    part of every candidate, and the correlation of coloured noise must fall to 1/e within a tenth of a stretch. Slower
-    noise is left to the motion, and R is the white noise next to it. Noise with a memory of more than about a hundredth
-    of a stretch already resembles a drift and may be taken for one; that does less harm than a motion that is taken for
+    bias from a slow motion. Therefore periods longer than a quarter of a stretch are left out, a random walk is part of
+    every candidate, and the correlation of coloured noise must fall to 1/e within a tenth of a stretch. Slower noise is
+    left to the motion, and R is the white noise next to it. Noise with a memory of more than about a hundredth of a
+    stretch already resembles a drift and may be taken for one; that does less harm than a motion that is taken for
     noise. A steady tone at rest is taken for a narrow resonance of order 2.
 
     R is never below a thousandth of the innovation variance of the coloured noise. The readings cannot distinguish so

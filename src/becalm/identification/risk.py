@@ -61,13 +61,13 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
         return replace(tuning, ratio=ratio, noise_variance=floor)
 
     likeliest = np.log(ratio_to_cutoff(tuning.order, tuning.ratio))
-    found = minimize_scalar(
+    result = minimize_scalar(
         lambda log_cutoff: _risk(at(log_cutoff), evidence)[0],
         bounds=(likeliest + _SEARCH[0], likeliest + _SEARCH[1]),
         method="bounded",
         options={"xatol": _PRECISION},
     )
-    best = at(float(found.x))
+    best = at(float(result.x))
     likelihood = Candidate(tuning.order, evidence).score(best.ratio).log_likelihood
     return replace(best, log_likelihood=float(likelihood), at_edge="")
 

@@ -124,10 +124,10 @@ def find_least(
         bracket = grid[max(best - 1, 0) : best + 2]
         bounds = float(bracket.min()), float(bracket.max())
         with np.errstate(invalid="ignore"):  # where the cost is inf
-            found = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": precision})
-        tried += int(found.nfev)
-        if found.fun <= least:
-            at, least = float(found.x), float(found.fun)
+            result = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": precision})
+        tried += int(result.nfev)
+        if result.fun <= least:
+            at, least = float(result.x), float(result.fun)
     return Least(at, least, _edge(at, grid), tried)
 
 
