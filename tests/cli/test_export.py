@@ -118,7 +118,7 @@ REFUSED = {
     "two ranges of a channel": (["--range", "ax=0:5", "--range", "ax=0:6"], "ax=0:6 comes after another for ax"),
     "a range of no channel": (["--range", "az=0:5"], "the recipe has no channel 'az'"),
     "a form with a precision": (["--to", "sos", "--precision", "float32"], "Only --channels goes with --to sos"),
-    "unfiltered": (["--channels", "flag"], "No channel of the recipe is filtered, so that there is nothing to export."),
+    "unfiltered": (["--channels", "flag"], "No channel of the recipe is filtered, so there is nothing to export."),
     "q31 without a range": (["--precision", "q31", "--channels", "ax"], "give --range"),
 }
 

@@ -36,7 +36,7 @@ def test_float_keeps_what_the_first_readings_told(told: ChannelRecipe, tmp_path:
 
 
 def test_a_table_in_float_is_refused_where_they_would_be_lost() -> None:
-    with pytest.raises(RecipeError, match="its first readings hardly tell its state, and float would lose the digits"):
+    with pytest.raises(RecipeError, match="first readings hardly determine its state, and float would lose the digits"):
         bundle(SLOW, gain="settled")
     assert bundle(SLOW, gain="settled", precision="float64").channels
 

@@ -135,10 +135,10 @@ def test_a_count_stands_for_0_where_0_is_in_reach(low: float, width: float) -> N
 
 REFUSED = {
     "unknown": (channel("ax"), None, r"give --range LOW:HIGH in m/s\^2, or low and high in \[channel.limits\]"),
-    "crossed": (channel("ax"), (5.0, 5.0), "a range goes from low to high"),
-    "far": (channel("ax"), (1e12, 1e12 + 1), "too little so far from 0"),
+    "crossed": (channel("ax"), (5.0, 5.0), "a range is LOW:HIGH"),
+    "far": (channel("ax"), (1e12, 1e12 + 1), "too narrow at that distance from 0"),
     "loud": (channel("ax"), (-1e10, 1e10), "more than their noise of 1 m/s.2; give a narrower --range"),
-    "slow": (channel("ax", 1, 1e-5), (-1e7, 1e7), "a tenth is the most.*give a narrower --range"),
+    "slow": (channel("ax", 1, 1e-5), (-1e7, 1e7), "at most a tenth is allowed.*give a narrower --range"),
     "endless": (channel("ax", 5, 1e-3), (-SPAN, SPAN), "its states are .*--precision float64"),
 }
 

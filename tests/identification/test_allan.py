@@ -180,8 +180,8 @@ def test_a_million_readings_keep_their_digits_far_from_zero() -> None:
         ([[1.0, 2.0]], "one channel"),
         (["a", "b"], "not numbers"),
         ([1.0 + 2j, 0.0], "real numbers are needed"),
-        ([], "readings in a row"),
-        ([1.0, np.nan, 2.0, np.nan], "readings in a row"),
+        ([], "consecutive readings"),
+        ([1.0, np.nan, 2.0, np.nan], "consecutive readings"),
     ],
 )
 def test_what_is_no_record_is_refused(readings: list[object], sentence: str) -> None:
@@ -198,8 +198,8 @@ def test_what_is_no_record_is_refused(readings: list[object], sentence: str) -> 
         ({"cluster_times_s": "hexadecimal"}, "use 'octave', 'decade'"),
         ({"cluster_times_s": [0.015]}, "the nearest is 0.02 s"),
         ({"cluster_times_s": [0.6]}, "give 0.01 to 0.5 s"),
-        ({"cluster_times_s": [0.0]}, "cannot be had"),
-        ({"cluster_times_s": [np.nan]}, "cannot be had"),
+        ({"cluster_times_s": [0.0]}, "is not possible"),
+        ({"cluster_times_s": [np.nan]}, "is not possible"),
         ({"cluster_times_s": []}, "is empty"),
         ({"cluster_times_s": [0.3]}, "twice as long as 0.3 s"),
     ],

@@ -216,7 +216,7 @@ def test_short_stretches_tell_what_they_can() -> None:
 
 
 def test_what_cannot_be_tuned_is_refused() -> None:
-    with pytest.raises(RecordingError, match=r"^7 readings came; 8 or more tell a motion"):
+    with pytest.raises(RecordingError, match=r"^7 readings came; 8 or more are needed for a motion"):
         tune_beside(even(np.arange(7.0)), 1.0, causal=True)
     stamped = Evidence.of(white(50, 1), np.random.default_rng(1).uniform(0.5, 1.5, 50))
     with pytest.raises(ModelError, match=r"not a whole number of steps"):

@@ -187,7 +187,7 @@ def test_a_steady_tone_is_a_narrow_resonance() -> None:
 def test_equal_readings_have_no_noise_and_too_few_tell_none() -> None:
     assert fit_noise([np.full(100, 0.1), np.full(100, 1e6)]) == NoiseModel(0.0, None, 0.0, 200)
     with pytest.raises(
-        RecordingError, match=r"^63 readings at rest came; noise is told from 64 on\. Name a longer rest"
+        RecordingError, match=r"^63 readings at rest came; 64 are needed to identify noise\. Name a longer rest"
     ):
         fit_noise([np.ones(63)])
     with pytest.raises(RecordingError, match=r"^0 readings"):

@@ -128,7 +128,7 @@ def test_what_is_possible_has_its_unit() -> None:
 
 def test_a_lag_longer_than_the_record_is_refused_unless_it_asks_nothing() -> None:
     slow, quick = Tuning(2, 1e-20, 1.0, 1000), Tuning(2, 1e-4, 1.0, 1000)
-    with pytest.raises(UsageError, match="longer than the readings last, 2 s"):
+    with pytest.raises(UsageError, match="longer than the record, 2 s"):
         turn(slow, Dial("max_lag_s", 2.01), 1 / RATE_HZ, causal=True)
     for lag_s in (2.01, 1e9, float("inf")):
         assert turn(quick, Dial("max_lag_s", lag_s), 1 / RATE_HZ, causal=True).ratio == quick.ratio

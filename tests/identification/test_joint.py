@@ -225,7 +225,7 @@ def test_unknowns_that_look_alike_are_named_with_the_reason() -> None:
     found = tune_model(level, np.random.default_rng(7).normal(size=500))
     assert len(found.not_identifiable) == 1
     assert "looks to the readings like +1 " in found.not_identifiable[0]
-    assert "tell 1 of 2 unknowns" in found.not_identifiable[0]
+    assert "determine 1 of 2 unknowns" in found.not_identifiable[0]
     assert np.isinf([found.process_error, found.noise_error]).all()
     assert tune_model(level, 2 * np.random.default_rng(7).normal(size=500), "fixed").not_identifiable == ()
 
@@ -264,7 +264,7 @@ def test_a_noise_that_is_not_there_cannot_be_told_from_zero() -> None:
         assert found.model.R[0, 0] == pytest.approx(1.0, abs=4 * found.noise_error[0, 0])
         if found.not_identifiable:
             said += 1
-            assert found.not_identifiable[0].startswith("Q[0,0] cannot be told from zero")
+            assert found.not_identifiable[0].startswith("Q[0,0] cannot be distinguished from zero")
             larger = with_covariances(found.model, found.model.Q + found.process_error, found.model.R)
             assert found.log_likelihood - log_likelihood(larger, z) == pytest.approx(0.5, abs=0.05)
     assert said >= 2

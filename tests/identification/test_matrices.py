@@ -70,7 +70,7 @@ def test_each_component_has_one_scale() -> None:
 
 
 def test_a_freedom_that_is_not_known_is_refused() -> None:
-    with pytest.raises(ModelError, match="'most' does not say what of R is free; use one of"):
+    with pytest.raises(ModelError, match="'most' is not a choice of free entries of R; use one of"):
         patterns_of("R", START, "most")  # type: ignore[arg-type]
 
 

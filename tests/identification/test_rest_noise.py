@@ -125,8 +125,8 @@ def test_the_split_tells_slow_from_fast() -> None:
 @pytest.mark.parametrize(
     ("readings", "cutoff_hz", "words"),
     [
-        (np.append(NOISE, np.nan), 1.0, "without gaps"),
-        (NOISE, 50.0, "cutoff_hz = 50 is no cut-off at 100 Hz"),
+        (np.append(NOISE, np.nan), 1.0, "with gaps"),
+        (NOISE, 50.0, "cutoff_hz = 50 is not a cut-off at 100 Hz"),
         (NOISE, 0.0, "cutoff_hz = 0"),
         (NOISE, np.nan, "cutoff_hz = nan"),
         (NOISE[:999], 1.0, "9.99 s are too short to be split at 1 Hz; 10 s are needed"),

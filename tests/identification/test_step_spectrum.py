@@ -174,7 +174,7 @@ def test_the_models_are_the_papers() -> None:
         ({"rate_hz": 0.0}, "must be positive"),
         ({"rate_hz": np.nan}, "must be positive"),
         ({"step": -0.2}, "must be positive"),
-        ({"step_at_s": 10.0}, "The step at 10 s is not in the record of 10 s"),
+        ({"step_at_s": 10.0}, "The step at 10 s is not within the record of 10 s"),
         ({"step_at_s": -1.0}, "The step at -1 s"),
         ({"spectrum": "phase"}, "spectrum = 'phase' is not known; use 'amplitude' or 'power'"),
         ({"sensor": "compass"}, "sensor = 'compass' is not known; use 'accelerometer' or 'gyroscope'"),
@@ -187,5 +187,5 @@ def test_what_is_no_trial_is_refused(changed: dict[str, Any], words: str) -> Non
 
 @pytest.mark.parametrize(("R", "Q"), [(0.0, 1.0), (1.0, 0.0), (-1.0, 1.0), (np.nan, 1.0)])
 def test_the_simplex_starts_from_positive_variances(R: float, Q: float) -> None:
-    with pytest.raises(ModelError, match="starts from positive ones"):
+    with pytest.raises(ModelError, match="needs positive starting values"):
         tune_by_simplex(StepTrial(np.zeros(4000), 400.0, "gyroscope"), R, Q)

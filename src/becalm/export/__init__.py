@@ -1,1 +1,1 @@
-"""The same filter elsewhere: as C with its proof, as second-order sections, as JSON."""
+"""Export a filter: as C with its verification, as second-order sections, as JSON or for SciPy."""

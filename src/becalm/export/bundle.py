@@ -1,4 +1,7 @@
-"""All that is written for a recipe, as texts by their paths: filters, vectors, what runs them, and how to read them."""
+"""Write a recipe's filters as C: all files of the bundle as texts by their paths.
+
+A bundle holds the filters, golden vectors, a program that runs them, layouts for other tools and a README.
+"""
 
 from __future__ import annotations
 
@@ -29,24 +32,24 @@ from becalm.export.word_length import refuse_coarse
 from becalm.export.written import WrittenChannel, words_of
 from becalm.installation import version
 
-_HIGHEST_UHZ = (1 << 62) - 1
+_LARGEST_UHZ = (1 << 62) - 1
 
 
 class ExportOptions(NamedTuple):
-    """What a person asks for.
+    """The options of an export.
 
     Attributes
     ----------
     precision : {"float32", "float64", "q31"}
-        What filters compute in.
+        Number type of the filters.
     gain : {"auto", "settled", "full"}
-        Whether a covariance is carried; "auto" carries one where the recipe needs it.
+        "full" carries a covariance, "settled" does not; "auto" carries one where the recipe needs it.
     channels : tuple of str or None
-        Which of the recipe; None for all that are filtered.
+        Names of the channels to export; None for all that are filtered.
     spans : mapping of str to (float, float)
-        Least and greatest reading, in unit, by channel; of others the rails of the recipe are taken, where it has some.
+        Least and greatest reading by channel, in unit; the default are the saturation limits of the recipe, if any.
     recorded : mapping of str to (N,) float array
-        Readings of a real recording, by channel, in unit.
+        Readings of a real recording by channel, in unit.
     """
 
     precision: Precision = "float32"
@@ -57,7 +60,7 @@ class ExportOptions(NamedTuple):
 
 
 class Exported(NamedTuple):
-    """One channel that was written."""
+    """One exported channel."""
 
     name: str
     prefix: str
@@ -70,18 +73,18 @@ class Exported(NamedTuple):
 
 
 class Bundle(NamedTuple):
-    """All that is written.
+    """An export in C.
 
     Attributes
     ----------
     stem : str
-        What files and names begin with.
+        Prefix of file names and C names.
     files : dict of str to str
         Texts by their paths.
     channels : list of Exported
-        In the order of the recipe.
+        The channels, in the order of the recipe.
     notes : list of str
-        What a person should know.
+        Notes for the user.
     """
 
     stem: str
@@ -91,7 +94,7 @@ class Bundle(NamedTuple):
 
     @property
     def needs_nan(self) -> bool:
-        """Whether it does not compile with -ffast-math, which forgets what NaN is."""
+        """Whether it must not be compiled with -ffast-math, which breaks the test for NaN."""
         return any(isinstance(one.kind, WholeChannel) for one in self.channels)
 
 
@@ -101,57 +104,57 @@ def bundle_of(recipe: Recipe, name: str, asked: ExportOptions) -> Bundle:
     Parameters
     ----------
     recipe : Recipe
-        What was decided for each channel.
+        The recipe of the channels.
     name : str
-        What a person calls it; file names follow from it.
+        Name of the recipe, from which file names are made.
     asked : ExportOptions
-        What a person asks for.
+        The options of the export.
 
     Raises
     ------
     RecipeError
-        If its numbers make no filter, or one that this precision cannot hold.
+        If the numbers of the recipe do not give a filter, or this precision cannot represent it.
     UsageError
         If a channel is not in the recipe.
     """
-    stem, (found, notes) = stem_of(name), chosen(recipe, asked.channels)
-    prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in found), stem)
-    kinds = [kind_of(channel, design, asked.precision, asked.gain) for channel, design in found]
-    sizes = Sizes.of(design for (_, design), kind in zip(found, kinds, strict=True) if isinstance(kind, WholeChannel))
+    stem, (filtered, notes) = stem_of(name), chosen(recipe, asked.channels)
+    prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in filtered), stem)
+    kinds = [kind_of(channel, design, asked.precision, asked.gain) for channel, design in filtered]
+    sizes = Sizes.of(
+        design for (_, design), kind in zip(filtered, kinds, strict=True) if isinstance(kind, WholeChannel)
+    )
     channels = [
-        _exported(
-            channel, design, prefix, replace(kind, sizes=sizes) if isinstance(kind, WholeChannel) else kind, asked
-        )
-        for (channel, design), prefix, kind in zip(found, prefixes, kinds, strict=True)
+        _export(channel, design, prefix, replace(kind, sizes=sizes) if isinstance(kind, WholeChannel) else kind, asked)
+        for (channel, design), prefix, kind in zip(filtered, prefixes, kinds, strict=True)
     ]
     texts = _files(recipe, name, stem, asked, channels, notes, sources_of(sizes, stem))
     return Bundle(stem, texts, channels, notes)
 
 
 def stem_of(name: str) -> str:
-    """Return what files and names in C begin with; none is one of the library's own."""
+    """Return the prefix of files and names in C, different from the library's own names."""
     stem = identifier(name, "filters")
     return f"{stem}_filters" if stem in OWN_NAMES else stem
 
 
 def chosen(recipe: Recipe, channels: Sequence[str] | None) -> tuple[list[tuple[ChannelRecipe, Design]], list[str]]:
-    """Return the channels to write with their filters, and what is to be said of the recipe.
+    """Return the channels to write with their filters, and notes about the recipe.
 
     Raises
     ------
     RecipeError
-        If none is filtered, or the numbers of one make no filter.
+        If no channel is filtered, or the numbers of one do not give a filter.
     UsageError
-        If one is not in the recipe.
+        If a channel is not in the recipe.
     """
     names, step_s = [channel.name for channel in recipe.channel], 1 / recipe.nominal_rate_hz
     if missing := [name for name in channels or () if name not in names]:
         raise UsageError(f"The recipe has no channel {missing[0]!r}; it has {', '.join(names)}.")
-    notes, found = [], []
+    notes, filtered = [], []
     if recipe.mode != "causal":
         notes.append(
-            f"The recipe is {recipe.mode}, and a controller has only the past: written is the causal filter, as in"
-            " becalm live. For one that was tuned to be causal: becalm tune FILE --causal."
+            f"The recipe is {recipe.mode}, but a controller knows only the past: the export is the causal filter, as in"
+            " becalm live. To tune a filter for causal use: becalm tune FILE --causal."
         )
     for channel in recipe.channel:
         if channels is not None and channel.name not in channels:
@@ -160,13 +163,13 @@ def chosen(recipe: Recipe, channels: Sequence[str] | None) -> tuple[list[tuple[C
         if design is None:
             notes.append(f"{channel.name} passes unchanged, and is left out.")
         else:
-            found.append((channel, design))
-    if not found:
-        raise RecipeError("No channel of the recipe is filtered, so that there is nothing to export.")
-    return found, notes
+            filtered.append((channel, design))
+    if not filtered:
+        raise RecipeError("No channel of the recipe is filtered, so there is nothing to export.")
+    return filtered, notes
 
 
-def _exported(channel: ChannelRecipe, design: Design, prefix: str, kind: Kind, asked: ExportOptions) -> Exported:
+def _export(channel: ChannelRecipe, design: Design, prefix: str, kind: Kind, asked: ExportOptions) -> Exported:
     low, high = design.limits.rails
     span = asked.spans.get(channel.name, (low, high) if np.isfinite(high - low) else None)
     if span is not None and kind.number is FLOAT:
@@ -221,7 +224,7 @@ def _context(  # noqa: PLR0913
         "recipe_hash": hashlib.sha256(recipe.to_toml().encode()).hexdigest(),
         "rate_hz": f"{rate_hz:.9g}",
         "step_s": f"{1 / rate_hz:.9g}",
-        "rate_uhz": f"{min(round(rate_hz * 1e6), _HIGHEST_UHZ)}ULL"
+        "rate_uhz": f"{min(round(rate_hz * 1e6), _LARGEST_UHZ)}ULL"
         if rate_hz * 1e6 > 4e9
         else f"{round(rate_hz * 1e6)}UL",
         "precision": asked.precision,
@@ -232,12 +235,12 @@ def _context(  # noqa: PLR0913
 
 
 def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
-    (told,) = (channel for channel in recipe.channel if channel.name == one.name)
+    (channel_recipe,) = (channel for channel in recipe.channel if channel.name == one.name)
     return {
         **words_of(one.design, one.prefix, one.kind.number),
         "title": comment(f"{one.name}, {one.design.unit}" if one.design.unit else one.name),
         "reset_words": reset_words(one.design),
-        "facts": [comment(fact) for fact in facts_of(told, one.design, one.written)],
+        "facts": [comment(fact) for fact in facts_of(channel_recipe, one.design, one.written)],
         "header": one.written.header,
         "source": one.written.source,
         "state_bytes": one.written.state_bytes,

@@ -1,7 +1,8 @@
-"""A channel's filter as numbers that another language needs: gains found beforehand, nothing left to decide.
+"""Design a channel's filter as plain numbers for another language: all gains are computed beforehand.
 
-In steps and in the channel's unit, covariances in unit^2. A filter with a settled gain, in floating or fixed point,
-carries the *predicted* state p, so that a settled row is y = C p + C K nu and p = F p + F K nu, with nu = z - H p.
+Numbers are in steps and in the channel's unit, covariances in unit^2. A filter with a settled gain, in floating or
+fixed point, carries the *predicted* state p, so that a row in the steady state is y = C p + C K nu and p = F p + F K
+nu, with nu = z - H p.
 """
 
 from __future__ import annotations
@@ -36,35 +37,35 @@ NOT_IN_C = (
     "plausible_low",
     "plausible_high",
 )
-"""Limits of a recipe that settled and fixed filters have not: gross outliers, fills, and a last sentinel."""
+"""Limits of a recipe that settled and fixed filters do not support: gross outliers, fill values, a last sentinel."""
 
 _COUNTABLE = (1 << 32) - 1
-_UNMOVED = 1e-8  # of a state: its square is what is left of a covariance, and less than float64 holds beside it
-_MOST_COASTED = (1 << 16) - 2  # rows, which two bytes count
+_UNMOVED = 1e-8  # of a state: its square is the rest of a covariance, below the resolution of float64
+_MOST_COASTED = (1 << 16) - 2  # rows that two bytes can count
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The filter of one channel.
+    """The filter of one channel as numbers.
 
     Attributes
     ----------
     name, unit : str
-        As in the recipe.
+        Name and unit from the recipe.
     step_s : float
-        One step, in seconds.
+        Duration of a step, in seconds.
     component : Component
-        The signal and its disturbances; where the recipe switches, those of its richest mode.
+        The signal and its disturbances; for an IMM, those of its richest mode.
     model : Model
-        Of it and the noise of readings, one step a reading.
+        Model of the component and the readings' noise, with one step per reading.
     limits : Limits
-        What readings keep to.
+        Limits of the readings.
     gate : Gate or None
-        What leaves spikes out.
+        The innovation gate, if there is one.
     modes : InteractingModels or None
-        The bank, where the recipe switches.
+        The IMM, if the recipe has several modes.
     longest_gap : int
-        Steps across which a filter with a covariance is carried; the largest number for any.
+        Longest gap, in steps, that a filter with a covariance is carried across; the largest number for no limit.
     """
 
     name: str
@@ -84,23 +85,23 @@ class Design:
 
     @property
     def output(self) -> Floats:
-        """What of the state is signal, C (n,): H without disturbances."""
+        """C (n,), which maps the state to the signal: H without disturbances."""
         return np.asarray(self.component.signal_output[0], dtype=np.float64)
 
     @property
     def level_direction(self) -> Floats:
-        """What is added to the state (n,) with a constant to the signal; to the first state alone where it fades."""
+        """Change of the state (n,) for a constant added to the signal; only the first state if the level fades."""
         direction = self.component.level_direction
         return np.eye(self.states)[0] if direction is None else direction
 
     @property
     def unit_after(self) -> str:
-        """The unit after a number: with a space before it, or nothing where it is not known."""
+        """The unit as it follows a number: with a leading space, or "" where it is unknown."""
         return f" {self.unit}" if self.unit else ""
 
     @property
     def noise_variance(self) -> float:
-        """R, in unit^2; of a bank the least of its modes."""
+        """R, in unit^2; for an IMM the least of its modes."""
         return self.modes.least_noise_variance if self.modes else float(self.model.R[0, 0])
 
     @property
@@ -110,62 +111,62 @@ class Design:
 
     @property
     def largest(self) -> float:
-        """Magnitude beyond which a value is no reading, in unit."""
+        """Magnitude beyond which a value is overrange, in unit."""
         return min(self.limits.largest, largest_beside(self.noise_variance))
 
     @cached_property
     def opening(self) -> Opening:
-        """How the first readings tell the state."""
+        """The opening: how the first readings determine the state."""
         return open_at(self.model)
 
     @cached_property
     def steady(self) -> SteadyFilter | None:
-        """The filter once its gain has settled; None of one that never forgets its start."""
+        """The steady-state filter; None if there is no steady state, since the effect of the start does not fade."""
         try:
-            found = steady(self.model, self.output)
+            filter_ = steady(self.model, self.output)
         except ModelError:
             return None
-        forgets = bool(abs(found.poles[0]) < 1 - 1e-13) and found.model.states == self.states
-        return found if forgets else None
+        fades = bool(abs(filter_.poles[0]) < 1 - 1e-13) and filter_.model.states == self.states
+        return filter_ if fades else None
 
     @cached_property
     def response(self) -> Response | None:
-        """The settled filter in an engineer's words; None of one that never settles, or of a bank."""
+        """The response in the steady state, in an engineer's terms; None if there is none, or for an IMM."""
         if self.steady is None or self.modes is not None:
             return None
         return describe(self.model, self.step_s, causal=True, output=self.output)
 
     @property
     def settled_std(self) -> float:
-        """Standard deviation of the settled signal's error where the model holds, in unit; inf where there is none."""
+        """Standard deviation of the error in the steady state, where the model holds, in unit; inf without one."""
         return float(np.sqrt(self.steady.error_variance())) if self.steady else np.inf
 
     @property
     def motion_order(self) -> int:
-        """How many of the first states are a motion, without the level that it returns to: the rest fades, or turns."""
+        """Number of the first states that are a motion, without the level that it returns to."""
         return len(self.component.parts[0].state_names) - self.component.returns
 
     @cached_property
     def settled_rows(self) -> int:
-        """Complete rows after which a gain is what it will be to the last digit; the largest number for never."""
+        """Complete rows after which the gain is constant to the last digit; the largest number if it never is."""
         rows = rows_until(_UNMOVED, self.model) if self.steady else np.inf
         return int(min(np.ceil(1.1 * rows) + 32, _COUNTABLE)) if np.isfinite(rows) else _COUNTABLE
 
     @property
     def settles(self) -> bool:
-        """Whether its gain is what it will be after rows that can be counted."""
+        """Whether its gain is constant after a number of rows that can be counted."""
         return self.steady is not None and self.settled_rows < _COUNTABLE
 
     @property
     def is_reached(self) -> bool:
-        """Whether some gap is so long that it begins anew."""
+        """Whether it starts anew after some length of gap."""
         return self.longest_gap < _COUNTABLE
 
     @cached_property
     def coasts(self) -> int:
-        """Rows without a reading after which what is predicted is worth less than one reading; 1 at the least.
+        """Rows without a reading after which a prediction is worth less than one reading; at least 1.
 
-        A settled gain is that of an undisturbed row; beyond so many rows it is better to begin anew.
+        A settled gain is that of an undisturbed row; after more such rows it is better to start anew.
         """
         if self.steady is None:
             return _MOST_COASTED
@@ -186,32 +187,32 @@ def spread_of(steady: SteadyFilter) -> Floats:
 
 
 def design_of(recipe: ChannelRecipe, step_s: float) -> Design | None:
-    """Return the filter of a channel; None of one that passes unchanged.
+    """Return the filter of a channel; None for a channel that passes unchanged.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        In seconds and units.
+        Recipe of the channel, in seconds and units.
     step_s : float
-        One step, in seconds.
+        Duration of a step, in seconds.
 
     Raises
     ------
     RecipeError
-        If its numbers make no filter at this step.
+        If its numbers do not give a filter at this step.
     """
     if recipe.motion is None:
         return None
-    runs = Filter(recipe, step_s, 0)
-    component = runs.modes.component if runs.modes else runs.tuning.component
+    filter_ = Filter(recipe, step_s, 0)
+    component = filter_.modes.component if filter_.modes else filter_.tuning.component
     return Design(
         recipe.name,
         recipe.unit,
         step_s,
         component,
-        component.to_model(1.0, runs.noise_variance),
+        component.to_model(1.0, filter_.noise_variance),
         limits_of(recipe.limits),
-        runs.gate,
-        runs.modes,
-        int(min(runs.gap_limit.longest, _COUNTABLE)),
+        filter_.gate,
+        filter_.modes,
+        int(min(filter_.gap_limit.longest, _COUNTABLE)),
     )

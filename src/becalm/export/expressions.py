@@ -1,4 +1,4 @@
-"""Sums of products as C writes them, without what is 0 or 1, and what they cost; words in lines."""
+"""Write sums of products as C, without factors of 0 or 1, and count their operations."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from becalm.export.number_type import NumberType
 
 
 class OperationCount(NamedTuple):
-    """Operations on numbers, counted in the text of what is written."""
+    """The numbers of operations, counted in the C text."""
 
     multiplications: int
     additions: int
     divisions: int = 0
 
     def __str__(self) -> str:
-        """Say it in words."""
-        told = f"{self.multiplications} multiplications, {self.additions} additions"
-        return f"{told}, {self.divisions} divisions" if self.divisions else f"{told}, no division"
+        """Return the counts as text."""
+        counts = f"{self.multiplications} multiplications, {self.additions} additions"
+        return f"{counts}, {self.divisions} divisions" if self.divisions else f"{counts}, no division"
 
 
 def cost_of(lines: Iterable[str]) -> OperationCount:
-    """Count the operations in lines of C, comments aside; each of them runs once."""
+    """Count the operations in lines of C without their comments; each line runs once."""
     text = re.sub(r"/\*.*?\*/|\[[^]]*\]", "", "\n".join(lines))
     text = re.sub(r"0x[0-9a-fA-F.]+p[+-]\d+f?", "c", text)
     return OperationCount(
@@ -35,13 +35,13 @@ def cost_of(lines: Iterable[str]) -> OperationCount:
 
 
 def in_lines(words: Iterable[str], most: int) -> list[list[str]]:
-    """Part words into lines of so many at the most."""
-    told = list(words)
-    return [told[i : i + most] for i in range(0, len(told), most)]
+    """Group words into lines of at most `most` words."""
+    items = list(words)
+    return [items[i : i + most] for i in range(0, len(items), most)]
 
 
 def product_sum(row: Floats | Sequence[float], names: Sequence[str], number: NumberType) -> str:
-    """Write sum of row[j] * names[j]; a factor of 0 leaves its term out, one of 1 or -1 is not written."""
+    """Write the sum of row[j] * names[j] as C; terms with a factor of 0 and factors of 1 or -1 are left out."""
     text = ""
     for factor, name in zip(row, names, strict=True):
         size = number.rounded(abs(float(factor)))

@@ -1,4 +1,4 @@
-"""What the header says of a channel: the filter in an engineer's words, its numbers, and what it costs."""
+"""Describe a channel for the header: the filter in an engineer's terms, its numbers and its cost."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from becalm.core.arrays import Floats
 from becalm.export.design import Design
 from becalm.export.written import WrittenChannel
 
-_MOST_WRITTEN = 36  # numbers of a matrix
+_MOST_WRITTEN = 36  # numbers written of a matrix
 
 
 def facts_of(recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> list[str]:
-    """Return lines for the comment above a channel."""
+    """Return the lines of the comment above a channel."""
     return [
         *_filter(design),
-        f"readings: those beyond +-{written.largest:.6g}{design.unit_after} are none",
+        f"readings: those beyond +-{written.largest:.6g}{design.unit_after} are overrange",
         f"calibration: {_calibration(recipe)}",
         *_word(design, written),
         f"cost: {cost_words(written)}; state {written.state_bytes} bytes, tables {written.table_bytes} bytes",
@@ -27,31 +27,31 @@ def facts_of(recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> 
 
 
 def reset_words(design: Design) -> str:
-    """Say what a filter is once it was reset to a signal."""
+    """Return a description of a filter's state after a reset to a signal."""
     if design.modes is not None or design.steady is None:
-        return "as after a first reading of it"
-    return "as if it had been so for ever"
+        return "as after a first reading of that value"
+    return "as if it had always had that value"
 
 
 def _filter(design: Design) -> list[str]:
     if design.modes is not None:
         names = ", ".join(mode.name for mode in design.modes.modes)
-        return [f"filter: switches between {len(design.modes.modes)} modes: {names}; sigma follows the mode"]
-    found = design.response
-    if found is None:
-        return ["filter: never settles; it carries its covariance, and sigma falls"]
-    lag = "" if np.isnan(found.lag_s) else f", lag {found.lag_s:.6g} s"
+        return [f"filter: {len(design.modes.modes)} modes (IMM): {names}; sigma follows the mode"]
+    response = design.response
+    if response is None:
+        return ["filter: has no steady state; it carries its covariance, and sigma falls"]
+    lag = "" if np.isnan(response.lag_s) else f", lag {response.lag_s:.6g} s"
     return [
-        f"filter: {found}",
-        f"bandwidth {found.bandwidth_hz:.6g} Hz{lag}, noise gain {found.noise_gain_db:.3f} dB",
-        f"sigma: {design.settled_std:.6g}{design.unit_after} once settled, where the model holds",
+        f"filter: {response}",
+        f"bandwidth {response.bandwidth_hz:.6g} Hz{lag}, noise gain {response.noise_gain_db:.3f} dB",
+        f"sigma: {design.settled_std:.6g}{design.unit_after} in the steady state, where the model holds",
     ]
 
 
 def cost_words(written: WrittenChannel) -> str:
-    """Say what a row costs."""
+    """Return a description of a row's cost."""
     if written.cost is None:
-        return "a row as becalm itself runs it: make cortex-m-count counts its instructions"
+        return "the same row as in becalm itself: make cortex-m-count counts its instructions"
     return f"{written.cost}, a settled row"
 
 
@@ -65,24 +65,24 @@ def _calibration(recipe: ChannelRecipe) -> str:
 def _word(design: Design, written: WrittenChannel) -> list[str]:
     word, unit = written.word, design.unit_after
     if word is None:
-        return ["word: it computes in double, whatever readings are"]
+        return ["word: it computes in double, for any type of readings"]
     level = "stays at the first reading" if word.quantum is None else f"moves by {word.quantum:.6g}{unit}"
     return [
-        f"word: stalls {word.stall:.3g}{unit} off at the most, rounding adds {word.noise:.3g}{unit}:"
+        f"word: stalls at most {word.stall:.3g}{unit} off, rounding adds {word.noise:.3g}{unit}:"
         f" {word.share:.2g} of sigma; the level {level}",
-        f"range: computed for readings that lie {word.range:.6g}{unit} apart",
+        f"range: computed for readings up to {word.range:.6g}{unit} apart",
     ]
 
 
 def _numbers(design: Design) -> list[str]:
-    """Write the matrices of a filter that does not switch."""
+    """Return lines with the matrices of a single filter."""
     if design.modes is not None:
         return []
-    told = [*_matrix("F", design.model.F), *_matrix("H", design.model.H), *_matrix("C", design.output[np.newaxis])]
-    return told if design.steady is None else [*told, *_matrix("K", design.steady.gain.T)]
+    lines = [*_matrix("F", design.model.F), *_matrix("H", design.model.H), *_matrix("C", design.output[np.newaxis])]
+    return lines if design.steady is None else [*lines, *_matrix("K", design.steady.gain.T)]
 
 
 def _matrix(name: str, rows: Floats) -> list[str]:
-    """Write a matrix in decimals and exactly; a large one only where it is not 0."""
+    """Return lines with a matrix's entries that are not 0, in decimals and exactly, at most 36."""
     cells = [(i, j, value) for (i, j), value in np.ndenumerate(rows) if value != 0.0]
     return [f"{name}[{i}][{j}] = {value:.9g} = {float(value).hex()}" for i, j, value in cells[:_MOST_WRITTEN]]

@@ -1,4 +1,4 @@
-"""Settled filters for other programs: second-order sections, plain numbers, a module for SciPy."""
+"""Export steady-state filters for other programs: second-order sections, plain numbers, a module for SciPy."""
 
 from __future__ import annotations
 
@@ -19,72 +19,75 @@ from becalm.installation import version
 
 
 def written_as(recipe: Recipe, form: str, channels: Sequence[str] | None) -> tuple[str, list[str]]:
-    """Write the settled filters of a recipe for another program.
+    """Write the steady-state filters of a recipe for another program.
 
     Parameters
     ----------
     recipe : Recipe
-        What was decided for each channel.
+        The recipe of the channels.
     form : {"json", "sos", "scipy"}
-        Numbers with their names; sections alone; a module that filters.
+        "json": numbers with their names; "sos": sections only; "scipy": a Python module that filters.
     channels : sequence of str or None
-        Which; None for all that are filtered.
+        Names of the channels; None for all that are filtered.
 
     Returns
     -------
     (str, list of str)
-        The text, and what a person should know.
+        The text, and notes for the user.
 
     Raises
     ------
     RecipeError
-        If a filter never settles, or switches: it is no fixed filter then.
+        If a filter has no steady state, or several modes, so it is not a fixed filter.
     UsageError
         If a channel is not in the recipe.
     """
-    found, notes = chosen(recipe, channels)
-    told = {design.name: _numbers(design) for _, design in found}
-    notes = [*notes, *(_left_out(design) for _, design in found if design.gate is not None)]
+    filtered, notes = chosen(recipe, channels)
+    numbers_of = {design.name: _numbers(design) for _, design in filtered}
+    notes = [*notes, *(_gate_note(design) for _, design in filtered if design.gate is not None)]
     about = {
         "becalm": version(),
         "recipe_sha256": hashlib.sha256(recipe.to_toml().encode()).hexdigest(),
         "rate_hz": recipe.nominal_rate_hz,
     }
     if form == "sos":
-        return _as_json({name: numbers["sos"] for name, numbers in told.items()}), notes
+        return _as_json({name: numbers["sos"] for name, numbers in numbers_of.items()}), notes
     if form == "json":
-        return _as_json({**about, "channels": told}), notes
-    return render("scipy.py.jinja", {**about, "sos": {name: numbers["sos"] for name, numbers in told.items()}}), notes
+        return _as_json({**about, "channels": numbers_of}), notes
+    return render(
+        "scipy.py.jinja", {**about, "sos": {name: numbers["sos"] for name, numbers in numbers_of.items()}}
+    ), notes
 
 
 def sections_of(design: Design) -> Floats:
-    """Return a settled filter as second-order sections of `scipy.signal`, (s, 6): its gain is in the first of them.
+    """Return a steady-state filter as second-order sections (s, 6) of `scipy.signal`; the first holds the gain.
 
     Notes
     -----
-    y[k] = C A x[k-1] + C K z[k] and x[k] = A x[k-1] + K z[k]: poles are the eigenvalues of A, zeros those of
-    A - K C A / (C K), both found in states of equal uncertainty, where slow filters keep their digits.
+    With y[k] = C A x[k-1] + C K z[k] and x[k] = A x[k-1] + K z[k], the poles are the eigenvalues of A, and the zeros
+    those of A - K C A / (C K). Both are computed in states of equal uncertainty, in which slow filters keep their
+    digits.
 
     Raises
     ------
     RecipeError
-        If the filter switches, or never settles.
+        If the filter has several modes, or no steady state.
     """
     from scipy.signal import zpk2sos
 
     if design.modes is not None or design.steady is None:
-        why = "switches" if design.modes is not None else "never settles"
-        raise RecipeError(f"The filter of {design.name} {why}, so that it is no fixed filter; export it with --to c.")
+        why = "has several modes" if design.modes is not None else "has no steady state"
+        raise RecipeError(f"The filter of {design.name} {why}, so it is not a fixed filter; export it with --to c.")
     loop, row = design.steady.loop, design.steady.row
     direct = float((row @ loop.K)[0, 0])
     zeros = np.linalg.eigvals(loop.A - loop.K @ (row @ loop.A) / direct).astype(np.complex128)
-    poles: Any = design.steady.poles  # complex ones, of which SciPy's stubs do not know
+    poles: Any = design.steady.poles  # may be complex, which SciPy's stubs do not allow
     sections: Floats = np.asarray(zpk2sos(cast(Any, zeros), poles, direct), dtype=np.float64)
     return sections
 
 
-def _left_out(design: Design) -> str:
-    return f"{design.name} has a gate, which no fixed filter can hold: spikes pass. With --to c it is there."
+def _gate_note(design: Design) -> str:
+    return f"{design.name} has a gate, which a fixed filter cannot include: spikes pass; --to c includes it."
 
 
 def _numbers(design: Design) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a kind of exported filter is: how it is written, what it is held against, and what it may be off by."""
+"""Define a kind of exported filter: how it is written, its reference, and its largest error."""
 
 from __future__ import annotations
 
@@ -19,151 +19,151 @@ from becalm.export.written import WrittenChannel
 Span = tuple[float, float]
 
 Opened = Callable[[], Reference]
-"""Opens what a filter is held against, at the start."""
+"""Function that returns a new reference of a filter."""
 
 Raw = NDArray[np.generic]
-"""Numbers of whatever type C takes."""
+"""Numbers of the type that the C code takes."""
 
-_SAME, _NEAR = 1e-12, 1e-5  # of the largest signal, or of what a filter is sure of
-_THROWN_DB = 10.0
+_SAME, _NEAR = 1e-12, 1e-5  # largest error relative to the largest signal, or to the filter's sigma if larger
+_THROWN_DB = 10.0  # allowance for golden vectors in float32
 
 
 def apart(span: Span | None) -> float | None:
-    """Return how far readings may lie from each other, and from 0 on either side, in unit; None where nobody said."""
+    """Return the largest distance of readings from each other, and from 0 on both sides, in unit; None if unknown."""
     return None if span is None else 2 * max(map(abs, span))
 
 
 class Kind(Protocol):
-    """How a channel is written, and held against becalm."""
+    """A kind of exported filter: how a channel is written and compared with becalm."""
 
     @property
     def number(self) -> NumberType:
-        """What it computes in."""
+        """Number type of its readings and signals."""
         ...
 
     @property
     def words(self) -> str:
-        """What readings are in a file, in words."""
+        """Description of the readings in a file."""
         ...
 
     @property
     def bits(self) -> str:
-        """Type of C that has as many bits as a reading."""
+        """C type with as many bits as a reading."""
         ...
 
     @property
     def told(self) -> str:
-        """Type of C that holds an expected signal."""
+        """C type of an expected signal."""
         ...
 
     @property
     def bridges(self) -> bool:
-        """Whether it goes on after missing readings as becalm does, with a covariance."""
+        """Whether it continues after missing readings as becalm does, with a covariance."""
         ...
 
     @property
     def promised_db(self) -> float:
-        """How far the power of the difference from becalm is below that of the signal, in dB, at the least."""
+        """Guaranteed ratio of the power of the signal over that of the difference from becalm, in dB."""
         ...
 
     def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
-        """Write a filter; `span` is the least and the greatest reading, in unit."""
+        """Write a filter as C; `span` is the least and the greatest reading, in unit."""
         ...
 
     def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:
-        """Return what it is held against, at the start."""
+        """Return a new reference that the filter is compared with."""
         ...
 
     def raw(self, readings: Floats, written: WrittenChannel) -> Raw:
-        """Return readings (N,) in unit, NaN where missing, as numbers that C is given."""
+        """Return readings (N,) in unit, NaN where missing, as numbers that the C code takes."""
         ...
 
     def in_unit(self, raw: Raw, written: WrittenChannel) -> Floats:
-        """Return numbers (N,) that C was given, or told, in unit; NaN for a missing reading."""
+        """Return numbers (N,) that the C code took or returned, in unit; NaN for a missing reading."""
         ...
 
     def counts(self, signal: Floats, written: WrittenChannel) -> Floats:
-        """Return a signal (N,), in unit, in what C tells it in, not rounded."""
+        """Return a signal (N,), in unit, in the numbers of the C code, not rounded."""
         ...
 
     def most_error(self, vector: Vector, design: Design, written: WrittenChannel, opened: Opened) -> float:
-        """Return what a signal may be off by, in what C tells it in; `opened` opens what it is held against."""
+        """Return the largest error of a signal, in the numbers of the C code; `opened` returns a new reference."""
         ...
 
     def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
-        """Return what the power of the difference may be, in parts of that of the signal."""
+        """Return the largest power of the difference, relative to that of the signal."""
         ...
 
 
 @dataclass(frozen=True)
 class Floating:
-    """What filters in floating point have in common.
+    """The common part of filters in floating point.
 
     Attributes
     ----------
     number : NumberType
-        What they compute in.
+        Number type of their readings and signals.
     """
 
     number: NumberType
 
     @property
     def bridges(self) -> bool:
-        """Whether it goes on after missing readings as becalm does, with a covariance."""
+        """Whether it continues after missing readings as becalm does, with a covariance."""
         return True
 
     @property
     def promised_db(self) -> float:
-        """How far the power of the difference from becalm is below that of the signal, in dB, at the least."""
+        """Guaranteed ratio of the power of the signal over that of the difference from becalm, in dB."""
         return 240.0 if self.number.is_double else 120.0
 
     @property
     def words(self) -> str:
-        """What readings are in a file, in words."""
+        """Description of the readings in a file."""
         return f"{self.number.name}s"
 
     @property
     def bits(self) -> str:
-        """Type of C that has as many bits as a reading."""
+        """C type with as many bits as a reading."""
         return "uint64_t" if self.number.is_double else "uint32_t"
 
     @property
     def told(self) -> str:
-        """Type of C that holds an expected signal."""
+        """C type of an expected signal."""
         return "double"
 
     def raw(self, readings: Floats, written: WrittenChannel) -> Raw:
-        """Return readings (N,) as numbers that C is given."""
+        """Return readings (N,) as numbers that the C code takes."""
         with np.errstate(over="ignore"):
             return readings.astype(self.number.dtype)
 
     def in_unit(self, raw: Raw, written: WrittenChannel) -> Floats:
-        """Return numbers (N,) that C was given, or told, in unit."""
+        """Return numbers (N,) that the C code took or returned, in unit."""
         return raw.astype(np.float64)
 
     def counts(self, signal: Floats, written: WrittenChannel) -> Floats:
-        """Return a signal (N,) in what C tells it in: its unit."""
+        """Return a signal (N,) in the numbers of the C code, which are in its unit."""
         return signal
 
     def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
-        """Return what the power of the difference may be, in parts of that of the signal.
+        """Return the largest power of the difference, relative to that of the signal.
 
-        In float32 it is ten times what records keep to: golden vectors throw a filter about, and begin it anew. A
-        signal that is smaller than what the filter is sure of counts as so large; one that is 0 is kept as it is.
+        In float32 it is ten times that for records, because golden vectors drive a filter from end to end and start it
+        anew. A signal smaller than the filter's uncertainty counts as equal to it; a signal of 0 is not replaced.
         """
         allowed = 10 ** (-(self.promised_db - (0.0 if self.number.is_double else _THROWN_DB)) / 10)
         power = float(np.square(vector.signal).mean())
-        return float(allowed * max(1.0, _sure_of(design) ** 2 / power)) if power > 0 else allowed
+        return float(allowed * max(1.0, _uncertainty(design) ** 2 / power)) if power > 0 else allowed
 
     def most_error(self, vector: Vector, design: Design, written: WrittenChannel, opened: Opened) -> float:
-        """Return what a signal may be off by, in what C tells it in."""
+        """Return the largest error of a signal, in the numbers of the C code."""
         largest = float(np.abs(vector.signal).max())
-        return (_SAME if self.number.is_double else _NEAR) * max(largest, _sure_of(design))
+        return (_SAME if self.number.is_double else _NEAR) * max(largest, _uncertainty(design))
 
 
-def _sure_of(design: Design) -> float:
-    """Return the standard deviation of what a filter tells at best, in unit.
+def _uncertainty(design: Design) -> float:
+    """Return the smallest standard deviation of a filter's estimate, in unit.
 
-    Signals below it are nothing.
+    Signals below it are insignificant.
     """
     return design.settled_std if np.isfinite(design.settled_std) else design.noise_std

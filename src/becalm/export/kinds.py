@@ -1,4 +1,4 @@
-"""Which kind of filter a channel is written as."""
+"""Choose the kind of filter that a channel is exported as."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from becalm.export.word_length import start_of
 
 GAINS = ("auto", "settled", "full")
 
-_STARTED = 1e-3  # of a reading's noise: what rounding may leave of first signals
-_HIGHEST_IN_FLOAT = 3  # order of a motion: above, rounded derivatives leave less than 120 dB of a signal that moves
+_STARTED = 1e-3  # of a reading's noise: largest rounding error of the first signals
+_HIGHEST_IN_FLOAT = 3  # order of a motion; above it, rounding leaves less than 120 dB for a moving signal
 
 
 def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: str) -> Kind:
-    """Choose how a channel is written.
+    """Choose the kind of filter that a channel is exported as.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        What was decided for it.
+        The recipe of the channel.
     design : Design
-        Its filter.
+        The filter of the channel.
     precision : {"float32", "float64", "q31"}
-        What it computes in.
+        Number type of the filter.
     gain : {"auto", "settled", "full"}
-        Whether a covariance is carried, as the library's own channel does; "auto" carries one where the recipe needs
-        it, or says what is no reading; in float64 where a table of gains that is exact from the first reading on would
-        be too long, and in float32 from order 4 on, and where the first readings hardly tell its state.
+        "full" carries a covariance, as the library's own channel does, "settled" does not. "auto" carries one where the
+        recipe needs it, or looks for gross outliers; in float64 where an exact table of gains would be too long; in
+        float32 from order 4 on, and where the first readings hardly determine the state.
 
     Raises
     ------
     RecipeError
-        If the recipe needs what this precision, or this gain, cannot do.
+        If this precision, or this gain, does not support the recipe.
     UsageError
-        If there is no such precision, or gain.
+        If the precision or the gain does not exist.
     """
     if precision not in get_args(Precision):
         raise UsageError(f"There is no precision {precision!r}; write float32, float64 or q31.")
@@ -51,9 +51,10 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
         raise UsageError(f"There is no gain {gain!r}; write auto, settled or full.")
     needs = _needs(design)
     if needs and (gain == "settled" or precision == "q31"):
-        asked = "--gain settled" if gain == "settled" else "--precision q31"
+        option = "--gain settled" if gain == "settled" else "--precision q31"
         raise RecipeError(
-            f"{design.name} {needs} a covariance, which {asked} has not; leave that out, or {_mend(design)}."
+            f"{design.name} {needs} a covariance, which {option} does not carry; leave that out, or"
+            f" {_alternative(design)}."
         )
     if precision == "q31":
         if gain == "full":
@@ -64,16 +65,17 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
         return WholeChannel.alone(number, recipe, design)
     if not number.is_double and _is_lost_at_first(design, number):
         raise RecipeError(
-            f"{design.name}: its first readings hardly tell its state, and float would lose the digits; leave --gain"
-            " settled out, or use --precision float64."
+            f"{design.name}: its first readings hardly determine its state, and float would lose the digits; leave"
+            " --gain settled out, or use --precision float64."
         )
     return Settled(number)
 
 
 def _is_better_whole(design: Design, number: NumberType) -> bool:
-    """Whether the library's channel serves where no covariance is needed.
+    """Return whether the library's channel is better where no covariance is needed.
 
-    It looks for gross outliers; a table would be thinned in double, and states lost in float.
+    It also looks for gross outliers. The table of gains would be thinned in double, and states would lose digits in
+    float.
     """
     if design.limits.outliers != NO_OUTLIERS:
         return True
@@ -83,12 +85,12 @@ def _is_better_whole(design: Design, number: NumberType) -> bool:
 
 
 def _is_lost_at_first(design: Design, number: NumberType) -> bool:
-    """Whether rounding is seen in the first signals: far beyond, a start makes it grow without end."""
+    """Return whether rounding shows in the first signals; a start may amplify it without limit."""
     return start_of(design, number) > _STARTED * design.noise_std
 
 
-def _mend(design: Design) -> str:
-    """Say how a channel needs none."""
+def _alternative(design: Design) -> str:
+    """Return how the user can avoid the need for a covariance."""
     if design.modes is not None:
         return "take [channel.switching] out of the recipe"
     if design.gate is not None:
@@ -97,9 +99,9 @@ def _mend(design: Design) -> str:
 
 
 def _needs(design: Design) -> str:
-    """Say why a channel needs a covariance; nothing where it needs none."""
+    """Return why a channel needs a covariance; "" if it does not."""
     if design.modes is not None:
-        return "switches between modes, which needs"
+        return "has several modes, which need"
     if design.gate is not None:
         return "has a gate, which needs"
-    return "" if design.steady is not None else "never settles, which needs"
+    return "" if design.steady is not None else "has no steady state, which needs"

@@ -1,4 +1,4 @@
-"""What else lies in a bundle: an emulated Cortex-M to run it on, a library for Arduino, a block as in CMSIS-DSP."""
+"""Write the other layouts of a bundle: an emulated Cortex-M, a library for Arduino, a block as in CMSIS-DSP."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def layouts(context: Mapping[str, Any], native: Mapping[str, str]) -> dict[str, 
     Parameters
     ----------
     context : mapping
-        What the bundle's own templates are filled in with, `vectors_hash` among it.
+        The values of the bundle's own templates, with `vectors_hash`.
     native : mapping of str to str
-        Files of the library's channel, where a filter is one.
+        Files of the library's channel; empty if no filter is of that kind.
     """
     library = library_name(context["stem"])
     within = {**context, "library": library, "library_version": _library_version(context["version"])}
@@ -42,11 +42,11 @@ def layouts(context: Mapping[str, Any], native: Mapping[str, str]) -> dict[str, 
 
 
 def library_name(stem: str) -> str:
-    """Return what the library for Arduino is called: `test_bench` becomes `TestBench`."""
+    """Return the name of the library for Arduino: `test_bench` becomes `TestBench`."""
     return "".join(part.capitalize() for part in stem.split("_"))
 
 
 def _library_version(version: str) -> str:
-    """Return the three numbers that Arduino takes as a version, 0.0.0 where becalm has none."""
+    """Return the three numbers of a version for Arduino; 0.0.0 if becalm has no version."""
     numbers = [*version.split("+")[0].split("."), "0", "0", "0"][:3]
     return ".".join(number if number.isdigit() else "0" for number in numbers)

@@ -1,4 +1,4 @@
-"""Names of C for what people call a recording and its channels."""
+"""Make C names from the names of a recording and its channels."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ _FILES = re.compile(
     "|assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal"
     "|stdarg|stdbool|stddef|stdint|stdio|stdlib|string|tgmath|time|wchar|wctype"
 )
-"""What no file of a filter may be called: others of a bundle are, and headers of C99, which it would hide."""
+"""Names that no file of a filter may have: other files of a bundle, and headers of C99, which it would hide."""
 
 _LONGEST = 40
 
 
 def identifier(text: str, otherwise: str) -> str:
-    """Return a name that C takes, as near to a person's as can be; accents are left out, the rest becomes `_`.
+    """Return a valid C name close to a person's; accents are dropped, other characters become `_`.
 
-    It may be a keyword: whatever is called so in C has an end besides. It may name a file.
+    It may be a C keyword, since every use adds an ending. It may name a file.
     """
     plain = unicodedata.normalize("NFKD", text.replace("µ", "u")).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_").lower()[:_LONGEST].rstrip("_")
@@ -29,7 +29,7 @@ def identifier(text: str, otherwise: str) -> str:
 
 
 def identifiers(texts: Iterable[str], otherwise: str) -> list[str]:
-    """Return different names for all of them."""
+    """Return a unique C name for each text."""
     taken: list[str] = []
     for number, text in enumerate(texts):
         wanted = name = identifier(text, f"{otherwise}_{number + 1}")
@@ -41,6 +41,6 @@ def identifiers(texts: Iterable[str], otherwise: str) -> list[str]:
 
 
 def comment(text: str) -> str:
-    """Return text that may stand in a comment of C: it can end none, and a trigraph is none."""
+    """Return text that is safe in a C comment: it cannot end the comment, and holds no trigraph."""
     whole = re.sub(r"\?(?=\?)", "? ", text)
     return " ".join(whole.replace("*/", "* /").replace("/*", "/ *").split())

@@ -1,4 +1,4 @@
-"""How a number is written and rounded in C: float, double, or a fixed-point integer."""
+"""Write and round numbers as in C: float, double, or a fixed-point integer."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ Precision = Literal["float32", "float64", "q31"]
 
 
 class NumberType(NamedTuple):
-    """A type of C for readings and signals.
+    """A C type for readings and signals.
 
     Attributes
     ----------
     precision : str
-        As a person asks for it.
+        Name of the precision in the options.
     name, suffix : str
-        Of the type, and of its literals.
+        Name of the type, and suffix of its literals.
     bits : int
-        Of its significand, or, of an integer, besides its sign.
+        Bits of its significand, or of an integer without its sign.
     dtype : type
-        Of NumPy: the same numbers.
+        NumPy type with the same numbers.
     greatest : float
-        Magnitude that no reading, and no state, may exceed: products of two stay finite.
+        Largest magnitude of a reading or a state; the product of two stays finite.
     """
 
     precision: Precision
@@ -35,12 +35,12 @@ class NumberType(NamedTuple):
 
     @property
     def is_double(self) -> bool:
-        """Whether it has eight bytes."""
+        """Whether the type is double, with eight bytes."""
         return self.bits == 53
 
     @property
     def bytes(self) -> int:
-        """Of one number."""
+        """Bytes of one number."""
         return 8 if self.is_double else 4
 
     def rounded(self, value: float) -> float:
@@ -48,20 +48,20 @@ class NumberType(NamedTuple):
         return float(self.dtype(value))
 
     def below(self, value: float) -> float:
-        """Return the greatest number of this type, a floating-point one, that is not above a value."""
+        """Return the greatest number of this floating-point type that is not above a value."""
         near = self.dtype(value)
         return float(near if float(near) <= value else np.nextafter(near, self.dtype(-np.inf)))
 
     def above(self, value: float) -> float:
-        """Return the least number of this type, a floating-point one, that is not below a value."""
+        """Return the least number of this floating-point type that is not below a value."""
         return -self.below(-value)
 
     def literal(self, value: float) -> str:
-        """Write a number exactly, as a hexadecimal literal."""
+        """Return a number exactly, as a hexadecimal literal."""
         return _short(float(self.rounded(value)).hex()) + self.suffix
 
     def commented(self, value: float) -> str:
-        """Write a number exactly, and beside it as a person reads it."""
+        """Return a number exactly, with its decimal value in a comment."""
         return f"{self.literal(value)} /* {value:.9g} */"
 
 
@@ -70,7 +70,7 @@ DOUBLE = NumberType("float64", "double", "", 53, np.float64, 1e100)
 
 
 def _short(text: str) -> str:
-    """Leave zeros at the end of a hexadecimal significand out."""
+    """Remove zeros at the end of a hexadecimal significand."""
     digits, exponent = text.split("p")
     whole, _, rest = digits.partition(".")
     rest = rest.rstrip("0")

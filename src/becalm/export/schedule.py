@@ -1,4 +1,4 @@
-"""The gains of a filter from its first rows until they stay: each row's own, or, of a slow filter, some rows alike."""
+"""Compute the gains of a filter from its first rows to the steady state; rows of a slow filter share gains."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 
 MOST_NUMBERS = 1024
-"""Gains that a table may hold, in numbers; with fewer it is thinned sooner."""
+"""Largest size of a table of gains, in numbers; a longer table is thinned."""
 
-_EXACT = 32  # rows, whatever comes then
-_MOST_ALIKE = (1 << 32) - 1  # rows, as four bytes count them
-_ALIKE = 32  # the gain of row k stays for k / 32 rows
-_NEAR = 2e-3  # of the spread of a state: so near its end a thinned gain has settled
+_EXACT = 32  # rows with their own gains in any case
+_MOST_ALIKE = (1 << 32) - 1  # rows per gain, which four bytes can count
+_ALIKE = 32  # the gain of row k is used for k / 32 rows
+_NEAR = 2e-3  # of the spread of a state: distance at which a thinned gain counts as settled
 _MOST_ROWS = 1 << 40
 
 
 class Schedule(NamedTuple):
-    """Which gain belongs to which row after the opening.
+    """The gains of the rows after the opening.
 
     Attributes
     ----------
     K : (r, n) float array
         Gains, in order.
     counts : (r,) int array
-        For how many rows each of them is used; what comes after all is settled.
+        Number of rows that use each gain; all later rows use `settled`.
     settled : (n,) float array
-        The gain that stays.
+        The gain in the steady state.
     exact : bool
-        Whether each row has its own, so that the filter is the full one from its first reading on.
+        Whether each row has its own gain, so that the filter equals the full one from its first reading on.
     """
 
     K: Floats
@@ -44,45 +44,45 @@ class Schedule(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """Rows until the gain has settled."""
+        """Number of rows until the gain has settled."""
         return int(self.counts.sum())
 
 
 def schedule_of(design: Design, near: float, most_numbers: int = MOST_NUMBERS) -> Schedule:
-    """Return the gains of a filter that settles.
+    """Return the gains of a filter with a steady state.
 
     Parameters
     ----------
     design : Design
         The filter.
     near : float
-        Of a state's spread: a gain so near its end has settled; a *small* one makes a longer table.
+        Distance, in a state's spread, at which a gain counts as settled; a *small* one makes a longer table.
     most_numbers : int
-        How many gains a table may hold; beyond, rows share theirs, about three in a hundred per order apart.
+        Largest size of the table, in numbers; beyond it, rows share gains, which differ by about 3 % per order.
 
     Raises
     ------
     RecipeError
-        If the filter never settles.
+        If the filter has no steady state.
     """
     if design.steady is None:
         raise RecipeError(
-            f"The filter of {design.name} never settles, since its process_noise_density is 0: its gain falls for ever."
-            " Export it with --gain full, or give it a process_noise_density."
+            f"The filter of {design.name} has no steady state, since its process_noise_density is 0: its gain falls for"
+            " ever. Export it with --gain full, or give it a process_noise_density."
         )
     settled = design.steady.gain[:, 0]
-    found = gains_after(design.opening, design.model, max(most_numbers // design.states, _EXACT))
+    gains = gains_after(design.opening, design.model, max(most_numbers // design.states, _EXACT))
     spread = _spread(design)
-    off = (np.abs(found.K - settled) / (spread + np.abs(settled))).max(axis=1)
+    off = (np.abs(gains.K - settled) / (spread + np.abs(settled))).max(axis=1)
     far = np.flatnonzero(off > near)
     rows = int(far[-1]) + 1 if len(far) else 0
-    if rows < len(found.K) or found.settled:
-        return Schedule(found.K[:rows], np.ones(rows, np.int64), settled, True)
-    return _thinned(design, found.K[:_EXACT], settled, spread)
+    if rows < len(gains.K) or gains.settled:
+        return Schedule(gains.K[:rows], np.ones(rows, np.int64), settled, True)
+    return _thinned(design, gains.K[:_EXACT], settled, spread)
 
 
 def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> Schedule:
-    """Return gains that stay for a while, each that of the middle of its rows."""
+    """Return a schedule of gains that several rows share, each that of the middle of its rows."""
     K, counts, row = list(first), [1] * len(first), len(first)
     one = leap_of(design.model)
     P, leaps = _after(design, row), [one]
@@ -99,7 +99,7 @@ def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> 
 
 
 def _after(design: Design, rows: int) -> Floats:
-    """Return the covariance before the reading of row `rows` after the opening."""
+    """Return the covariance before the reading that is `rows` rows after the opening."""
     P, leap = covariance_ahead(design.opening.P, design.model), leap_of(design.model)
     for _ in range(rows):
         P = leap.over(P)
@@ -107,7 +107,7 @@ def _after(design: Design, rows: int) -> Floats:
 
 
 def _leap(leaps: list[Leap], P: Floats, steps: int) -> Floats:
-    """Return the covariance so many steps later."""
+    """Return the covariance a number of steps later."""
     bit = 0
     while steps >> bit:
         if bit == len(leaps):
@@ -119,6 +119,6 @@ def _leap(leaps: list[Leap], P: Floats, steps: int) -> Floats:
 
 
 def _spread(design: Design) -> Floats:
-    """Return what a gain is measured by: the spread of each state over that of an innovation."""
+    """Return the scale (n,) of a gain: the spread of each state over that of an innovation."""
     assert design.steady is not None
     return np.asarray(spread_of(design.steady) / np.sqrt(design.steady.innovation_variance), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Golden vectors as C writes them: readings by their bits, signals in hexadecimal."""
+"""Write golden vectors as C: readings by their bits, signals in hexadecimal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NUMBERS, _CODES = 6, 24  # on a line
 def vector_texts(
     vectors: Sequence[Vector], kind: Kind, design: Design, written: WrittenChannel, opened: Opened
 ) -> list[dict[str, Any]]:
-    """Return what the templates write of vectors; `opened` opens what they are held against."""
+    """Return the texts of vectors for the templates; `opened` returns a new reference."""
     texts = []
     for vector in vectors:
         most_error = kind.most_error(vector, design, written, opened)
@@ -42,7 +42,7 @@ def _text(vector: Vector, kind: Kind, written: WrittenChannel) -> dict[str, Any]
 
 
 def bits_of(raw: Raw) -> list[str]:
-    """Write numbers (N,) as C is given them by their bits."""
+    """Return numbers (N,) as C literals of their bits."""
     wide = raw.itemsize == 8
     whole = raw.view(np.uint64 if wide else np.uint32)
     return [f"0x{bits:0{16 if wide else 8}x}{'ULL' if wide else 'u'}" for bits in whole.tolist()]

@@ -1,4 +1,4 @@
-"""Golden vectors: readings that try a filter, and what becalm makes of them."""
+"""Make golden vectors: readings that test a filter, and the signals and codes of becalm."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from becalm.core.arrays import Codes, Floats, Integers
 from becalm.export.design import Design
 
 STARTING = 32
-"""Beside the values of `Verdict`: too few readings came for the state to be known; they are passed on."""
+"""Code in addition to those of `Verdict`: too few readings so far to know the state; readings are passed on."""
 
 _SEED = 20261124
-_GATED = 0.1  # of a sine: one that a gate does not take for wild, since what is extrapolated long has few digits
-_LONGEST_TRIED = 400  # rows that are left out at once
-_BRIDGING = 3  # order of a motion: above, digits are few after hundreds of rows without a reading
+_GATED = 0.1  # amplitude of a sine that a gate does not reject, since long predictions have few digits
+_LONGEST_TRIED = 400  # longest hole in rows
+_BRIDGING = 3  # order of a motion; above it, few digits are left after hundreds of rows without a reading
 
 
 class Reference(Protocol):
-    """What an exported filter is held against."""
+    """A reference that an exported filter is compared with."""
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
-        """Take readings (B,); return the signal and what became of each."""
+        """Process readings (B,); return the signal and the code of each."""
         ...
 
     def gap(self, rows: int) -> None:
-        """Go on for some rows without a reading."""
+        """Advance by some rows without a reading."""
         ...
 
 
 class Vector(NamedTuple):
-    """Readings, and what becalm makes of them.
+    """A golden vector: readings, and the signal and codes of becalm.
 
     Attributes
     ----------
     name : str
-        What it tries.
+        Name of what it tests.
     readings : (N,) float array
-        In unit; NaN where none comes.
+        Readings in unit; NaN where missing.
     gap_rows, gap_lengths : (g,) int arrays
-        Before which rows how many others are left out at once.
+        Rows with a gap before them, and the numbers of rows in these gaps.
     signal : (N,) float array
-        What is expected, in unit.
+        Expected signal, in unit.
     codes : (N,) int8 array
-        What is expected to become of each reading.
+        Expected code of each reading.
     """
 
     name: str
@@ -59,18 +59,18 @@ class Vector(NamedTuple):
 
 def expected(name: str, readings: Floats, gaps: dict[int, int], reference: Reference) -> Vector:
     """Run readings through a reference, with gaps before some rows."""
-    cuts, told = [0, *sorted(gaps), len(readings)], []
+    cuts, results = [0, *sorted(gaps), len(readings)], []
     for first, stop in pairwise(cuts):
         if first in gaps:
             reference.gap(gaps[first])
-        told.append(reference.run(readings[first:stop]))
-    signal, codes = (np.concatenate(parts) for parts in zip(*told, strict=True))
+        results.append(reference.run(readings[first:stop]))
+    signal, codes = (np.concatenate(parts) for parts in zip(*results, strict=True))
     rows = np.array(sorted(gaps), np.int64)
     return Vector(name, readings, rows, np.array([gaps[row] for row in rows.tolist()], np.int64), signal, codes)
 
 
 def extremes(design: Design, span: tuple[float, float] | None, largest: float) -> Floats:
-    """Return the least and the greatest reading (2,) that a filter takes, in unit: just within rails and range."""
+    """Return the least and the greatest reading (2,) of a filter, in unit: just within its limits and its range."""
     low, high = design.limits.rails
     low, high = max(low, -largest), min(high, largest)
     low, high = (low, high) if span is None else (max(low, span[0]), min(high, span[1]))
@@ -81,18 +81,18 @@ def extremes(design: Design, span: tuple[float, float] | None, largest: float) -
 def golden_vectors(
     design: Design, rounded: Callable[[Floats], Floats], opened: Callable[[], Reference], recorded: Floats | None
 ) -> list[Vector]:
-    """Return the vectors of a channel.
+    """Return the golden vectors of a channel.
 
     Parameters
     ----------
     design : Design
-        Its filter.
+        The filter of the channel.
     rounded : callable
-        Rounds readings (N,) to what the exported filter can be given.
+        Function that rounds readings (N,) to numbers of the exported filter.
     opened : callable
-        Returns its reference, at the start.
+        Function that returns a new reference.
     recorded : (N,) float array or None
-        Readings of a real recording, if there are some.
+        Readings of a real recording, if there is one.
     """
     made: list[tuple[str, Floats, dict[int, int]]] = [(name, readings, {}) for name, readings in _calm(design).items()]
     rng, centre, size = np.random.default_rng(_SEED), _centre(design), _size(design)
@@ -104,7 +104,7 @@ def golden_vectors(
 
 
 def _calm(design: Design) -> dict[str, Floats]:
-    """Return readings without noise."""
+    """Return readings without noise, by name."""
     centre, size, k = _centre(design), _size(design), np.arange(500)
     return {
         "impulse": centre + size * (k == 100),
@@ -115,7 +115,7 @@ def _calm(design: Design) -> dict[str, Floats]:
 
 
 def _range(design: Design) -> tuple[float, float]:
-    """Return between what readings lie: the rails, and what is plausible, as far as they are known."""
+    """Return the range of readings: the saturation and plausibility limits, as far as they are known."""
     limits = design.limits
     return max(limits.low, limits.outliers.low), min(limits.high, limits.outliers.high)
 
@@ -130,12 +130,12 @@ def _centre(design: Design) -> float:
 
 def _size(design: Design) -> float:
     low, high = _range(design)
-    noises = 10 if design.modes is not None else 40  # what lies far from all modes makes their probabilities toss
+    noises = 10 if design.modes is not None else 40  # readings far from all modes make their probabilities unstable
     return float(min(noises * design.noise_std, 0.4 * (high - low)))
 
 
 def _holed(readings: Floats, hole: float, design: Design) -> Floats:
-    """Leave readings out: the first ones, single ones, some in a row, and as many as a filter coasts across."""
+    """Return readings with holes: at the start, single rows, several rows, and as many as a filter predicts across."""
     holed, coasted = readings.copy(), min(design.coasts, _LONGEST_TRIED)
     for first, count in ((0, 3), (4, 1), (7, 1), (20, 1), (22, 1), (300, 7), (400, coasted + 3)):
         holed[first : first + count] = hole
@@ -150,7 +150,7 @@ def _infinite(readings: Floats, design: Design) -> Floats:
 
 
 def _clipped(readings: Floats, design: Design) -> Floats:
-    """Drive readings against the rails, or, where there are none, beyond all that is possible."""
+    """Return readings that reach the saturation limits, or, without limits, go beyond the largest reading."""
     clipped, (low, high) = readings.copy(), design.limits.rails
     clipped[200:210] = high if np.isfinite(high) else 10 * design.largest
     clipped[500:503] = low if np.isfinite(low) else -10 * design.largest
@@ -158,7 +158,7 @@ def _clipped(readings: Floats, design: Design) -> Floats:
 
 
 def _waiting(readings: Floats, design: Design) -> Floats:
-    """Let a gate reject the last reading before a gap, so that it waits for others that agree."""
+    """Return readings whose last one before a gap is rejected by a gate, so that it waits for others that agree."""
     waiting = readings.copy()
     if design.gate is not None:
         waiting[299] = _centre(design) - _size(design)

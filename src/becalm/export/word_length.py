@@ -1,9 +1,10 @@
-"""What a word length costs a filter that settles: what rounding leaves, computed before anything runs.
+"""Compute the error that a word length causes in a filter with a steady state, before anything runs.
 
-A level that should move by less than half of its last digit does not move: it *stalls*. With a gain K it stands still
-while |K nu| < ulp / 2, an error of ulp / (2 K). A slope beside it then grows until the level moves at last, and beyond:
-the filter swings as far to both sides. Under a reading's noise it does neither; rounding then is noise as well, which
-enters at every step and leaves through the closed loop. Both are held against a tenth of the filter's uncertainty.
+A level that should move by less than half of its last digit does not move: it *stalls*. With a gain K it stalls while
+|K nu| < ulp / 2, an error of ulp / (2 K). A slope then grows until the level moves, and overshoots: the filter
+oscillates with that amplitude. With a reading's noise neither happens; rounding is then an additional noise, which
+enters at every step and passes through the closed loop. Both errors are compared with a tenth of the filter's
+uncertainty.
 """
 
 from __future__ import annotations
@@ -19,30 +20,30 @@ from becalm.export.design import Design, spread_of
 from becalm.export.number_type import NumberType
 
 MOST_ERROR = 0.1
-"""Of a standard deviation, the signal's or a reading's: what a word length may cost."""
+"""Largest error of a word length, as a share of the standard deviation of the signal or of a reading."""
 
 COUNTED = 1 << 23
-"""Quanta that a level of float may count: each of them is exact."""
+"""Number of quanta that a level in float can count exactly."""
 
 _DOUBLINGS = 60
-_AWAY = 64.0  # standard deviations of a reading's noise, that a signal may be away from the level that it returns to
+_AWAY = 64.0  # standard deviations of noise: largest distance of a signal from the level that it returns to
 
 
 class WordLength(NamedTuple):
-    """What a word length costs.
+    """The error of a word length.
 
     Attributes
     ----------
     stall : float
-        Greatest error at which a filter of a constant stands still, or about which it swings, in unit.
+        Greatest error at which a filter stalls on a constant signal, or amplitude of its oscillation, in unit.
     noise : float
-        Standard deviation of what rounding adds, in unit.
+        Standard deviation of the rounding noise, in unit.
     share : float
-        The larger of the two, in parts of the signal's own standard deviation.
+        The larger of the two, relative to the signal's own standard deviation.
     range : float
-        Readings may lie so far from each other, and from 0, in unit; beyond, they are overrange.
+        Largest distance of readings from each other, and from 0, in unit; beyond it, they are overrange.
     quantum : float or None
-        By which the level moves, in unit; None where it stays at the first reading.
+        Step by which the level moves, in unit; None where it stays at the first reading.
     """
 
     stall: float
@@ -53,14 +54,14 @@ class WordLength(NamedTuple):
 
 
 def stall_of(design: Design, number: NumberType, farthest: float) -> float:
-    """Return the error at which a filter of a constant stands still, or about which it swings, in unit.
+    """Return the error at which a filter stalls on a constant signal, or about which it oscillates, in unit.
 
     Parameters
     ----------
     design : Design
-        A filter that settles.
+        A filter with a steady state.
     number : NumberType
-        Of C.
+        Number type of the C code.
     farthest : float
         Magnitude of its first state, in unit.
     """
@@ -70,49 +71,49 @@ def stall_of(design: Design, number: NumberType, farthest: float) -> float:
 
 
 def refuse_coarse(design: Design, number: NumberType, span: tuple[float, float]) -> None:
-    """Refuse a type of number that tells readings themselves more coarsely than their noise.
+    """Raise a RecipeError for a number type that resolves readings more coarsely than their noise.
 
     Parameters
     ----------
     design : Design
-        A filter.
+        The filter.
     number : NumberType
-        Of C.
+        Number type of the C code.
     span : (float, float)
         Least and greatest reading, in unit.
 
     Raises
     ------
     RecipeError
-        If rounding the greatest to its last digit costs more than a tenth of the noise.
+        If rounding the greatest reading to its last digit adds more than a tenth of the noise.
     """
     greatest = max(map(abs, span))
     digit, unit = ulp(number, greatest), design.unit_after
     if digit / np.sqrt(12) > MOST_ERROR * design.noise_std:
         raise RecipeError(
-            f"{design.name}: {number.name} tells readings of {greatest:.6g}{unit} to {digit:.3g}{unit} only, and their"
-            f" noise is {design.noise_std:.3g}{unit}; take an offset off them before, or use --precision float64."
+            f"{design.name}: {number.name} resolves readings of {greatest:.6g}{unit} only to {digit:.3g}{unit}, and"
+            f" their noise is {design.noise_std:.3g}{unit}; subtract an offset first, or use --precision float64."
         )
 
 
 def ulp(number: NumberType, magnitude: float) -> float:
-    """Return the distance to the next number of this type."""
+    """Return the distance of two neighbouring numbers of this type at a magnitude."""
     return float(2.0 ** (np.floor(np.log2(max(magnitude, 1e-300))) - (number.bits - 1)))
 
 
 def noise_of(design: Design, number: NumberType, farthest: float) -> float:
-    """Return the standard deviation of what rounding adds to a settled signal, in unit.
+    """Return the standard deviation of the rounding noise in the signal, in the steady state, in unit.
 
-    Each term of a state's sum is rounded to a last digit of the state, evenly; what a state is at the most follows from
-    a first one that is `farthest`, in parts of their own uncertainties. A level that the signal returns to is as far
-    from it as signals go. Beside it stands the signal's own last digit.
+    Each term of a state's sum is rounded to a last digit of the state, with a uniform error. The largest magnitudes of
+    the states follow from a first state of `farthest`, in proportion to their uncertainties. A level that the signal
+    returns to may be as far from it as signals go.
 
     Parameters
     ----------
     design : Design
-        A filter that settles.
+        A filter with a steady state.
     number : NumberType
-        Of C.
+        Number type of the C code.
     farthest : float
         Magnitude of its first state, in unit.
     """
@@ -128,17 +129,17 @@ def noise_of(design: Design, number: NumberType, farthest: float) -> float:
 
 
 def start_of(design: Design, number: NumberType) -> float:
-    """Return what rounding leaves of the first signals after the opening, in unit.
+    """Return the rounding error of the first signals after the opening, in unit.
 
-    Tones that the first readings hardly tell from a motion are states far beyond any reading, which cancel: their last
-    digit enters the next innovation, and its gain, which may be a hundred, takes it to all states.
+    Where the first readings hardly separate tones from a motion, states are far larger than any reading, and cancel.
+    Their last digit enters the next innovation, and its gain, which may be a hundred, passes it to all states.
 
     Parameters
     ----------
     design : Design
-        A filter.
+        The filter.
     number : NumberType
-        Of its states in C.
+        Number type of its states in C.
     """
     P = design.opening.P
     gain = float(np.abs(gain_before(covariance_ahead(P, design.model), design.model)).max())

@@ -1,4 +1,4 @@
-"""What every filter in C has, whatever its mathematics: names with their units, and a look at each reading."""
+"""Write the parts that all filters in C share: names with their units, and the check of each reading."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from becalm.export.word_length import WordLength
 _SPELT = (("/", " per "), ("%", " percent "), ("°", " deg "), ("^", ""), ("²", "2"), ("³", "3"), ("√", " sqrt "))
 
 FOLDER = "native"
-"""Where files of the library lie in a bundle."""
+"""Folder of the library's files in a bundle."""
 
 
 class WrittenChannel(NamedTuple):
-    """One channel in C.
+    """One channel as C text.
 
     Attributes
     ----------
     header, source : str
-        The type of its state, and its functions.
+        C text of its state's type, and of its functions.
     cost : OperationCount or None
-        Of a settled row; None of the library's channel, whose rows differ.
+        Operations of a row in the steady state; None for the library's channel, whose rows differ.
     state_bytes, table_bytes : int
-        Of its state in memory, and of its gains in program memory.
+        Bytes of its state in memory, and of its gains in program memory.
     word : WordLength or None
-        What its word length costs; None of the library's channel, which is in double.
+        Error of its word length; None for the library's channel, which is in double.
     largest : float
-        Magnitude beyond which a value is no reading, in unit.
+        Magnitude beyond which a value is overrange, in unit.
     exact : bool
-        Whether it is the filter of becalm from its first reading on, as long as none is missing.
+        Whether it equals becalm's filter from its first reading on, as long as none is missing.
     start_rows : int
-        Rows until its gain has settled.
+        Number of rows until its gain has settled.
     scale : (float, float) or None
-        Offset and step of a count, in unit; None where readings are no counts.
+        Offset and step of a count, in unit; None where readings are not counts.
     """
 
     header: str
@@ -56,7 +56,7 @@ class WrittenChannel(NamedTuple):
 
 
 def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
-    """Return the names that templates use."""
+    """Return the names for the templates."""
     unit = unit_name(design.unit)
     context = {
         "p": prefix,
@@ -72,7 +72,7 @@ def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
 
 
 def look_of(design: Design, prefix: str, number: NumberType, largest: float) -> dict[str, Any]:
-    """Return what templates need to look at a reading, and the function that does."""
+    """Return the values that templates need to check a reading, and the C function that does."""
     limits = design.limits
     rails = []
     if np.isfinite(limits.low):
@@ -89,12 +89,12 @@ def look_of(design: Design, prefix: str, number: NumberType, largest: float) -> 
 
 
 def also_level(design: Design) -> list[int]:
-    """Return which states, beside the first, a constant is added to when it is added to the signal."""
+    """Return the states, other than the first, that a constant added to the signal is added to."""
     return [int(state) for state in np.flatnonzero(design.level_direction)[1:]]
 
 
 def moved_level(quantum: float | None, number: NumberType, design: Design) -> dict[str, Any]:
-    """Return what templates need to move a level by whole quanta, in unit; nothing where it stays."""
+    """Return the values that templates need to move a level by whole quanta, in unit; None values where it stays."""
     if quantum is None:
         return {"quantum": None, "per_quantum": None, "farthest": None}
     return {
@@ -106,7 +106,7 @@ def moved_level(quantum: float | None, number: NumberType, design: Design) -> di
 
 
 def unit_name(unit: str) -> str:
-    """Return a unit as a part of a name in C, as `m_per_s2`."""
+    """Return a unit as a part of a name in C, such as `m_per_s2`."""
     for sign, spelt in _SPELT:
         unit = unit.replace(sign, spelt)
     name = identifier(unit, "")

@@ -1,1 +1,1 @@
-"""Where Q and R come from."""
+"""Identify the process noise Q and the measurement noise R from data."""

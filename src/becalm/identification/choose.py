@@ -1,7 +1,8 @@
-"""The zero-knob choice of a motion, and of tones beside it.
+"""Choose the motion model of a channel, and its tones, without any setting.
 
-A causal filter is tuned by likelihood, orders 1 to 3; where even the likeliest does not describe the
-signal, `risk` gives back what it took for motion. A smoother is tuned by cross-validation, orders 1 to 5.
+The tuning of a causal filter maximises the likelihood, for orders 1 to 3. Where even the likeliest model does not
+describe the signal, `risk` returns to the noise what the likelihood took for motion. The tuning of a smoother minimises
+a cross-validation criterion, for orders 1 to 5.
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ __all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "PriorKnowledge", "choo
 
 @dataclass(frozen=True)
 class Choice:
-    """What was found for one channel.
+    """The identified model of one channel, and the models it was compared with.
 
     Attributes
     ----------
     kind : {"motion", "constant", "untold"}
-        "constant": all readings are equal. "untold": too few readings to tell noise from signal, or
-        gaps part them into stretches that tell no motion.
+        "constant": all readings are equal. "untold": undetermined; there are too few readings to separate noise from
+        signal, or gaps cut them into stretches that are too short for a motion model.
     tuning : Tuning or None
-        The winner, of a "motion": perhaps retuned, perhaps with tones.
+        The chosen model where `kind` is "motion"; it may be retuned and may have tones.
     motion : Tuning or None
-        The winner without its tones.
+        The chosen model without its tones.
     rivals : tuple of Tuning
-        Every order that was tried, alone.
+        The tunings of all orders that were compared, without tones.
     """
 
     kind: Literal["motion", "constant", "untold"]
@@ -47,7 +48,7 @@ class Choice:
     rivals: tuple[Tuning, ...] = ()
 
     def counted_in(self, steps: float) -> Choice:
-        """Return the same where a step is so many of its own long."""
+        """Return the same choice in a new time step that is `steps` old steps long."""
         if steps == 1.0 or self.tuning is None or self.motion is None:
             return self
         rivals = tuple(rival.counted_in(steps) for rival in self.rivals)
@@ -56,21 +57,21 @@ class Choice:
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """What is known of one channel before it is looked at.
+    """What the caller already knows about one channel.
 
     Attributes
     ----------
     noise : NoiseModel or None
-        Its noise, told at rest; a motion is tuned beside it, and no tones are looked for.
+        Noise of the channel, measured at rest. Only the motion is tuned then, and no tones are searched.
     removed : tuple of float
-        Angles, radians a step, of tones that are disturbances.
+        Angles in radians per step of tones that are disturbances, to be removed from the signal.
     """
 
     noise: NoiseModel | None = None
     removed: tuple[float, ...] = ()
 
     def counted_in(self, steps: float) -> PriorKnowledge:
-        """Return the same where a step is so many of its own long."""
+        """Return the same knowledge in a new time step that is `steps` old steps long."""
         return self if steps == 1.0 else PriorKnowledge(self.noise, tuple(angle * steps for angle in self.removed))
 
 
@@ -83,60 +84,61 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: PriorK
     Parameters
     ----------
     readings : (N,) float array
-        In the channel's unit, NaN where missing.
+        Measurements in the channel's unit, NaN where missing.
     elapsed : (N,) float array
-        Steps since the row before.
+        Time since the previous row, in steps.
     causal : bool
-        Whether the filter shall run causally; a smoother is tuned for smoothing.
+        True tunes a causal filter, False a smoother.
     known : PriorKnowledge
-        What need not be found.
+        What need not be identified.
 
     Raises
     ------
     RecordingError
-        If noise is known, and gaps part the readings into stretches that tell no motion.
+        If the noise is known, and gaps cut the readings into stretches that are too short for a motion model.
     ModelError
-        If coloured noise is known, and is to be told between its steps.
+        If coloured noise is known, and a reading lies between two of its steps.
     """
     seen = readings[np.isfinite(readings)]
     if len(seen) < FEWEST_READINGS:
         return Choice("untold")
     if np.all(seen == seen[0]):
         return Choice("constant")
-    every = Evidence.of(readings, elapsed)
-    own = 1.0 if known.noise is not None else every.own_step
-    return _chosen(every.counted_in(own), causal, known.counted_in(own)).counted_in(1 / own)
+    evidence = Evidence.of(readings, elapsed)
+    own_step = 1.0 if known.noise is not None else evidence.own_step
+    choice = _choose_in_own_step(evidence.counted_in(own_step), causal, known.counted_in(own_step))
+    return choice.counted_in(1 / own_step)
 
 
-def _chosen(evidence: Evidence, causal: bool, known: PriorKnowledge) -> Choice:
-    """Choose a motion for readings most of which lie a step apart."""
+def _choose_in_own_step(evidence: Evidence, causal: bool, known: PriorKnowledge) -> Choice:
+    """Choose a motion model in the time step in which most readings are one step apart."""
     if known.noise is not None:
-        beside = tune_beside(evidence, known.noise.white_variance, known.noise.coloured, causal=causal)
-        return Choice("motion", damped(beside, evidence), replace(beside, coloured=None))
+        tuning = tune_beside(evidence, known.noise.white_variance, known.noise.coloured, causal=causal)
+        return Choice("motion", damped(tuning, evidence), replace(tuning, coloured=None))
     smoothers = () if causal else tune_smoother(evidence)
     if smoothers:
         best = simplest(smoothers)
-        return _returning(best, evidence, causal, known.removed, smoothers)
+        return _choose_damped(best, evidence, causal, known.removed, smoothers)
     rivals = tuple(tune_motion(order, evidence) for order in ORDERS)
     if max(tuning.count for tuning in rivals) < FEWEST_READINGS - UNSCORED:
         return Choice("untold")
     likeliest = max(rivals, key=lambda tuning: tuning.log_likelihood)
     best = retune(likeliest, evidence) if causal else likeliest
-    return _returning(best, evidence, causal, known.removed, rivals)
+    return _choose_damped(best, evidence, causal, known.removed, rivals)
 
 
-def _returning(
+def _choose_damped(
     best: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...], rivals: tuple[Tuning, ...]
 ) -> Choice:
-    """Choose a motion with its tones, bounded by the record's own spread."""
-    toned = _toned(best, evidence, causal, removed)
+    """Add tones to a motion model and damp it, so that its spread is that of the record."""
+    toned = _add_tones(best, evidence, causal, removed)
     return Choice("motion", damped(toned, evidence), best, rivals)
 
 
-def _toned(alone: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...]) -> Tuning:
-    """Put tones beside a motion, if the filter, or the smoother, is better for it over the record itself.
+def _add_tones(alone: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...]) -> Tuning:
+    """Add tones to a motion model if they reduce the estimated risk of the filter, or of the smoother.
 
-    A spectrum is that of the whole record; where the record is no one thing, as a chirp, it deceives.
+    The spectrum alone may mislead: it averages over the whole record, also where the signal changes, as a chirp does.
     """
     toned = add_lines(alone, evidence, removed)
     if not toned.lines or any(line.disturbance for line in toned.lines):

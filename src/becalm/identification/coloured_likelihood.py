@@ -1,8 +1,8 @@
-"""The likelihood of readings in coloured noise: off their spectrum, or by a filter that begins as it has always been.
+"""The likelihood of readings in coloured noise, computed from their spectrum or by a filter.
 
-Of a motion nothing is known before the first reading; of coloured noise all that can be: it is
-stationary, of mean 0 and its own covariance. Started as unknown, it would be told apart from the motion only
-after many readings, and after as many as its coefficients happen to take, so that likelihoods would not compare.
+Before the first reading nothing is known about a motion, but the distribution of coloured noise is: it is stationary,
+with mean 0 and its own covariance. If its start were unknown too, the filter would need many readings to separate it
+from the motion, and how many would depend on the coefficients, so that likelihoods could not be compared.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from becalm.core.model.parts import Component
 from becalm.identification.spectrum import pooled, sine_spectrum
 
 HIGHEST_ORDER = 3
-"""Of coloured noise that is looked for."""
+"""Highest order of coloured noise that is tried."""
 
 UNSCORED = 6
-"""Readings of each stretch that only start the filter, whatever the motion and the noise."""
+"""Readings of each stretch that only start the filter, for every motion and noise model alike."""
 
-_HALF_CYCLES = 8  # of a stretch: what is slower is not looked at
+_HALF_CYCLES = 8  # in a stretch; slower frequencies are left out
 _BIN = 0.02  # width of a bin over its frequency
 
 Misfit = Callable[["Shape"], tuple[float, float]]
-"""Of a shape of noise: minus twice its log-likelihood, and the likeliest factor that its variances take."""
+"""Function of a `Shape`: minus twice its log-likelihood, and the likeliest factor for its variances."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Noise but for a factor: variances beside one another."""
+    """A noise model up to a common factor: the ratios of its variances."""
 
     white: float
     drift: float  # density of the random walk, 1/step
@@ -44,13 +44,16 @@ class Shape:
 
     @property
     def coloured(self) -> ColouredNoise:
-        """The coloured noise."""
+        """The coloured part of the noise."""
         unit = ColouredNoise(self.coefficients, 1.0)
         return ColouredNoise(self.coefficients, self.innovation / unit.innovation_variance)
 
 
 def spectral_misfit(parts: Sequence[Floats]) -> Misfit:
-    """Read the misfit off the sine transforms of stretches, (n,) each, without holes; lowest frequencies left out."""
+    """Return the misfit to the sine transforms of stretches, (n,) each, without holes.
+
+    The lowest frequencies are left out.
+    """
     spectra = [sine_spectrum(part) for part in parts]
     slowest = [np.full(len(s.angle), np.pi * _HALF_CYCLES / len(z)) for s, z in zip(spectra, parts, strict=True)]
     kept = pooled(spectra).angle >= np.concatenate(slowest)
@@ -72,7 +75,7 @@ def spectral_misfit(parts: Sequence[Floats]) -> Misfit:
 
 
 def exact_misfit(parts: Sequence[Floats]) -> Misfit:
-    """Find the misfit by the filter, of stretches (n,) with holes, NaN."""
+    """Return the misfit by the filter to stretches (n,) with holes, which are NaN."""
     records = [_record(part) for part in parts]
 
     def misfit(shape: Shape) -> tuple[float, float]:
@@ -91,34 +94,34 @@ def exact_misfit(parts: Sequence[Floats]) -> Misfit:
 
 
 def score_coloured(component: Component, noise_variance: float, z: Floats, elapsed: Floats) -> Sums | None:
-    """Return what makes the likelihood of all but the first readings, coloured noise being stationary.
+    """Return the likelihood sums of all but the first readings, with coloured noise that starts stationary.
 
-    None where the first readings do not tell the motion.
+    Returns None where the first readings do not determine the motion's state.
 
     Parameters
     ----------
     component : Component
-        A motion with coloured noise beside it, in steps.
+        A motion with coloured noise, in steps.
     noise_variance : float
         R, in unit^2.
     z : (N, 1) float array
-        Readings, in unit, none missing.
+        Readings in unit, none missing.
     elapsed : (N,) float array
         Steps since the reading before, whole.
     """
-    found = ChannelRecord(component, noise_variance, z[:, 0], elapsed).score(UNSCORED)
-    return found if found.used == len(z) - UNSCORED else None
+    sums = ChannelRecord(component, noise_variance, z[:, 0], elapsed).score(UNSCORED)
+    return sums if sums.used == len(z) - UNSCORED else None
 
 
 def first_in_a_row(elapsed: Floats) -> int:
-    """Return the first of as many readings in a row as start the filter, or 0 if nowhere so many came."""
+    """Return where the first run of readings starts that is long enough to start the filter; 0 if there is none."""
     even = np.convolve(elapsed[1:] == 1.0, np.ones(UNSCORED - 1), "valid") if len(elapsed) >= UNSCORED else np.zeros(0)
     whole = np.flatnonzero(even > UNSCORED - 1.5)
     return int(whole[0]) if len(whole) else 0
 
 
 def _record(part: Floats) -> tuple[Floats, Floats]:
-    """Return the readings (m, 1) that arrived and the steps (m,) between, from the first few in a row on."""
+    """Return the finite readings (m, 1) and the steps (m,) between them, from the first long enough run on."""
     seen = np.flatnonzero(np.isfinite(part))
     elapsed = np.diff(seen, prepend=seen[0]).astype(np.float64)
     begin = first_in_a_row(elapsed)
@@ -128,8 +131,8 @@ def _record(part: Floats) -> tuple[Floats, Floats]:
 def _squared(coefficients: tuple[float, ...]) -> Floats:
     """Return c (p + 1,) of |1 - sum phi_l exp(-i w l)|^2 = sum c_l cos(l w).
 
-    As `autoregressive_power` has it; but a search asks for it some thousand times at the same angles, of
-    which a table of cosines is made once.
+    `autoregressive_power` computes the same. A search evaluates it thousands of times at the same angles; with c it can
+    use one table of cosines.
     """
     a = np.array([1.0, *(-phi for phi in coefficients)])
     lagged = np.correlate(a, a, "full")[len(a) - 1 :]

@@ -1,12 +1,11 @@
-"""Tuning for smoothing: how well each reading is told by all others, which needs no truth.
+"""Tune a smoother by cross-validation: how well do all other readings predict each reading? No truth is needed.
 
-The likelihood asks how well the next reading is foretold, and takes too low an order for a smoother.
-Here the residuals of the smoother are weighed by what it keeps for noise: with the mean weight g of a
-reading in its own estimate, P/R, the criterion is mean(z - y)^2 / (1 - c g)^2. With c = 1 that is
-generalised cross-validation, whose minimum is now and then far too nervous on short records; c exceeds
-1 by one over the square root of g N, the number of parameters that the smoother fits: the scatter
-of the criterion itself. Source: Craven and Wahba, Numer. Math. 31 (1979) 377; Kim and Gu, J. R. Statist.
-Soc. B 66 (2004) 337, who take c = 1.4.
+The likelihood measures how well the next reading is predicted, and chooses too low an order for a smoother. Here the
+residuals of the smoother are weighed against how much noise it lets through: with the mean weight g of a reading in its
+own estimate, P/R, the criterion is mean(z - y)^2 / (1 - c g)^2. With c = 1 that is generalised cross-validation, whose
+minimum sometimes follows the noise on short records. Here c exceeds 1 by one over the square root of g N, the number of
+parameters that the smoother fits; that is the scatter of the criterion itself. Source: Craven and Wahba, Numer. Math.
+31 (1979) 377; Kim and Gu, J. R. Statist. Soc. B 66 (2004) 337, who take c = 1.4.
 """
 
 from __future__ import annotations
@@ -25,10 +24,13 @@ from becalm.identification.search import find_ratio
 from becalm.identification.spectrum import pooled, sine_spectrum, slope_between_ends
 
 LONG, MOST_OF = 4096, 0.8
-"""Readings in complete stretches, and their share of all, from which on ends do not matter and spectra tell all."""
+"""Readings in complete stretches, and their share of all readings, from which on spectra are enough.
 
-_NOT_TOLD = 2.0  # of twice a log-likelihood
-_ALIKE = 0.1  # of the logarithm of r, as a few stretches tell it
+Then the ends of stretches do not matter.
+"""
+
+_NOT_TOLD = 2.0  # difference of twice a log-likelihood that does not distinguish two orders
+_ALIKE = 0.1  # difference of log r that a few stretches cannot resolve
 _OPAQUE = 0.95  # weight of a reading in its own estimate, beyond which nothing is smoothed
 
 Residuals = Callable[[float], tuple[float, float]]
@@ -36,26 +38,28 @@ Residuals = Callable[[float], tuple[float, float]]
 
 
 def cautious(weight: float, count: int) -> float:
-    """Return the mean weight of `count` readings, each in its own estimate, raised by its criterion's own scatter."""
+    """Return the mean weight of `count` readings in their own estimates, raised by the criterion's scatter."""
     return float(weight * (1 + 1 / np.sqrt(max(weight * count, 1.0))))
 
 
 def criterion(squares: float, weight: float, count: int) -> float:
-    """Return the logarithm of what is minimised: of how far a reading lies from what all others say of it, squared.
+    """Return the cross-validation criterion, the logarithm of a squared prediction error.
+
+    The error is the distance of a reading from what all other readings predict.
 
     Parameters
     ----------
     squares : float
         Mean squared residual of the smoother, in unit^2.
     weight : float
-        Mean weight of a reading in its own estimate; a *small* one smooths more, and is charged less.
+        Mean weight of a reading in its own estimate; a *small* one belongs to a smoother that smooths more.
     count : int
-        Readings.
+        Number of readings.
 
     Returns
     -------
     float
-        inf where next to nothing is smoothed, or nothing is left.
+        The criterion; inf where almost nothing is smoothed, or the residuals are zero.
     """
     charged = cautious(weight, count)
     if not charged < _OPAQUE or not squares > 0:
@@ -64,42 +68,42 @@ def criterion(squares: float, weight: float, count: int) -> float:
 
 
 def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
-    """Tune motions of every order for smoothing.
+    """Tune a smoother of each order.
 
     Parameters
     ----------
     evidence : Evidence
-        At least 8 readings.
+        The readings, at least 8.
 
     Returns
     -------
     tuple of Tuning
-        One for each order from 1 to 5 that can be told, `loss` their criterion; none where no smoother removes noise.
+        One for each order from 1 to 5 that can be tuned, with the criterion as `loss`; empty if none removes noise.
     """
     even = [evidence.z[part, 0] for part in _complete(evidence)]
-    found = _tuned(evidence, read_residuals(even)) if even else ()
+    tunings = _tuned(evidence, read_residuals(even)) if even else ()
     if not lasting(evidence):
-        found = _tuned(evidence, lambda order: smooth_residuals(order, evidence), found)
-    elif not found or not _confirmed(min(found, key=lambda tuning: tuning.loss), evidence):
-        found = _tuned(evidence, lambda order: smooth_residuals(order, evidence))
+        tunings = _tuned(evidence, lambda order: smooth_residuals(order, evidence), tunings)
+    elif not tunings or not _confirmed(min(tunings, key=lambda tuning: tuning.loss), evidence):
+        tunings = _tuned(evidence, lambda order: smooth_residuals(order, evidence))
     least = evidence.smallest_variance
-    return tuple(replace(tuning, noise_variance=max(tuning.noise_variance, least)) for tuning in found)
+    return tuple(replace(tuning, noise_variance=max(tuning.noise_variance, least)) for tuning in tunings)
 
 
 def simplest(tunings: Sequence[Tuning]) -> Tuning:
-    """Return the lowest order whose loss is not told from the least."""
+    """Return the lowest order whose loss does not differ significantly from the least."""
     least = min(tuning.loss for tuning in tunings)
     return next(tuning for tuning in tunings if tuning.loss <= least + _NOT_TOLD / tuning.count)
 
 
 def lasting(evidence: Evidence) -> list[slice]:
-    """Return the stretches whose spectra tell all; none of a short record, or where too much is missing."""
+    """Return the stretches whose spectra are enough; none for a short record, or where too much is missing."""
     complete = _complete(evidence)
     return complete if sum(part.stop - part.start for part in complete) >= LONG else []
 
 
 def _complete(evidence: Evidence) -> list[slice]:
-    """Return the stretches in even time, if they hold most of the readings."""
+    """Return the long stretches in even time if they hold most of the readings, else none."""
     readings = sum(part.stop - part.start for part in evidence.complete)
     return evidence.complete if readings >= MOST_OF * len(evidence.z) else []
 
@@ -107,33 +111,38 @@ def _complete(evidence: Evidence) -> list[slice]:
 def _tuned(
     evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]], hints: Sequence[Tuning] = ()
 ) -> tuple[Tuning, ...]:
-    """Tune every order by the residuals that its smoothers leave, first near a hint, such as the spectrum's."""
+    """Tune each order by the residuals of its smoothers; search near a hint first, such as the spectrum's."""
     near = {hint.order: hint.ratio for hint in hints}
-    roads = {order: residuals(order) for order in EVERY_ORDER[: len(evidence.z) - 3]}
     steps = evidence.longest_steps
-    found = [_least(order, steps, road, near.get(order)) for order, road in roads.items() if road[1]]
-    return tuple(tuning for tuning in found if tuning is not None)
+    tuned = []
+    for order in EVERY_ORDER[: len(evidence.z) - 3]:
+        order_residuals, count = residuals(order)
+        if count:
+            tuned.append(_minimise_criterion(order, steps, (order_residuals, count), near.get(order)))
+    return tuple(tuning for tuning in tuned if tuning is not None)
 
 
 def _confirmed(tuning: Tuning, evidence: Evidence) -> bool:
-    """Whether the smoother leaves what its spectrum foretold; not where a record bends sharply at its ends."""
+    """Return whether the smoother's residuals agree with the spectrum; not where a record bends sharply at its ends."""
     squares, weight = smooth_residuals(tuning.order, evidence)[0](tuning.ratio)
     return abs(np.log(squares / (1 - weight) / tuning.noise_variance)) < _ALIKE if squares > 0 else False
 
 
-def _least(order: int, steps: float, road: tuple[Residuals, int], near: float | None) -> Tuning | None:
-    """Find the ratio of one order that has the least criterion: near a hint, or, if it is not there, anywhere."""
-    residuals, count = road
+def _minimise_criterion(
+    order: int, steps: float, counted_residuals: tuple[Residuals, int], near: float | None
+) -> Tuning | None:
+    """Find the ratio of one order that minimises the criterion: near a hint first, else anywhere."""
+    residuals, count = counted_residuals
 
-    found = find_ratio(order, lambda ratio: criterion(*residuals(ratio), count), steps, near=near)
-    if not np.isfinite(found.cost):
+    least = find_ratio(order, lambda ratio: criterion(*residuals(ratio), count), steps, near=near)
+    if not np.isfinite(least.cost):
         return None
-    squares, weight = residuals(found.ratio)
-    return Tuning(order, found.ratio, squares / (1 - weight), count, loss=found.cost, at_edge=found.at_edge)
+    squares, weight = residuals(least.ratio)
+    return Tuning(order, least.ratio, squares / (1 - weight), count, loss=least.cost, at_edge=least.at_edge)
 
 
 def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residuals, int]]:
-    """Read the residuals of smoothers off spectra, without smoothing.
+    """Compute the residuals of smoothers from spectra, without smoothing.
 
     Parameters
     ----------
@@ -143,13 +152,13 @@ def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residua
     Returns
     -------
     callable
-        Of the order of the motion, 1 to 5: returns residuals, a function of the ratio q/r that gives the mean squared
-        residual, in unit^2, and the mean weight of a reading in its own estimate; and how many readings they are of.
+        Function of the motion's order, 1 to 5. It returns `residuals`, a function of the ratio q/r that gives the mean
+        squared residual, in unit^2, and the mean weight of a reading in its own estimate; and the number of readings.
 
     Notes
     -----
-    The line that the transform takes off is followed by every order but the first, which bends away at both ends,
-    by s / sqrt(q/r) exp(-sqrt(q/r) k) where the slope is s.
+    The sine transform takes a straight line off each stretch. Every order but the first follows that line. A smoother
+    of order 1 bends away from it at both ends, by s / sqrt(q/r) exp(-sqrt(q/r) k) where the slope is s.
     """
     spectrum = pooled([sine_spectrum(z) for z in stretches])
     readings = int(spectrum.weight.sum())
@@ -170,29 +179,29 @@ def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residua
 
 
 def _parts(evidence: Evidence, states: int) -> list[slice]:
-    """Return the stretches that are smoothed; none where each leaves one residual, which tells no two variances."""
+    """Return the stretches to smooth; none where each leaves one residual only, too little for two variances."""
     parts = [part for part in evidence.sample if part.stop - part.start > states]
     return parts if any(part.stop - part.start > states + 1 for part in parts) else []
 
 
 def smooth_residuals(order: int, evidence: Evidence) -> tuple[Residuals, int]:
-    """Smooth to find residuals.
+    """Compute the residuals of a smoother by smoothing.
 
     Parameters
     ----------
     order : int
-        Of the motion, 1 to 5.
+        Order of the motion, 1 to 5.
     evidence : Evidence
-        Of more than 32768 readings sixteen pieces of 2048 are smoothed; of a short record all stretches of
-        more than `order` readings, if one at least holds another one.
+        The readings. Of more than 32768 readings sixteen pieces of 2048 are smoothed; of a short record all stretches
+        with more than `order` readings, if at least one has more than `order` + 1.
 
     Returns
     -------
     residuals : callable
-        At a ratio q/r: the mean squared residual, in unit^2, and the mean weight of a reading in its own
-        estimate. Not to be called where it is of none.
+        Function of the ratio q/r that gives the mean squared residual, in unit^2, and the mean weight of a reading in
+        its own estimate. Do not call it if `count` is 0.
     count : int
-        Readings that they are of; 0 where all stretches are too short.
+        Number of readings smoothed; 0 where all stretches are too short.
     """
     unit, stretches = motion(order), [(evidence.z[part, 0], evidence.elapsed[part]) for part in _parts(evidence, order)]
     records = [ChannelRecord(unit, 1.0, z, elapsed) for z, elapsed in stretches]

@@ -1,7 +1,7 @@
-"""Whether a channel gets a gate; and its tuning, where spikes are in the readings.
+"""Decide whether a channel gets an innovation gate, and tune it where readings contain spikes.
 
-Spikes inflate the noise, and a tuning that believes them rejects too few; so a channel is tuned, gated and
-tuned again on what was not rejected. Whether the rejects were spikes is told by the readings after them.
+Spikes inflate the noise, and a tuning that uses them rejects too few. So a channel is tuned, gated and tuned again on
+the readings that were not rejected. The readings after a reject show whether it was a spike.
 """
 
 from __future__ import annotations
@@ -22,70 +22,73 @@ from becalm.identification.likelihood import Tuning
 from becalm.identification.modes.rejection import stand_out
 
 ROUNDS = 12
-"""Tunings at the most: each lowers what huge spikes feign by the root of their share, until nothing changes."""
+"""Largest number of tunings. Each reduces the noise that huge spikes add by the root of their share."""
 
 MOST_REJECTED = 0.05
-"""Share of the readings beyond which rejects are no exceptions."""
+"""Largest share of rejected readings; more are not exceptions."""
 
 FEWEST_ISOLATED = 0.5
-"""Share of the rejects that have to stand alone, or in pairs."""
+"""Least share of the rejects that must be isolated, or in pairs."""
 
 SHOULDER, MOST_NEAR = 0.7, 0.5
-"""Of the threshold: innovations from there on, beyond those of Gaussian noise, are fewer than this share of the
-rejects where these are spikes. Heavy tails have twice as many and more."""
+"""Lower end of the shoulder, times the threshold, and the most innovations in it, as a share of the rejects.
+
+Only innovations beyond those expected of Gaussian noise count. Where rejects are spikes, they are fewer than this
+share; heavy tails have twice as many and more.
+"""
 
 DOUBT = 3.0
-"""Log-likelihood that a gate may seem to cost: of a filter that hardly believes a reading only chance tells."""
+"""Log-likelihood that a gate may seem to cost; where the gain is small, chance decides the difference."""
 
 _LEAST_SCALE = 1e-6  # where more than half of the readings are equal
-_MIDDLE = 1.4826  # of the median of |e|, which makes a standard deviation of Gaussian noise
+_MIDDLE = 1.4826  # standard deviation of Gaussian noise over the median of |e|
 _CHANCE = 3.0  # standard deviations of a count
-_SAME = 0.1  # of a noise variance: another round would change little
+_SAME = 0.1  # relative change of a noise variance at which the iteration ends
 _PAIR = 2
-_PIECE = 1 << 15  # rows that are filtered at once: in uneven time each has step matrices of its own
+_PIECE = 1 << 15  # rows filtered at once; in uneven time each row has its own step matrices
 
 
 class GatedChoice(NamedTuple):
-    """What was found for one channel, and whether a gate goes with it."""
+    """The identified model of one channel, and whether to use a gate with it."""
 
     choice: Choice
     gated: bool
 
 
 class Forecasts(NamedTuple):
-    """How a causal filter foretold readings."""
+    """One-step predictions of a causal filter compared with the readings."""
 
     normalised: Floats  # (N,) innovations over their standard deviations; NaN where a reading was not used
     sigma: Floats  # (N,) those standard deviations
     rejected: Booleans  # (N,)
 
     def log_densities(self) -> Floats:
-        """Return the log-likelihood (N,) of each reading, but for a constant."""
+        """Return the log-likelihood (N,) of each reading, up to a constant."""
         return -0.5 * self.normalised**2 - np.log(self.sigma)
 
 
 def choose_gated(
     readings: Floats, elapsed: Floats, gate: Gate, causal: bool = True, known: PriorKnowledge = NOTHING_KNOWN
 ) -> GatedChoice:
-    """Identify the noise of one channel, choose its motion, and decide whether a gate goes with it.
+    """Identify the noise of one channel, choose its motion, and decide whether it gets a gate.
 
     Parameters
     ----------
     readings : (N,) float array
-        In the channel's unit, NaN where missing.
+        Measurements in the channel's unit, NaN where missing.
     elapsed : (N,) float array
-        Steps since the row before.
+        Time since the previous row, in steps.
     gate : Gate
-        What it would be.
+        The gate to try.
     causal : bool
-        Whether the filter shall run causally.
+        True tunes a causal filter, False a smoother.
     known : PriorKnowledge
-        What need not be found.
+        What need not be identified.
 
     Returns
     -------
     GatedChoice
-        Without a gate, or where it rejects nothing, the choice is that of `choose`.
+        If there is no gate, or it rejects nothing, the choice is that of `choose`.
 
     Raises
     ------
@@ -94,9 +97,9 @@ def choose_gated(
 
     Notes
     -----
-    With q and r scaled down where the middle half of the innovations is narrower than expected, spikes
-    cannot hide behind the noise that they feign. The gate stays where what was used is foretold the better
-    for it: a spike that is believed spoils the forecasts after it, and motion that is not believed does.
+    Before each gating, r is scaled down where the middle half of the innovations is narrower than expected, so that
+    spikes cannot hide behind the noise that they add. The gate stays where it improves the predictions of the readings
+    that were used: a spike that is used spoils the predictions after it, and so does motion that is rejected.
     """
     plain = choice = choose(readings, elapsed, causal, known)
     before, variance = np.zeros(len(readings), dtype=bool), np.inf
@@ -104,9 +107,9 @@ def choose_gated(
         if choice.tuning is None:
             return GatedChoice(plain, False)
         tuning = robust(choice.tuning, readings, elapsed)
-        found = forecasts(tuning, readings, elapsed, gate)
-        rejected = found.rejected
-        if not _are_exceptions(rejected, readings) or has_shoulders(found, gate.threshold):
+        predictions = forecasts(tuning, readings, elapsed, gate)
+        rejected = predictions.rejected
+        if not _are_exceptions(rejected, readings) or has_shoulders(predictions, gate.threshold):
             return GatedChoice(plain, False)
         settled = abs(tuning.noise_variance - variance) < _SAME * variance and np.array_equal(rejected, before)
         if settled or not rejected.any():
@@ -119,7 +122,7 @@ def choose_gated(
 
 
 def foretells_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
-    """Whether a filter with a gate foretells the readings that it uses better than one that believes all of them."""
+    """Return whether a filter with a gate predicts the readings that it uses better than a filter without."""
     gated, free = (forecasts(tuning, readings, elapsed, how) for how in (gate, None))
     if not _are_exceptions(gated.rejected, readings) or has_shoulders(gated, gate.threshold):
         return False
@@ -127,32 +130,35 @@ def foretells_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Ga
     return bool(np.nansum(gain) >= -DOUBT)
 
 
-def has_shoulders(found: Forecasts, threshold: float) -> bool:
-    """Whether innovations are heavier than Gaussian below the threshold too: rejects are no kind of their own then."""
+def has_shoulders(predictions: Forecasts, threshold: float) -> bool:
+    """Return whether innovations just below the threshold are too many for Gaussian noise.
+
+    Then the rejects are not a separate population, but the end of heavy tails.
+    """
     from scipy.special import ndtr
 
-    seen = np.abs(found.normalised[np.isfinite(found.normalised)])
+    seen = np.abs(predictions.normalised[np.isfinite(predictions.normalised)])
     near = np.count_nonzero((seen > SHOULDER * threshold) & (seen <= threshold))
     expected = 2 * len(seen) * float(ndtr(-SHOULDER * threshold) - ndtr(-threshold))
-    rejected = np.count_nonzero(found.rejected)
+    rejected = np.count_nonzero(predictions.rejected)
     return bool(rejected and near > expected + MOST_NEAR * rejected + _CHANCE * np.sqrt(expected + 1))
 
 
 def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | None) -> Forecasts:
-    """Foretell readings (N,), causally, with a gate or without."""
+    """Predict readings (N,) causally, with or without a gate."""
     channel = Channel(ChannelSettings(tuning.component, tuning.noise_variance, gate=gate))
     readings, elapsed = input_of(readings), input_of(elapsed)
     pieces = (slice(start, start + _PIECE) for start in range(0, len(readings), _PIECE))
-    found = [channel.process(readings[piece], elapsed[piece]) for piece in pieces]
+    estimates = [channel.process(readings[piece], elapsed[piece]) for piece in pieces]
     nu, sigma = (
-        np.concatenate(parts) for parts in zip(*((one.innovation, one.deviation) for one in found), strict=True)
+        np.concatenate(parts) for parts in zip(*((one.innovation, one.deviation) for one in estimates), strict=True)
     )
-    rejected = np.concatenate([one.verdict for one in found]) == Verdict.SPIKE
+    rejected = np.concatenate([one.verdict for one in estimates]) == Verdict.SPIKE
     return Forecasts(nu / sigma, sigma, rejected)
 
 
 def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
-    """Return a tuning whose noise is no wider than the middle half of the innovations says, which no spike moves."""
+    """Return a tuning with its noise limited by the median innovation, which spikes do not move."""
     free = np.abs(forecasts(tuning, readings, elapsed, None).normalised)
     seen = free[np.isfinite(free)]
     scale = min(1.0, max(_LEAST_SCALE, _MIDDLE * float(np.median(seen)))) if len(seen) else 1.0
@@ -160,7 +166,7 @@ def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
 
 
 def _are_exceptions(rejected: Booleans, readings: Floats) -> bool:
-    """Return whether rejects are few, and most of them stand alone or in pairs, out of their neighbours."""
+    """Return whether rejects are few, mostly isolated or in pairs, and stand out of their neighbours."""
     count, seen = np.count_nonzero(rejected), np.count_nonzero(np.isfinite(readings))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], rejected, [False]]).astype(np.int8)))
     lengths = np.diff(edges)[::2]

@@ -1,4 +1,4 @@
-"""Draws in place of readings that are missing or rejected, and a nearly complete record made complete with them.
+"""Replace missing or rejected readings by random draws, and so complete a nearly complete record.
 
 Source of the draws: Rubin, Multiple Imputation for Nonresponse in Surveys (1987), chapter 1.
 """
@@ -13,35 +13,35 @@ from becalm.core.rows import EstimatedRows
 from becalm.identification.likelihood import FEWEST_FOR_TONES, JITTER, Evidence, Tuning, keeps_time
 
 LONGEST_HOLE = 32
-"""Steps without a reading, across which a spectrum goes on."""
+"""Longest hole, in steps, that is filled for a spectrum."""
 
 MOST_MISSING = 0.2
-"""Share of the rows beyond which draws would make the spectrum."""
+"""Largest share of missing rows; with more, the draws would dominate the spectrum."""
 
 
 def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Booleans) -> Floats:
-    """Return readings (N,) with each reject replaced by a draw from what all others say of it.
+    """Return readings (N,) with each reject replaced by a draw from its distribution given all other readings.
 
-    So a record in even time stays one, and its spectrum can be taken; a draw, and not its mean, keeps the
-    noise as large as it is. The same record gets the same draws.
+    So a record in even time stays even, and its spectrum can be taken. A draw keeps the noise as large as it is; the
+    mean would not. The same record gets the same draws.
     """
     left = np.where(rejected, np.nan, readings)
     flow = SmoothedFlow(tuning.component, tuning.noise_variance, split=True)
-    told = EstimatedRows.joined([*flow.push(left, elapsed), *flow.finish()])
-    mean, spread = told.parts.sum(axis=0), np.sqrt(told.sigma**2 + tuning.noise_variance)
+    smoothed = EstimatedRows.joined([*flow.push(left, elapsed), *flow.finish()])
+    mean, spread = smoothed.parts.sum(axis=0), np.sqrt(smoothed.sigma**2 + tuning.noise_variance)
     draws = np.random.default_rng(len(readings)).normal(size=len(readings))
     return np.where(rejected, mean + spread * draws, readings)
 
 
 def completed(evidence: Evidence, tuning: Tuning) -> Evidence:
-    """Return the longest part of a record whose holes are short and few, with draws in them.
+    """Return the longest part of a record with short and few holes, which are filled with draws.
 
     Parameters
     ----------
     evidence : Evidence
-        The readings; it comes back as it is where no hole lengthens its longest complete stretch.
+        The readings; returned unchanged where filling holes does not lengthen the longest complete stretch.
     tuning : Tuning
-        The model of the draws.
+        The model that the draws come from.
     """
     part = nearly_complete(evidence)
     longest = max((one.stop - one.start for one in evidence.even), default=0)
@@ -55,12 +55,12 @@ def completed(evidence: Evidence, tuning: Tuning) -> Evidence:
     if not np.isfinite(drawn).all():
         return evidence
     step = float(evidence.elapsed[part][1:].sum()) / rows[-1]
-    filled = np.clip(drawn, known.min(), known.max())  # no draw lies outside of what was read
+    filled = np.clip(drawn, known.min(), known.max())  # no draw exceeds the range of the readings
     return Evidence(np.ascontiguousarray(filled[:, np.newaxis]), np.full(len(filled), step))
 
 
 def nearly_complete(evidence: Evidence) -> slice:
-    """Return the readings of the longest part in even time, but for jitter, whose holes are short and few."""
+    """Return the longest part in even time, apart from jitter, with short and few holes."""
     elapsed = evidence.elapsed
     steps = np.round(elapsed)
     odd = (np.abs(elapsed - steps) > JITTER) | (steps < 1) | (steps > LONGEST_HOLE)
@@ -71,7 +71,7 @@ def nearly_complete(evidence: Evidence) -> slice:
 
 
 def _is_even(elapsed: Floats) -> bool:
-    """Return whether steps (N,) between readings are those of an even clock of which few rows are missing."""
+    """Return whether steps (N,) between readings belong to an even clock with few rows missing."""
     if not len(elapsed):
         return False
     steps = np.round(elapsed)

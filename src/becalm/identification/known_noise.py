@@ -1,12 +1,11 @@
-"""A motion tuned beside noise that is known, as from rest.
+"""Tune a motion model with noise that is already known, for instance from a rest.
 
-What is known need not be found beside the motion: of the noise variance R nothing is concentrated out. A
-causal filter is tuned by likelihood, and so is every motion beside coloured noise. A smoother beside white
-noise is tuned by its estimated risk: with the mean squared residual s and the mean weight g of a
-reading in its own estimate, the mean squared error of the estimate is s - R + 2 R g on average, without
-truth and for any linear smoother. Being minimised, it is now and then too nervous on short records; so
-g is taken with the caution of `cross_validation`. Sources: Mallows, Technometrics 15 (1973) 661; Stein,
-Annals of Statistics 9 (1981) 1135; Schweppe, IEEE TIT-11 (1965) 61.
+R is fixed, so it is not concentrated out of the likelihood. The tuning of a causal filter maximises the likelihood, and
+so does every tuning with coloured noise. The tuning of a smoother with white noise only minimises its estimated risk:
+with the mean squared residual s and the mean weight g of a reading in its own estimate, the mean squared error of the
+estimate is s - R + 2 R g on average, for any linear smoother and without the truth. The minimum sometimes follows the
+noise on short records, so g is raised as in `cross_validation.cautious`. Sources: Mallows, Technometrics 15 (1973) 661;
+Stein, Annals of Statistics 9 (1981) 1135; Schweppe, IEEE TIT-11 (1965) 61.
 """
 
 from __future__ import annotations
@@ -32,57 +31,57 @@ from becalm.identification.cross_validation import (
 from becalm.identification.likelihood import FEWEST_READINGS, Candidate, Evidence, Tuning
 from becalm.identification.search import find_ratio
 
-_ALIKE = 0.1  # of the logarithm of the residuals, as a few stretches tell them
+_ALIKE = 0.1  # difference of the logarithm of the residuals that a few stretches cannot resolve
 
 
 def tune_beside(
     evidence: Evidence, noise_variance: float, coloured: ColouredNoise | None = None, *, causal: bool
 ) -> Tuning:
-    """Tune a motion, its order and its density, beside noise that is known.
+    """Tune the order and the density of a motion model; the noise is known.
 
     Parameters
     ----------
     evidence : Evidence
-        At least 8 readings; beside coloured noise in even time.
+        The readings, at least 8; in even time if there is coloured noise.
     noise_variance : float
-        R, of the white noise of one reading, in unit^2; a *small* one trusts the readings and smooths less.
+        R, the variance of a reading's white noise, in unit^2; a *small* one trusts the readings and smooths less.
     coloured : ColouredNoise or None
-        Coloured noise beside it, one step a reading; a disturbance.
+        Additional coloured noise, one step per reading; it is modelled as a disturbance.
     causal : bool
-        Whether the filter shall run causally. Orders are 1 to 3, but 1 to 5 of a smoother beside white noise.
+        True tunes a causal filter. Orders are 1 to 3, and 1 to 5 for a smoother with white noise only.
 
     Raises
     ------
     RecordingError
-        If fewer than 8 readings came, or gaps part them into stretches that tell no motion.
+        If there are fewer than 8 readings, or gaps cut them into stretches too short for a motion model.
     ModelError
-        If coloured noise is to be told between its steps, or its coefficients do not fade.
+        If a reading lies between two steps of the coloured noise, or its coefficients are not stationary.
 
     Notes
     -----
-    The noise is believed: where it was measured at rest and is louder in motion, more is taken for motion.
-    Beside coloured noise, of more than 32768 readings sixteen stretches of 2048 are scored.
+    The given noise is not questioned: if it was measured at rest and is louder in motion, the excess is taken for
+    motion. With coloured noise, of more than 32768 readings sixteen stretches of 2048 are scored.
     """
     if len(evidence.z) < FEWEST_READINGS:
         raise RecordingError(
-            f"{len(evidence.z)} readings came; {FEWEST_READINGS} or more tell a motion. Give a longer record."
+            f"{len(evidence.z)} readings came; {FEWEST_READINGS} or more are needed for a motion. Give a longer record."
         )
     R = max(noise_variance, evidence.smallest_variance)
     if coloured is not None:
-        found = [_beside_coloured(order, evidence, R, coloured) for order in ORDERS]
+        tunings = [_beside_coloured(order, evidence, R, coloured) for order in ORDERS]
     elif causal:
-        found = [_beside_white(order, evidence, R) for order in ORDERS]
+        tunings = [_beside_white(order, evidence, R) for order in ORDERS]
     else:
-        found = _smoothers(evidence, R)
-    if not any(tuning.count for tuning in found):
-        raise RecordingError("No stretch of the record is long enough to tell a motion. Give one with fewer gaps.")
+        tunings = _tune_smoothers(evidence, R)
+    if not any(tuning.count for tuning in tunings):
+        raise RecordingError("No stretch of the record is long enough for a motion. Give a record with fewer gaps.")
     if coloured is None and not causal:
-        return simplest(found)
-    return max(found, key=lambda tuning: tuning.log_likelihood)
+        return simplest(tunings)
+    return max(tunings, key=lambda tuning: tuning.log_likelihood)
 
 
 def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
-    """Find the likeliest density of one order, R being known.
+    """Find the likeliest density of one order for a known R.
 
     At the likeliest r the log-likelihood is greater than at R by n (r/R - 1 - log r/R) / 2.
     """
@@ -99,7 +98,7 @@ def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
 
 
 def _beside_coloured(order: int, evidence: Evidence, R: float, coloured: ColouredNoise) -> Tuning:
-    """Find the likeliest density of one order beside white and coloured noise."""
+    """Find the likeliest density of one order for known white and coloured noise."""
     trial, parts = Tuning(order, 1.0, R, 0, coloured=coloured), _parts(evidence)
 
     def likelihood(ratio: float) -> tuple[float, int]:
@@ -109,34 +108,40 @@ def _beside_coloured(order: int, evidence: Evidence, R: float, coloured: Coloure
             total = total.plus(score_coloured(component, R, evidence.z[part], evidence.elapsed[part]) or Sums())
         return (total.log_likelihood, total.used) if total.used else (-np.inf, 0)
 
-    found = _likeliest(likelihood, order, evidence, (R, R + coloured.variance))
-    return replace(found, coloured=coloured)
+    tuning = _likeliest(likelihood, order, evidence, (R, R + coloured.variance))
+    return replace(tuning, coloured=coloured)
 
 
 def _likeliest(
     likelihood: Callable[[float], tuple[float, int]], order: int, evidence: Evidence, variances: tuple[float, float]
 ) -> Tuning:
-    """Search the ratio q/R; `variances` are R and that of all noise, beside which cut-offs are told."""
+    """Find the likeliest ratio q/r.
+
+    `variances` are R and the variance of all noise; the grid of cut-offs is laid out for the latter.
+    """
     R, total = variances
     least = find_ratio(order, lambda ratio: -likelihood(ratio * total / R)[0], evidence.longest_steps)
     ratio = least.ratio * total / R
     return Tuning(order, ratio, R, likelihood(ratio)[1], -least.cost, at_edge=least.at_edge)
 
 
-def _smoothers(evidence: Evidence, R: float) -> list[Tuning]:
-    """Tune smoothers of every order beside white noise."""
+def _tune_smoothers(evidence: Evidence, R: float) -> list[Tuning]:
+    """Tune a smoother of each order for known white noise."""
     orders = EVERY_ORDER[: len(evidence.z) - 3]
     even = [evidence.z[part, 0] for part in lasting(evidence)]
     if even:
-        roads = list(map(read_residuals(even), orders))
-        found = [_least_risk(order, *road, evidence, R) for order, road in zip(orders, roads, strict=True)]
-        best = simplest(found)
-        foretold, _ = roads[best.order - 1][0](best.ratio)
-        smoothed, _ = smooth_residuals(best.order, evidence)[0](best.ratio)
-        if smoothed > 0 and abs(np.log(smoothed / foretold)) < _ALIKE:
-            return found
+        residuals_by_order = list(map(read_residuals(even), orders))
+        tunings = [
+            _least_risk(order, *residuals, evidence, R)
+            for order, residuals in zip(orders, residuals_by_order, strict=True)
+        ]
+        best = simplest(tunings)
+        by_spectrum, _ = residuals_by_order[best.order - 1][0](best.ratio)
+        by_smoothing, _ = smooth_residuals(best.order, evidence)[0](best.ratio)
+        if by_smoothing > 0 and abs(np.log(by_smoothing / by_spectrum)) < _ALIKE:
+            return tunings
     every = {order: smooth_residuals(order, evidence) for order in orders}
-    return [_least_risk(order, *road, evidence, R) for order, road in every.items() if road[1]]
+    return [_least_risk(order, *residuals, evidence, R) for order, residuals in every.items() if residuals[1]]
 
 
 def _least_risk(order: int, residuals: Residuals, count: int, evidence: Evidence, R: float) -> Tuning:
@@ -150,14 +155,16 @@ def _least_risk(order: int, residuals: Residuals, count: int, evidence: Evidence
 
 
 def foretold_square(squares: float, weight: float, count: int, noise_variance: float) -> float:
-    """Return the logarithm of R plus the risk: of how far a fresh reading would lie from the estimate, squared.
+    """Return the logarithm of R plus the estimated risk.
+
+    R plus the risk is the mean squared distance of a new reading from the estimate.
 
     Parameters
     ----------
     squares, weight : float
-        Mean squared residual, in unit^2, and mean weight of a reading in its own estimate.
+        Mean squared residual of the smoother, in unit^2, and mean weight of a reading in its own estimate.
     count : int
-        Readings.
+        Number of readings.
     noise_variance : float
         R, in unit^2.
     """
@@ -165,5 +172,5 @@ def foretold_square(squares: float, weight: float, count: int, noise_variance: f
 
 
 def _parts(evidence: Evidence) -> list[slice]:
-    """Return what is scored, each part from the first few readings in a row on."""
+    """Return the parts to score, each from its first run of readings that starts the filter."""
     return [slice(part.start + first_in_a_row(evidence.elapsed[part]), part.stop) for part in evidence.sample]

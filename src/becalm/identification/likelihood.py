@@ -1,8 +1,8 @@
-"""Maximum likelihood of a motion's tuning, with the noise variance concentrated out.
+"""Tune a motion model by maximum likelihood, with the noise variance concentrated out.
 
-For a given ratio q/r the filter's gains are known, and the best r is the mean of nu^2 / S found with
-r = 1; one number is left to search. Source: Harvey, Forecasting, Structural Time Series Models and
-the Kalman Filter (1989), section 4.2; Schweppe, IEEE TIT-11 (1965) 61.
+For a given ratio q/r the filter's gains are known, and the best r is the mean of nu^2 / S found with r = 1. Only the
+ratio is left to search. Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989),
+section 4.2; Schweppe, IEEE TIT-11 (1965) 61.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ from becalm.identification.search import Edge, find_ratio
 from becalm.identification.spectrum import ToneOscillator
 
 FEWEST_READINGS = 8
-"""Fewer readings than this cannot tell noise from signal."""
+"""Least number of readings; fewer cannot separate noise from signal."""
 
 UNSCORED = 3
-"""Readings that only start the filter, for every order alike, so that likelihoods compare."""
+"""Readings that only start the filter; the same number for every order, so that likelihoods can be compared."""
 
 LONG_GAP = 1000.0
-"""Steps across which a motion is not followed for tuning: what it would predict says next to nothing."""
+"""Gap, in steps, at which tuning starts anew: a prediction across it would be almost worthless."""
 
 FEWEST_FOR_TONES = 256
-"""Readings in even time, none missing, that tones are looked for in."""
+"""Least number of readings in even time, none missing, for a search for tones."""
 
 LASTING = 1024
-"""Readings in even time, none missing, whose spectrum is worth looking at."""
+"""Least number of readings in even time, none missing, for a useful spectrum."""
 
-_SELDOM = 1.5  # steps between readings, from which on they have a rate of their own
+_SELDOM = 1.5  # steps between readings from which on the readings define their own step
 _MOST_GAPS = 63
 JITTER = 0.02
-"""Steps by which a row may come late after the row before, in even time."""
+"""Steps by which the time between two rows of an even clock may differ from a whole number."""
 
-_LATE = 0.1  # steps by which it may, beside an even clock
-_PIECE, _PIECES = 2048, 16  # readings of a long record that stand for it
-_FALLS = 3  # points downhill in a row after which slower cut-offs are not tried
-_DEEP = 50.0  # and this much less likely
+_LATE = 0.1  # steps by which a row may deviate from the even clock
+_PIECE, _PIECES = 2048, 16  # readings in a piece, and pieces that represent a long record
+_FALLS = 3  # worse points in a row after which slower cut-offs are not tried, ...
+_DEEP = 50.0  # ... if the log-likelihood has also fallen by so much
 
 
 class Score(NamedTuple):
-    """How well one tuning predicts."""
+    """The likelihood of one tuning, and the noise variance that maximises it."""
 
     log_likelihood: float
     noise_variance: float  # r, in unit^2
@@ -61,31 +61,31 @@ class Score(NamedTuple):
 
 @dataclass(frozen=True)
 class Tuning:
-    """A motion of one order, tuned, and perhaps tones beside it.
+    """A tuned motion model of one order, perhaps with tones and coloured noise.
 
     Attributes
     ----------
     order : int
-        Which derivative is driven by white noise.
+        Order of the motion: which derivative is white noise.
     ratio : float
-        q/r with q in unit^2/step^(2n-1): the density of that noise over the variance of a reading.
+        q/r with q in unit^2/step^(2n-1), the density of that white noise over the variance of a reading.
     noise_variance : float
-        r, in unit^2.
+        r, the noise variance of a reading, in unit^2.
     count : int
-        Readings scored.
+        Number of readings scored.
     log_likelihood : float
-        Exact, of all readings but the first three, at this ratio and the likeliest noise variance for
-        it; NaN where the motion was tuned for smoothing.
+        Exact log-likelihood of all readings but the first three, at this ratio and the likeliest noise variance for it;
+        NaN for a smoother's tuning.
     loss : float
-        Cross-validated, of a motion that was tuned for smoothing: `cross_validation.criterion`; NaN else.
+        Cross-validation criterion of a smoother's tuning, see `cross_validation.criterion`; otherwise NaN.
     at_edge : {"", "low", "high"}
-        Whether the search ended at its slowest or fastest filter; see `search.Edge`.
+        Whether the search ended at its slowest ("low") or fastest ("high") filter; see `search.Edge`.
     lines : tuple of ToneOscillator
-        Tones beside the motion.
+        Tones in addition to the motion.
     coloured : ColouredNoise or None
-        Coloured noise beside the motion, a disturbance.
+        Coloured noise in addition to the motion; it is a disturbance.
     damping : float
-        Of the motion, radians a step, by which it returns to a level of its own; 0 of one that does not return.
+        Rate, in radians per step, at which the motion returns to a level of its own; 0 if it does not return.
     """
 
     order: int
@@ -100,12 +100,12 @@ class Tuning:
     damping: float = 0.0
 
     def counted_in(self, steps: float) -> Tuning:
-        """Return the same tuning where a step is so many of its own long.
+        """Return the same tuning in a new time step that is `steps` old steps long.
 
         Parameters
         ----------
         steps : float
-            Length of the new step in old ones, above 0; of a tuning with coloured noise, 1.
+            Length of the new step in old steps, above 0; must be 1 for a tuning with coloured noise.
         """
         if steps == 1.0:
             return self
@@ -119,12 +119,12 @@ class Tuning:
 
     @cached_property
     def component(self) -> Component:
-        """The signal and what disturbs it, in steps."""
+        """The signal and its disturbances, in steps."""
         return sum(self.companions, self.motion)
 
     @property
     def companions(self) -> list[Component]:
-        """What is beside the motion, in steps: tones, and coloured noise."""
+        """The tones and the coloured noise, in steps."""
         tones = [_tone(line) for line in self.lines]
         if self.coloured is None:
             return tones
@@ -132,14 +132,14 @@ class Tuning:
 
     @cached_property
     def motion(self) -> Component:
-        """The motion alone, in steps."""
+        """The motion model alone, in steps."""
         density = self.ratio * self.noise_variance
         if not self.damping:
             return motion(self.order, density)
         return returning_motion(self.order, density, self.damping)
 
     def motion_power(self, angle: Floats) -> Floats:
-        """Return the power (k,), unit^2, of the motion at angles (k,) in radians a step, as it is read once a step."""
+        """Return the power (k,), unit^2, of the motion, sampled once a step, at angles (k,) in radians per step."""
         return (
             self.ratio
             * self.noise_variance
@@ -154,14 +154,14 @@ def _tone(line: ToneOscillator) -> Component:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Readings that arrived, and the time between them, ready to be scored.
+    """The finite readings of one channel and the time between them, ready to be scored.
 
     Attributes
     ----------
     z : (N, 1) float array
         Finite readings, in their unit.
     elapsed : (N,) float array
-        Steps since the reading before.
+        Time since the previous reading, in steps.
     """
 
     z: Floats
@@ -169,7 +169,7 @@ class Evidence:
 
     @classmethod
     def of(cls, readings: Floats, elapsed: Floats) -> Evidence:
-        """Keep the finite readings (N,); time passes across the others."""
+        """Keep the finite readings (N,); the time of the others is added to the next finite one."""
         seen = np.flatnonzero(np.isfinite(readings))
         times = np.cumsum(elapsed)[seen]
         whole = np.diff(times, prepend=times[:1])
@@ -179,17 +179,17 @@ class Evidence:
 
     @cached_property
     def own_step(self) -> float:
-        """How many steps readings mostly lie apart; 1 unless they come more seldom than every other row."""
+        """The usual distance of two readings, in steps; 1 if it is below 1.5 steps or above `LONG_GAP`."""
         apart = float(np.quantile(self.elapsed[1:], 0.5, method="lower")) if len(self.elapsed) > 1 else 1.0
         return apart if _SELDOM <= apart <= LONG_GAP else 1.0
 
     def counted_in(self, steps: float) -> Evidence:
-        """Return the same readings where a step is so many of its own long."""
+        """Return the same readings in a new time step that is `steps` old steps long."""
         return self if steps == 1.0 else Evidence(self.z, self.elapsed / steps)
 
     @cached_property
     def stretches(self) -> list[slice]:
-        """Rows between the longest gaps; across those nothing can be predicted, and each stretch starts anew."""
+        """Rows between the longest gaps. Nothing can be predicted across such a gap, so each stretch starts anew."""
         long = np.flatnonzero(self.elapsed > LONG_GAP)
         long = np.sort(long[np.argsort(self.elapsed[long])[-_MOST_GAPS:]])
         bounds = [0, *long[long > 0].tolist(), len(self.z)]
@@ -197,7 +197,7 @@ class Evidence:
 
     @cached_property
     def sample(self) -> list[slice]:
-        """The stretches; of more than 32768 readings sixteen pieces of 2048, evenly spread."""
+        """The stretches, or, if there are more than 32768 readings, sixteen evenly spread pieces of 2048."""
         if len(self.z) <= _PIECES * _PIECE:
             return self.stretches
         starts = np.linspace(0, len(self.z) - _PIECE, _PIECES).astype(int)
@@ -205,36 +205,36 @@ class Evidence:
 
     @cached_property
     def longest_steps(self) -> float:
-        """How many steps the longest stretch lasts, at least 4."""
+        """Duration of the longest stretch in steps, at least 4."""
         return max(4.0, *(float(self.elapsed[part][1:].sum()) for part in self.stretches))
 
     @cached_property
     def complete(self) -> list[slice]:
-        """Long stretches of rows in even time but for a little jitter, none missing."""
+        """Long stretches of rows in even time, apart from a little jitter, with none missing."""
         return [run for run in self.even if run.stop - run.start >= LASTING]
 
     @cached_property
     def even(self) -> list[slice]:
-        """Stretches, long enough for tones, of rows in even time but for a little jitter, none missing."""
+        """Stretches, long enough for tones, of rows in even time apart from a little jitter, with none missing."""
         uneven = np.abs(self.elapsed[1:] - 1.0) > JITTER
         bounds = np.flatnonzero(np.concatenate([[True], uneven, [True]]))
         runs = [slice(start, stop) for start, stop in pairwise(bounds.tolist()) if stop - start >= FEWEST_FOR_TONES]
         return [run for run in runs if keeps_time(self.elapsed[run][1:], np.ones(run.stop - run.start - 1))]
 
     def mean_step(self, part: slice) -> float:
-        """Return how long a step of a stretch lasts on average, in steps."""
+        """Return the mean time between two readings of a stretch, in steps."""
         return float(np.mean(self.elapsed[part][1:]))
 
     @cached_property
     def smallest_variance(self) -> float:
-        """What rounding, of float64 and of a converter, alone leaves of a noise-free record, in unit^2."""
+        """The variance that rounding alone, by float64 and by a converter, adds to a noise-free record, in unit^2."""
         largest = float(np.abs(self.z).max(initial=0.0))
         rounded = (np.finfo(float).eps * largest) ** 2 + float(np.finfo(float).tiny)
         return max(rounded, converter_step(self.z[:, 0]) ** 2 / 12)
 
 
 class Candidate:
-    """A motion of one order over a record, to be scored at any ratio q/r."""
+    """A motion model of one order and a record, to be scored at any ratio q/r."""
 
     def __init__(self, order: int, evidence: Evidence) -> None:
         self.order = order
@@ -268,8 +268,8 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
 
     Notes
     -----
-    A grid over the logarithm of the cut-off finds the region, from the fastest downwards and until
-    the likelihood has fallen far; Brent's method finds the maximum. Where no stretch holds four readings
+    A grid over the logarithm of the cut-off finds the region of the maximum. It starts at the fastest cut-off and ends
+    when the likelihood has fallen far; Brent's method then finds the maximum. Where no stretch holds four readings
     `count` is 0 and the likelihood -inf.
     """
     candidate = Candidate(order, evidence)
@@ -277,19 +277,19 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
     def cost(ratio: float) -> float:
         return -candidate.score(ratio).log_likelihood
 
-    found = find_ratio(order, cost, evidence.longest_steps, _has_risen)
-    best = candidate.score(found.ratio)
-    return Tuning(order, found.ratio, best.noise_variance, best.used, best.log_likelihood, at_edge=found.at_edge)
+    least = find_ratio(order, cost, evidence.longest_steps, _has_risen)
+    best = candidate.score(least.ratio)
+    return Tuning(order, least.ratio, best.noise_variance, best.used, best.log_likelihood, at_edge=least.at_edge)
 
 
 def keeps_time(elapsed: Floats, steps: Floats) -> bool:
-    """Return whether rows, so many whole steps (N,) apart, keep to one even clock as time tells it, in steps (N,)."""
+    """Return whether rows follow one even clock, given measured times (N,) and whole steps (N,) between them."""
     late = np.cumsum(elapsed - steps * (elapsed.sum() / steps.sum()))
     return bool(np.abs(late).max() <= _LATE)
 
 
 def _has_risen(costs: Sequence[float]) -> bool:
-    """Whether the cost has risen for good, and far."""
+    """Return whether the cost has risen several times in a row, and far above its minimum."""
     since = len(costs) - 1 - int(np.argmin(costs))
     rising = since >= _FALLS and all(a < b for a, b in pairwise(costs[-_FALLS - 1 :]))
     return rising and costs[-1] > min(costs) + _DEEP

@@ -1,9 +1,8 @@
-"""Tones in a record: found where the spectrum stands out of what a motion leaves, and tuned beside it.
+"""Find tones in a record, where its spectrum exceeds that of the motion model, and tune them with the motion.
 
-A motion that follows a tone lets the noise around it through; an oscillator beside a calmer motion does
-not. All parameters are fitted to the periodogram at once, whose ordinates are nearly independent and
-exponentially distributed about the model's spectrum. Sources: Whittle, Ark. Mat. 2 (1953) 423; the
-scoring of Fisher with the damping of Levenberg and Marquardt.
+A motion model that follows a tone lets the noise around it through; a slower motion plus an oscillator does not. All
+parameters are fitted at once to the periodogram, whose ordinates are nearly independent and exponentially distributed
+about the model's spectrum. Sources: Whittle, Ark. Mat. 2 (1953) 423; Fisher scoring with Levenberg-Marquardt damping.
 """
 
 from __future__ import annotations
@@ -21,20 +20,20 @@ from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
 from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, binned, line_power, periodogram
 
 MOST_TONES = 5
-"""Tones that are looked for."""
+"""Largest number of tones in a model."""
 
-_CYCLES = 8  # in the record: what is slower belongs to the motion, and as near to half the rate it is mirrored
-_PARTS = 8  # of the band, the quietest of which bounds the noise
-_RESOLUTIONS = ((3, 15.0), (31, 3.0), (311, 1.5))  # frequencies in a row, and their mean power over what lies around
-_AROUND, _APART = 13, 2  # widths on each side of a tone that lie around it, but for the nearest
-_FEWEST_WIDTHS = 8  # in the band
+_CYCLES = 8  # in the record: slower tones belong to the motion; so close to half the rate, tones are left out too
+_PARTS = 8  # of the band; the quietest one bounds the noise
+_RESOLUTIONS = ((3, 15.0), (31, 3.0), (311, 1.5))  # width in frequencies; least mean power over its surroundings'
+_AROUND, _APART = 13, 2  # widths on each side of a tone that are its surroundings, without the nearest
+_FEWEST_WIDTHS = 8  # widths that the band must have
 _MOST_TRIED = 5
-_GAIN = 100.0  # in log-likelihood, that a tone must bring: it adds three parameters and two states
-_GAIN_NAMED = 10.0  # and one that was looked for by name
-_NEAR = 0.02  # of its frequency, about which a named one is looked for, or
-_NEAR_CYCLES = 4  # in the record
-_CALMEST = (1, 2, 3)  # orders of the motion beside tones ...
-_MOST_STATES = 12  # ... so that there are no more states in all
+_GAIN = 100.0  # least gain in log-likelihood of a tone: it adds three parameters and two states
+_GAIN_NAMED = 10.0  # the same for a tone whose frequency was given
+_NEAR = 0.02  # a given frequency may differ by this share of it, or ...
+_NEAR_CYCLES = 4  # ... by so many cycles in the record
+_ORDERS = (1, 2, 3)  # of a motion with tones ...
+_MOST_STATES = 12  # ... and most states of both together
 _HIGHEST = np.pi * (1 - 1e-9)  # radians a step
 _LEAST_NOISE = 1e-3  # of the power of the quietest part of the band
 _ROUNDS, _ENOUGH = 60, 0.03
@@ -42,14 +41,14 @@ _LONGEST_STEP = 1.0  # of a logarithm, and of a frequency in frequencies of the 
 
 
 class SpectralPeak(NamedTuple):
-    """Where a spectrum stands out."""
+    """A frequency where a spectrum stands out."""
 
     angle: float  # radians a step
     width: float  # radians a step
 
 
 class Fit(NamedTuple):
-    """A spectrum fitted: white noise, a motion and tones."""
+    """A fitted spectrum: white noise, a motion and tones."""
 
     order: int
     noise_variance: float
@@ -59,38 +58,38 @@ class Fit(NamedTuple):
 
     @property
     def tuning(self) -> Tuning:
-        """The fit as a tuning, not judged yet."""
+        """The fit as a tuning, with nothing scored yet."""
         return Tuning(self.order, self.density / self.noise_variance, self.noise_variance, 0, lines=self.lines)
 
 
 def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ()) -> Tuning:
-    """Put tones beside a motion where the record has some; a tuning without any comes back as it is.
+    """Add the tones of a record to a motion model; a record without tones leaves the tuning unchanged.
 
     Parameters
     ----------
     tuning : Tuning
-        The best motion alone.
+        The best motion model without tones.
     evidence : Evidence
-        What it was tuned on; of fewer than 256 readings in even time, but for short holes, the tuning stays.
+        The readings it was tuned on; fewer than 256 in even time, apart from short holes, leave it unchanged.
     removed : sequence of float
-        Angles, radians a step, near which a tone is a disturbance; a weaker one is found there.
+        Angles in radians per step near which a tone is a disturbance; weaker tones are accepted there.
     """
     whole = completed(evidence, tuning)
-    found = _with_tones(tuning, whole, removed)
-    if whole is evidence or not found.lines:
-        return found
-    return _with_tones(tuning, completed(evidence, found), removed)  # whose draws hold the tones
+    toned = _with_tones(tuning, whole, removed)
+    if whole is evidence or not toned.lines:
+        return toned
+    return _with_tones(tuning, completed(evidence, toned), removed)  # now the draws in holes contain the tones
 
 
 def _with_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float]) -> Tuning:
-    """Put tones beside a motion by the spectrum of the longest complete stretch."""
+    """Add tones to a motion model by the spectrum of the longest complete stretch."""
     longest = max(evidence.even, key=lambda part: part.stop - part.start, default=slice(0))
     z = evidence.z[longest, 0]
     if len(z) < FEWEST_FOR_TONES or not np.var(z) > 0:
         return tuning
     spectrum, step = periodogram(z), evidence.mean_step(longest)
     removed = [angle * step for angle in removed]
-    now = _without(removed, _plainest(tuning, spectrum), spectrum) if removed else _plain(tuning, spectrum)
+    now = _fit_removed(removed, _fit_motions(tuning, spectrum), spectrum) if removed else _fit_motion(tuning, spectrum)
     while len(now.lines) < MOST_TONES and (peaks := find_lines(spectrum, now)):
         more = [_with_line(now, peak, spectrum) for peak in peaks]
         best = max(more, key=lambda fit: _gain(now, fit, spectrum))
@@ -99,70 +98,73 @@ def _with_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float]) ->
         now = best
     if not now.lines:
         return tuning
-    judged = (_judged(line, removed, spectrum) for line in now.lines)
+    judged = (_with_disturbance(line, removed, spectrum) for line in now.lines)
     lines = tuple(line._replace(angle=min(line.angle / step, _HIGHEST)) for line in judged)
     return replace(now.tuning, count=tuning.count, lines=lines)
 
 
 def find_lines(spectrum: BinnedPeriodogram, fit: Fit) -> list[SpectralPeak]:
-    """Find what stands out of what a fit leaves.
+    """Find the peaks of a spectrum over that of a fit.
 
     Parameters
     ----------
     spectrum : BinnedPeriodogram
-        Every frequency for itself, as `periodogram` gives it; powers in unit^2.
+        The spectrum with one frequency per bin, as `periodogram` returns it; powers in unit^2.
     fit : Fit
-        What is there already.
+        The model so far.
 
     Returns
     -------
     list of SpectralPeak
-        Of each resolution, the finest first, where it stands out most, if it does; none twice.
+        At most one peak per resolution, the finest resolution first, without repetitions.
     """
-    left, found = spectrum.power / _power(fit, spectrum.angle), list[SpectralPeak]()
+    excess, peaks = spectrum.power / _power(fit, spectrum.angle), list[SpectralPeak]()
     for how in _RESOLUTIONS:
-        peak = _peak(left, spectrum, *how)
-        if peak is not None and not any(abs(peak.angle - one.angle) <= peak.width for one in found):
-            found.append(peak)
-    return found
+        peak = _peak(excess, spectrum, *how)
+        if peak is not None and not any(abs(peak.angle - one.angle) <= peak.width for one in peaks):
+            peaks.append(peak)
+    return peaks
 
 
-def _peak(left: Floats, spectrum: BinnedPeriodogram, width: int, stands_out: float) -> SpectralPeak | None:
-    """Return the frequency whose neighbourhood of some width stands out of what lies around it."""
-    if len(left) < _FEWEST_WIDTHS * width:
+def _peak(excess: Floats, spectrum: BinnedPeriodogram, width: int, least_ratio: float) -> SpectralPeak | None:
+    """Return the frequency whose mean over some width stands out from its surroundings, if any does."""
+    if len(excess) < _FEWEST_WIDTHS * width:
         return None
-    raised = np.convolve(left, np.full(width, 1 / width), mode="same")  # at the ends, where it is less, is no tone
+    raised = np.convolve(excess, np.full(width, 1 / width), mode="same")  # too small at both ends
     spacing = float(spectrum.angle[1] - spectrum.angle[0])
     raised[np.minimum(spectrum.angle, np.pi - spectrum.angle) < max(_CYCLES, width) * spacing] = 0.0
     reach, apart = _AROUND * width, _APART * width
     highest = np.argpartition(raised, -_MOST_TRIED)[-_MOST_TRIED:]
     for place in highest[np.argsort(raised[highest])[::-1]].tolist():
         around = np.concatenate(
-            [left[max(0, place - reach) : max(0, place - apart)], left[place + apart + 1 : place + reach + 1]]
+            [excess[max(0, place - reach) : max(0, place - apart)], excess[place + apart + 1 : place + reach + 1]]
         )
-        if raised[place] > stands_out * max(1.0, float(np.median(around)) / np.log(2)):
+        if raised[place] > least_ratio * max(1.0, float(np.median(around)) / np.log(2)):
             return SpectralPeak(float(spectrum.angle[place]), width * spacing)
     return None
 
 
-def _without(removed: Sequence[float], now: Fit, spectrum: BinnedPeriodogram) -> Fit:
-    """Fit the tones that were named, where there is something."""
+def _fit_removed(removed: Sequence[float], now: Fit, spectrum: BinnedPeriodogram) -> Fit:
+    """Fit tones at the given angles where the spectrum shows some."""
     for angle in removed:
         more = _with_line(now, SpectralPeak(angle, float(spectrum.angle[1] - spectrum.angle[0])), spectrum)
-        if _gain(now, more, spectrum) > _GAIN_NAMED and _judged(more.lines[-1], (angle,), spectrum).disturbance:
+        if (
+            _gain(now, more, spectrum) > _GAIN_NAMED
+            and _with_disturbance(more.lines[-1], (angle,), spectrum).disturbance
+        ):
             now = more
     return now
 
 
-def _judged(line: ToneOscillator, removed: Sequence[float], spectrum: BinnedPeriodogram) -> ToneOscillator:
-    """Say whether a tone is one of those that are to be taken off."""
+def _with_disturbance(line: ToneOscillator, removed: Sequence[float], spectrum: BinnedPeriodogram) -> ToneOscillator:
+    """Return the tone, as a disturbance if it is one of those to be removed."""
     spacing = float(spectrum.angle[1] - spectrum.angle[0])
     near = any(abs(line.angle - angle) <= max(_NEAR * angle, 2 * _NEAR_CYCLES * spacing) for angle in removed)
     return line._replace(disturbance=near)
 
 
 def quietest(spectrum: BinnedPeriodogram) -> float:
-    """Return the mean power, unit^2, of the quietest part of the band: white noise is no louder."""
+    """Return the mean power, unit^2, of the quietest part of the band, an upper bound of the white noise."""
     return min(float(part.mean()) for part in np.array_split(spectrum.power, _PARTS))
 
 
@@ -172,14 +174,14 @@ def fit_spectrum(start: Fit, spectrum: BinnedPeriodogram) -> Fit:
     Parameters
     ----------
     start : Fit
-        Where the search begins; its order and the number of its tones stay.
+        The starting point; its order and its number of tones do not change.
     spectrum : BinnedPeriodogram
-        Powers in unit^2, in bins or singly.
+        The spectrum, binned or not; powers in unit^2.
 
     Returns
     -------
     Fit
-        The likeliest that was reached, with its cost.
+        The likeliest fit that was reached, with its cost.
     """
     motion = motion_power(start.order, spectrum.angle)
     spacing = 2 * np.pi / (2 * float(spectrum.weight.sum()))
@@ -204,28 +206,28 @@ def fit_spectrum(start: Fit, spectrum: BinnedPeriodogram) -> Fit:
     return now._replace(cost=cost)
 
 
-def _plain(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
-    """Fit a motion alone, from where its tuning is."""
+def _fit_motion(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
+    """Fit a motion without tones, starting from its tuning."""
     start = Fit(tuning.order, tuning.noise_variance, tuning.ratio * tuning.noise_variance, (), 0.0)
     return fit_spectrum(start, binned(spectrum, ()))
 
 
-def _plainest(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
-    """Fit a motion alone, of the order that serves best, so that a tone is not paid for what another order does."""
+def _fit_motions(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
+    """Fit a motion without tones, of the best order, so that a tone does not stand in for another order."""
     cutoff = ratio_to_cutoff(tuning.order, tuning.ratio)
-    alike = [replace(tuning, order=order, ratio=cutoff_to_ratio(order, cutoff)) for order in {tuning.order, *_CALMEST}]
-    return min((_plain(one, spectrum) for one in alike), key=lambda fit: fit.cost)
+    alike = [replace(tuning, order=order, ratio=cutoff_to_ratio(order, cutoff)) for order in {tuning.order, *_ORDERS}]
+    return min((_fit_motion(one, spectrum) for one in alike), key=lambda fit: fit.cost)
 
 
 def _with_line(now: Fit, peak: SpectralPeak, spectrum: BinnedPeriodogram) -> Fit:
-    """Fit one tone more, beside a motion of the calmest order that serves."""
+    """Fit one more tone, with a motion of the order that fits best."""
     angle, width = peak
     at = int(np.argmin(np.abs(spectrum.angle - angle)))
     noise, fits = max(now.noise_variance, quietest(spectrum)), []
     for damping in (width, 10 * width):
         new = ToneOscillator(angle, damping, float(spectrum.power[at]) * damping**2)
         bins = binned(spectrum, (*now.lines, new))
-        for order in [n for n in _CALMEST if n + 2 * (len(now.lines) + 1) <= _MOST_STATES]:
+        for order in [n for n in _ORDERS if n + 2 * (len(now.lines) + 1) <= _MOST_STATES]:
             cutoff = ratio_to_cutoff(now.order, now.density / noise)
             density = noise * cutoff_to_ratio(order, min(cutoff, angle / 2))
             fits.append(fit_spectrum(Fit(order, noise, density, (*now.lines, new), 0.0), bins))
@@ -233,7 +235,7 @@ def _with_line(now: Fit, peak: SpectralPeak, spectrum: BinnedPeriodogram) -> Fit
 
 
 def _gain(now: Fit, more: Fit, spectrum: BinnedPeriodogram) -> float:
-    """Return what a fit with a tone more gains in log-likelihood, over its own bins."""
+    """Return the gain in log-likelihood of a fit with one more tone, over the bins of that fit."""
     bins = binned(spectrum, more.lines)
     return _whittle(now, bins, motion_power(now.order, bins.angle)) - more.cost
 
@@ -245,14 +247,14 @@ def _power(fit: Fit, angle: Floats) -> Floats:
 def _sum(fit: Fit, angle: Floats, motion: Floats) -> Floats:
     """Return the power (k,), unit^2, of a fit.
 
-    As `excess.powers` has it of a tuning, signal and noise apart; but a fit is moved hundreds of times at the same
-    angles, of which the motion's power, the dearest part, is found once.
+    `excess.powers` computes the same for a tuning, with signal and noise apart. Here a fit changes hundreds of times at
+    the same angles, so the motion's power, the most expensive part, is computed once by the caller.
     """
     return sum((line_power(line, angle) for line in fit.lines), fit.noise_variance + fit.density * motion)
 
 
 def _whittle(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats) -> float:
-    """Return minus the log-likelihood of a spectrum, but for a constant."""
+    """Return minus the log-likelihood of a spectrum, up to a constant."""
     modelled = _sum(fit, spectrum.angle, motion)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         cost = float(spectrum.weight @ (np.log(modelled) + spectrum.power / modelled))
@@ -260,7 +262,7 @@ def _whittle(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats) -> float:
 
 
 def _slopes(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats, spacing: float) -> tuple[Floats, Floats]:
-    """Return how the logarithm of the modelled power changes with each parameter (p, k), and that power (k,)."""
+    """Return the derivative of the log of the modelled power by each parameter (p, k), and that power (k,)."""
     modelled = _sum(fit, spectrum.angle, motion)
     rows = [np.full_like(modelled, fit.noise_variance), fit.density * motion]
     for line in fit.lines:
@@ -273,7 +275,7 @@ def _slopes(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats, spacing: floa
 
 
 def _moved(fit: Fit, step: Floats, spacing: float, least: float) -> Fit:
-    """Take a step; white noise is at least so much, for less cannot be told from none."""
+    """Return the fit after a step; its white noise is at least `least`, since less looks like none."""
     lines = []
     for k, line in enumerate(fit.lines):
         own = step[2 + 3 * k : 5 + 3 * k]
@@ -283,7 +285,7 @@ def _moved(fit: Fit, step: Floats, spacing: float, least: float) -> Fit:
 
 
 def _turned(line: ToneOscillator, step: Floats, spacing: float) -> ToneOscillator:
-    """Move a tone by fractions of a frequency, and of the logarithm of its damping, within what can be told a tone."""
+    """Move a tone's frequency by `step[0]` spacings and its log damping by `step[1]`, within the range of tones."""
     angle = float(np.clip(line.angle + float(step[0]) * spacing, spacing, np.pi - spacing))
     damping = float(np.clip(line.damping * float(np.exp(step[1])), 0.1 * spacing, angle))
     return line._replace(angle=angle, damping=damping)

@@ -1,9 +1,9 @@
-"""When no motion describes the signal: the white floor of the spectrum, and the least risk.
+"""Retune a model by the white floor of the spectrum and the estimated risk, where no motion describes the signal.
 
-Maximum likelihood is right when the model is. When it is not (a sine is no random walk), it lets
-white noise pass for motion. Then two things still hold without any model: white noise lies under
-every band of the spectrum, so the quietest band bounds it; and the mean squared error of a linear
-filter can be estimated without truth. Source: Stein, Annals of Statistics 9 (1981) 1135.
+Maximum likelihood is right when the model is. When it is not (a sine is not a random walk), it takes white noise for
+motion. Two facts hold without any model: white noise lies under every band of the spectrum, so the quietest band bounds
+it; and the mean squared error of a linear filter can be estimated without the truth. Source: Stein, Annals of
+Statistics 9 (1981) 1135.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ MISFIT = 0.02
 
 _SEGMENT = 512
 _FEWEST = 4 * _SEGMENT
-_SEARCH = (-1.0, 0.7)  # about the likeliest cut-off, in its logarithm
+_SEARCH = (-1.0, 0.7)  # range of the search about the likeliest cut-off, in its logarithm
 _PRECISION = 3e-3
-_BETTER = 0.1  # of a mean squared error, by which it must be less for tones
-_EXPLAINED = 4.0  # times less than that: flanks of tones, which white noise at rest would contradict
-_HONEST = 4.0  # times what sigma claims
+_BETTER = 0.1  # relative reduction of the mean squared error that tones need
+_EXPLAINED = 4.0  # times below the floor between lines, tones have taken the place of white noise
+_HONEST = 4.0  # times sigma^2, up to which an error agrees with it
 _PARTS = 8  # of the band
-_PIECE, _PIECES = 1 << 15, 4  # readings of a long record that filters are compared on
+_PIECE, _PIECES = 1 << 15, 4  # readings in a piece of a long record, and pieces, that filters are compared on
 
 
 def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
-    """Give back white noise that the likelihood took for motion; a tuning that fits comes back as it is.
+    """Return white noise that the likelihood took for motion to R; a tuning that fits is returned unchanged.
 
     Parameters
     ----------
     tuning : Tuning
-        The likeliest.
+        The likeliest tuning.
     evidence : Evidence
-        The readings it was tuned on; at least 2048 in even time but for jitter and short holes, otherwise the tuning
-        stays.
+        The readings it was tuned on. Fewer than 2048, or readings that are not in even time apart from jitter and short
+        holes, leave the tuning unchanged.
     """
     from scipy.optimize import minimize_scalar
 
@@ -61,23 +61,24 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
         return replace(tuning, ratio=ratio, noise_variance=floor)
 
     likeliest = np.log(ratio_to_cutoff(tuning.order, tuning.ratio))
-    found = minimize_scalar(
+    result = minimize_scalar(
         lambda log_cutoff: _risk(at(log_cutoff), evidence)[0],
         bounds=(likeliest + _SEARCH[0], likeliest + _SEARCH[1]),
         method="bounded",
         options={"xatol": _PRECISION},
     )
-    best = at(float(found.x))
+    best = at(float(result.x))
     likelihood = Candidate(tuning.order, evidence).score(best.ratio).log_likelihood
     return replace(best, log_likelihood=float(likelihood), at_edge="")
 
 
 def white_floor(z: Floats) -> float:
-    """Return the variance, in unit^2, of white noise as loud as the quietest quarter of the band.
+    """Return the variance, in unit^2, of white noise as loud as the quietest quarter of the band of z (N,).
 
     Notes
     -----
-    Of z (N,) in Hann segments of 512, but for the lowest two frequencies, which hold the level, and the highest.
+    The spectrum is that of Hann segments of 512, without the lowest two frequencies, which hold the level, and without
+    the highest.
     """
     power = welch_power(z, np.hanning(_SEGMENT))[2:-1]
     quarter = len(power) // 4
@@ -85,10 +86,11 @@ def white_floor(z: Floats) -> float:
 
 
 def floor_between_lines(z: Floats) -> float:
-    """Return the variance, in unit^2, of white noise as loud as the quietest part of a record (N,), lines left out.
+    """Return the variance, in unit^2, of white noise as loud as the quietest part of the band of z (N,), without lines.
 
-    The median of a periodogram, which few lines move, is log 2 times its mean where it is noise, to 1.44 over the
-    root of how many frequencies there are; 1.4 times that lies the lowest of eight below what they all are.
+    The median of a periodogram, which a few lines do not move, is log 2 times its mean where it is noise. Its standard
+    error is 1.44 over the root of the number of frequencies; the lowest of eight medians lies 1.4 standard errors too
+    low.
     """
     parts = np.array_split(periodogram(z).power, _PARTS)
     lowest = min(float(np.median(part)) for part in parts) / float(np.log(2))
@@ -96,26 +98,26 @@ def floor_between_lines(z: Floats) -> float:
 
 
 def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) -> Tuning:
-    """Return the first tuning if its filter, or smoother, errs less by its estimated risk; otherwise the second.
+    """Return the first tuning if the estimated risk of its filter, or smoother, is smaller; otherwise the second.
 
-    Its tones must not have taken the place of white noise, whose variance would be far below the quietest part of
-    the band. It must be better by a tenth, and its sigma not too small by more than a factor of two, unless it is
-    better by half.
+    The tones of the first must not have taken the place of white noise: then its noise variance would be far below the
+    quietest part of the band. Its risk must be smaller by a tenth. Its sigma must not be too small by more than a
+    factor of two, unless its risk is smaller by half.
 
     Parameters
     ----------
     tuning, other : Tuning
-        Motions, the first with tones. Its noise variance is believed for both, or what lies between the lines of the
-        quietest part of the band, if that is less: what a model does not describe, it takes for noise.
+        Motion models, the first with tones. The noise variance of the first is used for both, or that of the quietest
+        part of the band between lines if it is smaller, since a model takes for noise what it does not describe.
     evidence : Evidence
-        Readings, in unit; of very many, some long pieces are looked at.
+        Readings in unit; a few long pieces of a very long record are used.
     causal : bool
-        Whether filters (True) or smoothers shall be compared.
+        True compares filters, False smoothers.
 
     Notes
     -----
-    Cross-validation cannot compare a smoother that leaves each reading half its weight with one that leaves it a
-    tenth: it asks how a reading is told by the others, and its own word counts for much in the first.
+    Cross-validation cannot compare a smoother in which a reading keeps half of its weight with one in which it keeps a
+    tenth: it predicts a reading from the others only, and the first smoother relies on the reading itself.
     """
     whole = completed(evidence, tuning)
     longest = max(whole.even, key=lambda part: part.stop - part.start, default=slice(0))
@@ -130,24 +132,27 @@ def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) 
 
 
 class Risk(NamedTuple):
-    """Of a filter or smoother over a record."""
+    """The error of a filter or smoother over a record, estimated without the truth."""
 
-    error: float  # mean square, unit^2, as estimated; NaN where no stretch tells the state
+    error: float  # mean square, unit^2, estimated; NaN where no stretch determines the state
     claimed: float  # mean of sigma^2, unit^2
     readings: int
 
 
 def estimated_risk(tuning: Tuning, evidence: Evidence, noise_variance: float, causal: bool) -> Risk:
-    """Estimate how far a filter, or a smoother, errs over a record, given the variance of a reading's noise, unit^2."""
+    """Estimate the mean squared error of a filter, or a smoother, over a record.
+
+    `noise_variance` is the variance of a reading's noise, in unit^2.
+    """
     component, r = tuning.component, tuning.noise_variance
     squares, weights = list[Floats](), list[Floats]()
     for part in long_pieces(evidence):
         z = evidence.z[part, 0]
         record = ChannelRecord(component, r, z, evidence.elapsed[part])
-        found = record.filtered() if causal else record.smoothed()
-        told = np.isfinite(found.sigma)
-        squares.append((z - found.signal)[told] ** 2)
-        weights.append(found.sigma[told] ** 2 / r)
+        estimate = record.filtered() if causal else record.smoothed()
+        known = np.isfinite(estimate.sigma)
+        squares.append((z - estimate.signal)[known] ** 2)
+        weights.append(estimate.sigma[known] ** 2 / r)
     every = np.concatenate(squares)
     if not len(every):
         return Risk(np.nan, np.nan, 0)
@@ -156,7 +161,7 @@ def estimated_risk(tuning: Tuning, evidence: Evidence, noise_variance: float, ca
 
 
 def long_pieces(evidence: Evidence) -> list[slice]:
-    """Return the stretches; of a long record some pieces, long enough for tones to be learnt."""
+    """Return the stretches, or a few pieces of a long record, each long enough for a filter to lock on to tones."""
     if len(evidence.z) <= _PIECES * _PIECE:
         return evidence.stretches
     starts = np.linspace(0, len(evidence.z) - _PIECE, _PIECES).astype(int)
@@ -164,14 +169,14 @@ def long_pieces(evidence: Evidence) -> list[slice]:
 
 
 def _is_whole(evidence: Evidence) -> bool:
-    """Whether one stretch in even time, but for a little jitter, holds all of enough readings."""
+    """Return whether the readings are many, all in even time apart from a little jitter, and none is missing."""
     return len(evidence.z) >= _FEWEST and evidence.complete == [slice(0, len(evidence.z))]
 
 
 def _risk(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
-    """Estimate the mean squared error of the causal filter, and the predictable share of its innovations.
+    """Return the estimated mean squared error of the causal filter, and the predictable share of its innovations.
 
-    Where the readings never tell the state, the first is inf and the second 0.
+    Where the readings never determine the state, the first is inf and the second 0.
     """
     component, r, z = tuning.component, tuning.noise_variance, evidence.z[:, 0]
     estimate = ChannelRecord(component, r, z, evidence.elapsed).filtered()

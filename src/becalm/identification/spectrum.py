@@ -1,6 +1,6 @@
-"""Power over frequency: of a record, in bins, and of the components of a model, in closed form.
+"""Compute power spectra: of a record, also in bins, and of a tone in closed form.
 
-Frequencies are angles, in radians a step; the power of white noise is its variance, unit^2.
+Frequencies are angles, in radians per step; the power of white noise is its variance, in unit^2.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 from becalm.core.arrays import Floats
 
 _RESOLUTION = 0.02  # width of a bin over its frequency
-_ENDS = 8  # readings whose mean is where a record begins, or ends
-_FIRST = 4  # of the periodogram: below, its window mixes the level in
-_NEAR = 60  # bins on each side of a line that are kept apart
+_ENDS = 8  # readings whose mean is the level of a record's start, or end
+_FIRST = 4  # lowest frequency kept; below it, the window mixes in the level
+_NEAR = 60  # frequencies on each side of a line that are not binned
 
 
 class BinnedPeriodogram(NamedTuple):
@@ -23,7 +23,7 @@ class BinnedPeriodogram(NamedTuple):
 
     angle: Floats  # (k,) mean frequency of each bin, radians a step
     power: Floats  # (k,) mean power, unit^2
-    weight: Floats  # (k,) how many frequencies it holds
+    weight: Floats  # (k,) number of frequencies in each bin
 
 
 class ToneOscillator(NamedTuple):
@@ -32,14 +32,14 @@ class ToneOscillator(NamedTuple):
     Attributes
     ----------
     angle : float
-        Radians a step.
+        Frequency, in radians per step.
     damping : float
-        By how much it shrinks, in 1/step; a *small* one trusts the tone to keep its phase.
+        Decay rate, in 1/step; a *small* one trusts the tone to keep its phase.
     density : float
-        Of the noise on each of its two states, in unit^2/step; a *small* one trusts the tone, and lets
+        Density of the noise on each of its two states, in unit^2/step; a *small* one trusts the tone, and lets
         amplitude and phase change slowly.
     disturbance : bool
-        Whether it is read, but no part of the signal.
+        Whether it is a disturbance: present in the readings, not part of the signal.
     """
 
     angle: float
@@ -49,11 +49,11 @@ class ToneOscillator(NamedTuple):
 
 
 def sine_spectrum(z: Floats) -> BinnedPeriodogram:
-    """Return the power of the sine transform of a record (N,) that the line between its ends is taken off.
+    """Return the power of the sine transform of a record (N,), less the line between its ends.
 
-    A record and its odd reflection at both ends, of which this is the spectrum, have no jumps and no
-    kinks that were not there; white noise stays white, and every reading counts alike. So the residual
-    of a smoother is read off it as its sum of (1 - G)^2 times the power.
+    This is the spectrum of the record continued by its odd reflection at both ends, which adds no jumps and no kinks.
+    White noise stays white, and every reading has the same weight. The squared residual of a smoother with gain G is
+    therefore the sum of (1 - G)^2 times this power.
     """
     from scipy.fft import dst
 
@@ -74,7 +74,7 @@ def pooled(spectra: Sequence[BinnedPeriodogram]) -> BinnedPeriodogram:
 
 
 def periodogram(z: Floats) -> BinnedPeriodogram:
-    """Return the power of a record (N,) in a Hann window, every frequency for itself; the lowest are left out."""
+    """Return the periodogram of a record (N,) with a Hann window, one frequency per bin, without the lowest ones."""
     from scipy.fft import rfft
 
     window = np.hanning(len(z) + 2)[1:-1]
@@ -90,13 +90,13 @@ def welch_power(z: Floats, window: Floats) -> Floats:
     Parameters
     ----------
     z : (N,) float array
-        In unit; at least as many readings as the window has.
+        Readings in unit, at least as many as the window is long.
     window : (w,) float array
-        Each segment, without its mean, is multiplied by it; half of it is the next one's as well.
+        Window that multiplies each segment, after its mean is removed; segments overlap by half.
 
     Notes
     -----
-    Welch, IEEE TAU-15 (1967) 70. White noise has its variance everywhere.
+    Welch, IEEE TAU-15 (1967) 70. The power of white noise is its variance at every frequency.
     """
     size = len(window)
     segments = np.lib.stride_tricks.sliding_window_view(z, size)[:: size // 2]
@@ -106,28 +106,28 @@ def welch_power(z: Floats, window: Floats) -> Floats:
 
 
 def binned(spectrum: BinnedPeriodogram, lines: Sequence[ToneOscillator]) -> BinnedPeriodogram:
-    """Gather frequencies into bins, but for those near a line."""
+    """Gather frequencies into bins, except those near a line."""
     spacing = spectrum.angle[1] - spectrum.angle[0]
     apart = [round((line.angle - spectrum.angle[0]) / spacing) for line in lines]
     return _gather(spectrum.angle, spectrum.power, apart)
 
 
 def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> BinnedPeriodogram:
-    alone = np.zeros(len(angle), dtype=bool)
+    unbinned = np.zeros(len(angle), dtype=bool)
     for line in apart:
-        alone[max(0, line - _NEAR) : line + _NEAR + 1] = True
+        unbinned[max(0, line - _NEAR) : line + _NEAR + 1] = True
     starts, at = [], 0
     while at < len(angle):
         starts.append(at)
         width = max(1, int(_RESOLUTION * (at + _FIRST)))
-        at += 1 if alone[at : at + width].any() else width
+        at += 1 if unbinned[at : at + width].any() else width
     first = np.array(starts)
     weight = np.diff(np.append(first, len(angle))).astype(np.float64)
     return BinnedPeriodogram(np.add.reduceat(angle, first) / weight, np.add.reduceat(power, first) / weight, weight)
 
 
 def line_power(line: ToneOscillator, angle: Floats) -> Floats:
-    """Return the power (k,), unit^2, of a tone at angles (k,) in radians a step, as it is read once a step."""
+    """Return the power (k,), unit^2, of a tone, sampled once a step, at angles (k,) in radians per step."""
     shrunk = np.exp(-line.damping)
     variance = line.density * -np.expm1(-2 * line.damping) / (2 * line.damping)
     real, imaginary, turn = shrunk * np.cos(line.angle), shrunk * np.sin(line.angle), np.exp(1j * angle)

@@ -1,11 +1,11 @@
-"""How well every noise and density of a motion would foretell the next reading: the likelihood as a surface.
+"""Compute the likelihood of the next reading over all noise variances and densities of a motion, as a surface.
 
-Of one ratio q/r the filter's gains are the same whatever r is; with the squares and determinants of a pass with r = 1
+For one ratio q/r the filter's gains do not depend on r. With the squares and determinants of a pass with r = 1
 
     -log L / N = 1/2 (log 2 pi + mean log S + log r + mean(nu^2 / S) / r)
 
-so that a pass a ratio is enough for all points of a diagonal (Harvey, Forecasting, Structural Time Series Models and
-the Kalman Filter (1989), section 4.2). What stands beside the motion is carried along in proportion to r.
+so that one pass per ratio gives all points of a diagonal (Harvey, Forecasting, Structural Time Series Models and the
+Kalman Filter (1989), section 4.2). Tones and coloured noise are scaled in proportion to r.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from becalm.core.filter.likelihood_sums import Sums
 from becalm.identification.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning
 
 _NOISES, _DENSITIES = 41, 61
-_NOISE_DECADES = 2.0  # of the standard deviation, to each side
-_STILL = 1e-9  # q/r that a surface lies about where a filter believes in no change at all
+_NOISE_DECADES = 2.0  # of the standard deviation, on each side
+_STILL = 1e-9  # q/r at the centre of the surface of a filter without process noise
 
 
 class Surface(NamedTuple):
-    """The cost of each noise and density about a tuning.
+    """The cost of each noise and density around a tuning.
 
     Attributes
     ----------
     noise_std : (k,) float array
-        In the readings' unit.
+        Standard deviations of a reading's noise, in the readings' unit.
     density : (l,) float array
-        q, in unit^2/step^(2n-1).
+        Densities q, in unit^2/step^(2n-1).
     cost : (k, l) float array
-        In nats a reading, 0 at the best; infinite where none could be foretold.
+        Cost in nats per reading, 0 at the best; inf where no reading could be predicted.
     """
 
     noise_std: Floats
@@ -45,23 +45,23 @@ class Surface(NamedTuple):
 
 
 def surface(tuning: Tuning, stretches: Sequence[Evidence]) -> Surface | None:
-    """Tell how much worse each noise and density foretells readings than the best of them.
+    """Return how much worse each noise and density predicts the readings than the best pair.
 
     Parameters
     ----------
     tuning : Tuning
-        What the surface lies about.
+        The tuning at the centre of the surface.
     stretches : sequence of Evidence
-        Readings in a row; each starts anew.
+        Stretches of readings; the filter starts anew in each.
 
     Returns
     -------
     Surface or None
-        None of too few readings.
+        The surface; None if there are too few readings.
     """
     ratio = tuning.ratio or _STILL
     decades = _NOISE_DECADES * np.linspace(-1.0, 1.0, _NOISES)
-    step = 2 * float(decades[1] - decades[0])  # of the variance: as of the densities, so that ratios are diagonals
+    step = 2 * float(decades[1] - decades[0])  # of the variance and of the density alike, so that ratios are diagonals
     passes = _Passes(tuning, stretches)
     least = step * -(_NOISES // 2 + _DENSITIES // 2)
     sums = [passes.sums(ratio * 10.0 ** (least + step * k)) for k in range(_NOISES + _DENSITIES - 1)]
@@ -79,7 +79,7 @@ def surface(tuning: Tuning, stretches: Sequence[Evidence]) -> Surface | None:
 
 
 class _Passes:
-    """Filters stretches of readings with any ratio q/r, and r = 1."""
+    """A filter with r = 1 over stretches of readings, for any ratio q/r."""
 
     def __init__(self, tuning: Tuning, stretches: Sequence[Evidence]) -> None:
         r, noise = tuning.noise_variance, tuning.coloured
@@ -98,9 +98,9 @@ class _Passes:
         ]
 
     def sums(self, ratio: float) -> tuple[float, float, int]:
-        """Return the sums of nu^2 / S and log S, and how many readings they are of."""
+        """Return the sums of nu^2 / S and log S, and the number of readings."""
         total = Sums()
         for record, still in self._records:
-            beside = still.process_noise
-            total = total.plus(record.score(UNSCORED, beside + ratio * (record.process_noise - beside)))
+            still_noise = still.process_noise
+            total = total.plus(record.score(UNSCORED, still_noise + ratio * (record.process_noise - still_noise)))
         return total[0], total[1], total[2]

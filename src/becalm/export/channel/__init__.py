@@ -1,1 +1,1 @@
-"""A filter that is the library's own channel: its source, and one file of constants."""
+"""Export a filter as the library's own C: its sources, and one file of constants per export."""

@@ -1,4 +1,4 @@
-"""The library's own channel: one filter, perhaps gated, or several modes that it switches between."""
+"""Export the library's own channel: one filter, perhaps with a gate, or an IMM."""
 
 from __future__ import annotations
 
@@ -21,43 +21,43 @@ from becalm.export.number_type import NumberType
 from becalm.export.vectors import Reference
 from becalm.export.written import WrittenChannel
 
-_LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # of a noise, in unit
+_LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # limits of a noise's standard deviation, in unit
 
 
 class Sizes(NamedTuple):
-    """How large the arrays of filters are that are written together."""
+    """The array sizes of filters that are written together."""
 
-    states: frozenset[int]  # of single filters
-    mode_states: frozenset[int]  # of filters that switch
-    modes: int  # the most; even, for two run side by side
+    states: frozenset[int]  # numbers of states of single filters
+    mode_states: frozenset[int]  # numbers of states of IMMs
+    modes: int  # largest number of modes; even, since two run at a time
 
     @property
     def most_states(self) -> int:
-        """Of the largest filter."""
+        """Number of states of the largest filter."""
         return max(self.states | self.mode_states)
 
     @classmethod
     def of(cls, designs: Iterable[Design]) -> Sizes:
-        """Return those of some filters."""
-        all_of_them = list(designs)
-        modes = [len(one.modes.modes) for one in all_of_them if one.modes is not None]
+        """Return the sizes of some filters."""
+        all_designs = list(designs)
+        modes = [len(one.modes.modes) for one in all_designs if one.modes is not None]
         return cls(
-            frozenset(one.states for one in all_of_them if one.modes is None),
-            frozenset(one.states for one in all_of_them if one.modes is not None),
+            frozenset(one.states for one in all_designs if one.modes is None),
+            frozenset(one.states for one in all_designs if one.modes is not None),
             2 * ((max(modes, default=1) + 1) // 2),
         )
 
 
 @dataclass(frozen=True)
 class WholeChannel(Floating):
-    """The library's own channel: its limits, its gate or its modes, its covariance, and what watches the sensor.
+    """The library's own channel with its limits, gate or modes, covariance, and sensor monitoring.
 
     Attributes
     ----------
     recipe : ChannelRecipe
-        Of the channel.
+        Recipe of the channel.
     sizes : Sizes
-        Of all filters that are written with it.
+        Sizes of all filters that are written together.
     """
 
     recipe: ChannelRecipe
@@ -65,21 +65,21 @@ class WholeChannel(Floating):
 
     @classmethod
     def alone(cls, number: NumberType, recipe: ChannelRecipe, design: Design) -> WholeChannel:
-        """Return the kind of a filter that none is written beside."""
+        """Return the kind of a filter that is written alone."""
         return cls(number, recipe, Sizes.of([design]))
 
     def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
-        """Write a filter.
+        """Write a filter as C.
 
         Raises
         ------
         RecipeError
-            If float cannot hold its readings.
+            If float cannot represent its readings.
         """
         if not self.number.is_double and not _LEAST_IN_FLOAT <= design.noise_std <= _MOST_IN_FLOAT:
             raise RecipeError(
-                f"{design.name}: its noise is {design.noise_std:.3g}{design.unit_after}, and in float one is from"
-                f" {_LEAST_IN_FLOAT:g} to {_MOST_IN_FLOAT:g}{design.unit_after}; write --precision float64."
+                f"{design.name}: its noise is {design.noise_std:.3g}{design.unit_after}; float can represent one from"
+                f" {_LEAST_IN_FLOAT:g} to {_MOST_IN_FLOAT:g}{design.unit_after}. Use --precision float64."
             )
         settings, most_states = self._settings(design), self.sizes.most_states
         largest = min(design.largest, settings.limits.largest)
@@ -91,16 +91,16 @@ class WholeChannel(Floating):
         return written_door(door, design, prefix, self.number, largest)
 
     def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:
-        """Return what it is held against, at the start."""
+        """Return a new reference that the filter is compared with."""
         if design.modes is None:
             return ChannelReference(self._settings(design))
-        return ModesReference(self._in_its_number(), design.step_s)
+        return ModesReference(self._limited_recipe(), design.step_s)
 
     def _settings(self, design: Design) -> ChannelSettings:
-        return CausalChannel(self._in_its_number(), design.step_s).settings
+        return CausalChannel(self._limited_recipe(), design.step_s).settings
 
-    def _in_its_number(self) -> ChannelRecipe:
-        """Return the recipe with the largest reading that its type of number may hold."""
+    def _limited_recipe(self) -> ChannelRecipe:
+        """Return the recipe, with its largest reading limited to what the number type can represent."""
         limits, greatest = self.recipe.limits or LimitsRecipe(), self.number.greatest
-        held = limits.model_copy(update={"largest": min(limits.largest or greatest, greatest)})
-        return self.recipe.model_copy(update={"limits": held})
+        limits_recipe = limits.model_copy(update={"largest": min(limits.largest or greatest, greatest)})
+        return self.recipe.model_copy(update={"limits": limits_recipe})

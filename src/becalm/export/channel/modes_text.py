@@ -1,4 +1,4 @@
-"""A channel of the library that switches between modes, as constants in C."""
+"""Write a channel of the library with an IMM as constants in C."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from becalm.native.rows import SETTINGS
 def modes_door(
     modes: InteractingModels, settings: ChannelSettings, gap_limit: GapLimit, prefix: str, sizes: tuple[int, int]
 ) -> Door:
-    """Return the door to a filter that switches.
+    """Return the C interface of an IMM.
 
     Parameters
     ----------
     modes : InteractingModels
         The modes, in steps.
     settings : ChannelSettings
-        What the recipe says of the channel.
+        Settings of the channel from its recipe.
     gap_limit : GapLimit
-        Which gaps it is carried across.
+        Limit of the gaps that it is carried across.
     prefix : str
-        What its names in C begin with.
+        Prefix of its names in C.
     sizes : (int, int)
-        States and modes of the largest filters that are written beside it, or itself; the second is even.
+        Largest numbers of states and of modes of all filters that are written together; the second is even.
     """
     bank, (n, m) = modes.bank(np.ones(1)), sizes
     settings = settings._replace(component=modes.component, noise_variance=modes.least_noise_variance, gate=None)
@@ -48,7 +48,7 @@ def modes_door(
         *((name, of_number(value)) for name, value in numbers.items()),
         *((name, of_array(values)) for name, values in arrays.items()),
     ]
-    beliefs, own = m * (1 + n + n * n), 2 * m * n * n + m * m + 2 * n + 2 * m + m * (1 + n)
-    state_bytes = CONSTANTS["SENSOR_SIZE"] + CONSTANTS["IMM_HEAD_SIZE"] + NUMBER * (beliefs + 1)
+    mode_numbers, own = m * (1 + n + n * n), 2 * m * n * n + m * m + 2 * n + 2 * m + m * (1 + n)
+    state_bytes = CONSTANTS["SENSOR_SIZE"] + CONSTANTS["IMM_HEAD_SIZE"] + NUMBER * (mode_numbers + 1)
     names = [f"{prefix}_{name}".upper() for name in identifiers([mode.name for mode in modes.modes], "mode")]
     return Door("device_modes", fields, state_bytes, SETTINGS.itemsize + NUMBER * (len(numbers) + own), names)

@@ -1,4 +1,7 @@
-"""What an exported channel is held against: the library's own, and what a controller is told where that is silent."""
+"""Run the references that exported channels are compared with: the library's own channels.
+
+Where the library returns NaN, a reference returns what the C returns on a controller.
+"""
 
 from __future__ import annotations
 
@@ -18,49 +21,53 @@ from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import LOST, Verdict
 from becalm.export.vectors import STARTING
 
-_SINGLE = 1000  # rows of a gap that modes take one by one; see `native/device_modes.c`
+_SINGLE = 1000  # rows of a gap that an IMM processes one by one; see `native/device_modes.c`
 
 
 class _ControllerReference(ABC):
-    """Tells something of every row."""
+    """A reference that returns a finite signal for every row."""
 
     def __init__(self, limits: Limits) -> None:
-        self._faults, self._entered = Faults(limits), 0.0
+        self._faults, self._last = Faults(limits), 0.0
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
-        """Take readings (B,); return the signal and what became of each."""
+        """Process readings (B,); return the signal and the code of each."""
         steps = np.ones(len(readings))
-        (found, verdicts), across, believed = self._push(readings, steps)
-        came = ~LOST[self._faults.push(readings, steps)] & believed
-        codes = np.where((verdicts == Verdict.USED) & np.isnan(found), STARTING, verdicts)
-        signal = np.where(verdicts == Verdict.HOLE, across, found)
-        return np.where(np.isnan(signal), self._held(readings, came), signal), codes.astype(np.int8)
+        (signal, verdicts), across, accepted = self._push(readings, steps)
+        used = ~LOST[self._faults.push(readings, steps)] & accepted
+        codes = np.where((verdicts == Verdict.USED) & np.isnan(signal), STARTING, verdicts)
+        output = np.where(verdicts == Verdict.HOLE, across, signal)
+        return np.where(np.isnan(output), self._last_used(readings, used), output), codes.astype(np.int8)
 
     @abstractmethod
     def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats, Booleans]:
-        """Take rows; return the signal and its verdicts, the signal that is told in any hole, and what is no spike."""
+        """Process rows.
+
+        Returns the signal and its verdicts, the signal that is predicted across any hole, and a mask of readings that
+        were not rejected as spikes.
+        """
 
     def _across_gap(self, rows: int) -> None:
-        """Go on for some rows without a reading, as one step."""
+        """Advance by some rows without a reading, as one step."""
         missing, step = np.full(1, np.nan), np.full(1, float(rows))
         self._push(missing, step)
         self._faults.push(missing, step)
 
-    def _held(self, readings: Floats, came: Booleans) -> Floats:
-        """Return the last reading (B,) that came and was used, up to each row; 0 before the first."""
-        entered = np.concatenate([[self._entered], np.where(came, readings, np.nan)])
+    def _last_used(self, readings: Floats, used: Booleans) -> Floats:
+        """Return the last used reading (B,) up to each row; 0 before the first."""
+        entered = np.concatenate([[self._last], np.where(used, readings, np.nan)])
         last = np.maximum.accumulate(np.where(np.isnan(entered), 0, np.arange(len(entered))))
-        self._entered = float(entered[last[-1]])
+        self._last = float(entered[last[-1]])
         return np.asarray(entered[last[1:]], dtype=np.float64)
 
 
 class ChannelReference(_ControllerReference):
-    """One channel.
+    """A reference for one channel with a single filter.
 
     Parameters
     ----------
     settings : ChannelSettings
-        What it is made of.
+        Settings of the channel.
     """
 
     def __init__(self, settings: ChannelSettings) -> None:
@@ -68,26 +75,28 @@ class ChannelReference(_ControllerReference):
         self._channel, self._across = Channel(settings), Channel(settings._replace(unknown_from=np.inf))
 
     def gap(self, rows: int) -> None:
-        """Go on for some rows without a reading, as one step."""
+        """Advance by some rows without a reading, as one step."""
         if rows:
             self._across_gap(rows)
 
     def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats, Booleans]:
-        found = self._channel.process(z, elapsed)
-        gated = (found.verdict == Verdict.RUNAWAY) & np.isnan(found.innovation)  # a verdict stands over another
-        believed = (found.verdict != Verdict.SPIKE) & ~gated
-        return (found.signal, found.verdict), self._across.process(z, elapsed).signal, believed
+        estimates = self._channel.process(z, elapsed)
+        gated = (estimates.verdict == Verdict.RUNAWAY) & np.isnan(
+            estimates.innovation
+        )  # RUNAWAY replaces the gate's verdict
+        accepted = (estimates.verdict != Verdict.SPIKE) & ~gated
+        return (estimates.signal, estimates.verdict), self._across.process(z, elapsed).signal, accepted
 
 
 class ModesReference(_ControllerReference):
-    """One channel that switches.
+    """A reference for one channel with an IMM.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        In seconds and units.
+        Recipe of the channel, in seconds and units.
     step_s : float
-        One step, in seconds.
+        Duration of a step, in seconds.
     """
 
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
@@ -96,7 +105,7 @@ class ModesReference(_ControllerReference):
         self._across = open_live(recipe.model_copy(update={"fill": True}), step_s, 0)
 
     def gap(self, rows: int) -> None:
-        """Go on for some rows without a reading: one by one up to a thousand, the rest as one step."""
+        """Advance by some rows without a reading: one by one up to a thousand, the rest as one step."""
         single = min(rows, _SINGLE)
         if single:
             self.run(np.full(single, np.nan))
@@ -104,9 +113,9 @@ class ModesReference(_ControllerReference):
             self._across_gap(rows - single)
 
     def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats, Booleans]:
-        found, across = _told(self._channel, z, elapsed), _told(self._across, z, elapsed)
-        return (found.signal, found.verdicts), across.signal, found.verdicts != Verdict.SPIKE
+        rows, across = _push_joined(self._channel, z, elapsed), _push_joined(self._across, z, elapsed)
+        return (rows.signal, rows.verdicts), across.signal, rows.verdicts != Verdict.SPIKE
 
 
-def _told(channel: LiveChannel, z: Floats, elapsed: Floats) -> EstimatedRows:
+def _push_joined(channel: LiveChannel, z: Floats, elapsed: Floats) -> EstimatedRows:
     return EstimatedRows.joined(channel.push(z, elapsed))

@@ -1,4 +1,4 @@
-"""The library's own C as an export ships it: the files as they are, but for the one that says how large arrays are."""
+"""Collect the library's C sources for an export: unchanged, except for the file of array sizes."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from becalm.export.written import FOLDER
 _FILTER, _MODES = ("channel.c", "device.c", "filter.c"), ("device_modes.c", "imm.c")
 _SIZES = "sizes.h"
 OWN_NAMES = frozenset({"channel", "device", "device_modes", "filter", "filter_modes", "imm", "becalm"})
-"""What names of functions and types of the library begin with."""
+"""Prefixes of functions and types of the library."""
 
 _LINKED = re.compile(r"^(?:void|int|int64_t|real) (\w+)\(", re.M)
 
 
 def own_files() -> set[str]:
-    """Return the names of all files in C that the library has."""
+    """Return the names of all C files of the library."""
     return {path.name for path in Path(native.__file__).parent.glob("*.[ch]")}
 
 
 def sources_of(sizes: Sizes, stem: str) -> dict[str, str]:
-    """Return the texts of the files that filters are compiled from, by their paths in a bundle; none for no filters.
+    """Return the texts of the sources of filters by their paths in a bundle; none if there are no filters.
 
     Parameters
     ----------
     sizes : Sizes
-        Of the filters.
+        Sizes of the filters.
     stem : str
-        What names begin with: those of functions begin with it when they are linked, for another export, whose arrays
-        are of other sizes, may be linked beside it.
+        Prefix of names. Functions get it when they are linked, since another export, with arrays of other sizes, may be
+        linked into the same program.
     """
     wanted = [*(_FILTER if sizes.states else ()), *(_MODES if sizes.mode_states else ())]
     texts = dict[str, str]()

@@ -1,4 +1,4 @@
-"""A channel of the library as constants in C, and the few functions through which it is called."""
+"""Write a channel of the library as constants in C, with the few functions that call it."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from becalm.native import packed_size
 from becalm.native.rows import COEFFICIENTS, MOST_STATES, SETTINGS
 
 NUMBER = 8
-"""Bytes of a number."""
+"""Bytes of a double."""
 
 _GREATEST_FLOAT = 3e38
 
 
 class Door(NamedTuple):
-    """One of the library's doors for controllers.
+    """One of the library's C interfaces for controllers.
 
     Attributes
     ----------
     name : str
-        What its functions and types begin with.
+        Prefix of its functions and types.
     fields : sequence of (str, str)
-        Of its struct of constants, with their values as C writes them.
+        Fields of its struct of constants, with their values as C text.
     state_bytes, table_bytes : int
-        Of its state, and of its constants.
+        Sizes of its state and of its constants.
     modes : sequence of str
-        Names in C of the modes that it switches between.
+        Names in C of its modes.
     """
 
     name: str
@@ -47,16 +47,16 @@ class Door(NamedTuple):
 
 
 def channel_door(design: Design, settings: ChannelSettings, most_states: int) -> Door:
-    """Return the door to a filter, or to a gated one.
+    """Return the C interface of a single filter, perhaps with a gate.
 
     Parameters
     ----------
     design : Design
         The filter.
     settings : ChannelSettings
-        What the library's own channel is made of.
+        Settings of the library's own channel.
     most_states : int
-        Of the largest filter that is written beside it, or itself.
+        Number of states of the largest filter that is written with it, or of itself.
     """
     n, (F, Q) = design.states, StepTable(settings.component).matrices
     coefficients = packed_coefficients(settings.component, settings.noise_variance, disturbed=settings.disturbed)
@@ -66,27 +66,27 @@ def channel_door(design: Design, settings: ChannelSettings, most_states: int) ->
         ("model", of_struct(coefficients, {"h": n, "c": n, "prior": n * n})),
         *((name, of_array(values)) for name, values in steps.items()),
     ]
-    spare = 2 * (MOST_STATES - most_states) + MOST_STATES**2 - most_states**2  # of h, c and prior
+    spare = 2 * (MOST_STATES - most_states) + MOST_STATES**2 - most_states**2  # unused numbers of h, c and prior
     numbers = 3 * most_states**2 + most_states  # F, Q, P and still
     table_bytes = SETTINGS.itemsize + COEFFICIENTS.itemsize + NUMBER * (numbers - spare)
     return Door("device", fields, packed_size(most_states) + NUMBER, table_bytes)
 
 
 def written_door(door: Door, design: Design, prefix: str, number: NumberType, largest: float) -> WrittenChannel:
-    """Write a door, as the functions of one filter.
+    """Write a C interface as the functions of one filter.
 
     Parameters
     ----------
     door : Door
-        With its constants.
+        The interface with its constants.
     design : Design
         The filter.
     prefix : str
-        What its names in C begin with.
+        Prefix of its names in C.
     number : NumberType
-        What readings and signals are; the library computes in double.
+        Type of readings and signals; the library computes in double.
     largest : float
-        Magnitude beyond which a value is no reading, in unit.
+        Magnitude beyond which a value is overrange, in unit.
     """
     context = {
         **words_of(design, prefix, number),
@@ -110,23 +110,23 @@ def written_door(door: Door, design: Design, prefix: str, number: NumberType, la
 
 
 def of_struct(struct: NDArray[np.void], sizes: dict[str, int] | None = None) -> str:
-    """Write a struct; of its arrays, which are longer than a filter needs, so many numbers."""
-    known = sizes or {}
-    told = [
-        (name, of_array(struct[name][: known[name]]) if name in known else of_number(struct[name].item()))
+    """Write a struct as C; an array in it that is longer than the filter needs is cut to the given size."""
+    lengths = sizes or {}
+    values = [
+        (name, of_array(struct[name][: lengths[name]]) if name in lengths else of_number(struct[name].item()))
         for name in struct.dtype.names or ()
     ]
-    lines = "".join(f"        .{name} = {value},\n" for name, value in told)
+    lines = "".join(f"        .{name} = {value},\n" for name, value in values)
     return f"{{\n{lines}    }}"
 
 
 def of_array(values: NDArray[Any]) -> str:
-    """Write an array, row after row."""
+    """Write an array as C, row by row."""
     return f"{{ {', '.join(of_number(value) for value in np.ravel(values).tolist())} }}"
 
 
 def of_number(value: float) -> str:
-    """Write a number exactly."""
+    """Write a number as C, exactly."""
     if isinstance(value, int):
         return str(value)
     if np.isinf(value):
@@ -135,7 +135,10 @@ def of_number(value: float) -> str:
 
 
 def _settled_covariance(design: Design) -> Floats:
-    """Return the covariance after a reading, once settled, by (7); of a filter that never settles, after the first."""
+    """Return the covariance after a reading in the steady state, by (7).
+
+    A filter without a steady state has its covariance after the first reading.
+    """
     if design.steady is None or not design.settles:
         return design.opening.P
     return covariance_after(design.steady.predicted_cov, design.steady.gain, design.model)

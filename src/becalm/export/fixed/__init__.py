@@ -1,5 +1,5 @@
-"""A settled gain in whole numbers.
+"""Export a settled gain in fixed point.
 
-It is the filter of `settled` in other numbers, and is held against that one's specification: this room alone imports
+It is the filter of `settled` in integers, and is compared with that one's specification; no other folder here imports
 from another.
 """

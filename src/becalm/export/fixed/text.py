@@ -1,4 +1,4 @@
-"""A filter with a settled gain in fixed point as C: integers of 64 bits, and products of 32 by 32 bits."""
+"""Write a filter with a settled gain in fixed point as C: 64-bit integers, and products of 32 by 32 bits."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ from becalm.export.templates import render
 from becalm.export.written import WrittenChannel, unit_name, words_of
 
 GREATEST = (1 << 31) - 1
-"""Of a reading's counts, and of the signal's, where the converter, or the filter, is saturated."""
+"""Largest counts of a reading and of the signal, where the converter or the filter saturates."""
 
-_NEAR = 1e-9  # a gain has 31 bits
-_FARTHEST = 92  # a shift: beyond, nothing is left of 62 bits
-_ON_A_LINE = 12
+_NEAR = 1e-9  # relative precision of the schedule; a gain has 31 bits
+_FARTHEST = 92  # largest shift; beyond it, nothing remains of 62 bits
+_ON_A_LINE = 12  # counts
 
 
 class Scale(NamedTuple):
-    """What counts are: reading = offset + lsb * counts, in unit. Where 0 is in reach, a count stands for it exactly."""
+    """The scale of counts: reading = offset + lsb * counts, in unit. A 0 within range is a whole count."""
 
     offset: float
     lsb: float
 
     def in_unit(self, counts: int) -> float:
-        """Return so many counts in unit."""
+        """Return a number of counts in unit."""
         return self.offset + self.lsb * counts
 
     def counts(self, values: Floats) -> Floats:
-        """Return values (N,), in unit, in counts, not rounded; as many as there are at the most."""
+        """Return values (N,), in unit, as counts: not rounded, but saturated."""
         with np.errstate(over="ignore"):
             return np.clip((values - self.offset) / self.lsb, -float(GREATEST), float(GREATEST))
 
 
 class Rails(NamedTuple):
-    """From which counts on readings are clipped, and the least and greatest of those that are none."""
+    """The counts from which on readings are clipped, and the least and greatest that are not overrange."""
 
     low: int
     high: int
@@ -58,7 +58,7 @@ def scale_of(low: float, high: float) -> Scale:
 
 
 def rails_of(design: Design, scale: Scale) -> Rails:
-    """Return the limits of a channel in counts, saturated ones at the least."""
+    """Return the limits of a channel in counts, at most those of saturation."""
     limits, largest = design.limits, design.largest
     return Rails(
         _at_most(limits.low, scale),
@@ -69,7 +69,7 @@ def rails_of(design: Design, scale: Scale) -> Rails:
 
 
 def _at_most(value: float, scale: Scale) -> int:
-    """Return the greatest counts that stand for a value or less, or those of the end that it lies beyond."""
+    """Return the greatest counts for a value or less, limited to the range of counts."""
     near = round(float(scale.counts(np.array([value]))[0]))
     while near < GREATEST and scale.in_unit(near + 1) <= value:
         near += 1
@@ -80,7 +80,7 @@ def _at_most(value: float, scale: Scale) -> int:
 
 @lru_cache(maxsize=256)
 def schedule_in(design: Design) -> Schedule:
-    """Return the gains of a filter, as near to the end and as many as 31 bits are worth."""
+    """Return the schedule of gains of a filter with the precision of 31 bits."""
     return schedule_of(design, _NEAR)
 
 
@@ -92,16 +92,16 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     design : Design
         The filter.
     prefix : str
-        What its names in C begin with.
+        Prefix of its names in C.
     number : NumberType
-        Of a reading.
+        Number type of a reading.
     span : (float, float)
         Least and greatest reading, in unit.
 
     Raises
     ------
     RecipeError
-        If it never settles, or readings reach too far for its digits.
+        If it has no steady state, or the range of readings is too wide for its digits.
     """
     schedule, scale = schedule_in(design), scale_of(*span)
     point, word = fit(design, schedule, scale.lsb)
@@ -109,7 +109,7 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     context = {
         **words_of(design, prefix, number),
         **_numbers(design, schedule, point),
-        **_looked_at(design, scale, limits),
+        **_limit_words(design, scale, limits),
         "offset": DOUBLE.commented(scale.offset),
         "lsb": DOUBLE.commented(scale.lsb),
         "counted": "_".join([prefix, "{}", unit_name(design.unit)]).rstrip("_").upper(),
@@ -132,8 +132,8 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     )
 
 
-def _looked_at(design: Design, scale: Scale, rails: Rails) -> dict[str, Any]:
-    """Return what templates need to look at a reading."""
+def _limit_words(design: Design, scale: Scale, rails: Rails) -> dict[str, Any]:
+    """Return the values that templates need to check a reading."""
     zero = round(float(scale.counts(np.zeros(1))[0]))
     return {
         "low": rails.low,
@@ -148,12 +148,12 @@ def _looked_at(design: Design, scale: Scale, rails: Rails) -> dict[str, Any]:
 
 
 def _numbers(design: Design, schedule: Schedule, point: BinaryPoint) -> dict[str, Any]:
-    """Return the coefficients of the filter, and the sums that they make."""
+    """Return the coefficients of the filter, and the sums of products in C."""
     F, H, C, n = design.model.F, design.model.H[0], design.output, design.states
-    f, nu, told = np.array(point.states), point.innovation, point.signal
+    f, nu, signal = np.array(point.states), point.innovation, point.signal
     p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
     K = np.vstack([schedule.K, schedule.settled])
-    gains = np.column_stack([K @ F.T * 2.0 ** (f - nu), K @ C * 2.0 ** (told - nu)])
+    gains = np.column_stack([K @ F.T * 2.0 ** (f - nu), K @ C * 2.0 ** (signal - nu)])
     onward = F * 2.0 ** (f[:, np.newaxis] - f)
     return {
         "o": len(design.opening.weights),
@@ -165,19 +165,19 @@ def _numbers(design: Design, schedule: Schedule, point: BinaryPoint) -> dict[str
         "counts": in_lines((f"{count}u" for count in schedule.counts.tolist()), _ON_A_LINE),
         "digits": point.states,
         "innovation_digits": nu,
-        "signal_digits": told,
+        "signal_digits": signal,
         "of_reading": 1 << nu,
         "of_level": {i: f"INT64_C({1 << point.states[i]})" for i in np.flatnonzero(design.level_direction).tolist()},
         "read_of_p": terms(-H * 2.0 ** (nu - f), p),
-        "signal_of_p": terms(C * 2.0 ** (told - f), p),
-        "signal_of_x": terms(C * 2.0 ** (told - f), x),
+        "signal_of_p": terms(C * 2.0 ** (signal - f), p),
+        "signal_of_x": terms(C * 2.0 ** (signal - f), x),
         "ahead_of_p": [terms(row, p) for row in onward],
         "ahead_of_x": [terms(row, x) for row in onward],
     }
 
 
 def factor_of(value: float) -> tuple[int, int]:
-    """Return m, of 31 bits, and s with m / 2^s next to a value; 0 where nothing would be left of 62 bits."""
+    """Return m, of 31 bits, and s with m / 2^s closest to a value; m is 0 where nothing would remain of 62 bits."""
     fraction, exponent = np.frexp(value)
     mantissa, shift = round(float(fraction) * 2.0**31), 31 - int(exponent)
     if abs(mantissa) > GREATEST:
@@ -186,21 +186,21 @@ def factor_of(value: float) -> tuple[int, int]:
 
 
 def kept_of(values: Floats) -> Floats:
-    """Return values as m / 2^s tells them: to 31 bits."""
+    """Return values rounded to m / 2^s, with m of 31 bits."""
     factors = [factor_of(value) for value in values.ravel().tolist()]
     return np.array([mantissa / 2.0**shift for mantissa, shift in factors]).reshape(values.shape)
 
 
 def terms(row: Floats | Sequence[float], names: Sequence[str]) -> list[str]:
-    """Write row[j] * names[j] in integers; what is not exact in 31 bits gets as many again."""
+    """Write row[j] * names[j] in integers; a factor that is not exact in 31 bits gets a second term."""
     written = []
     for value, name in zip(row, names, strict=True):
-        left = float(value)
+        remainder = float(value)
         for _ in range(2):
-            mantissa, shift = factor_of(left)
+            mantissa, shift = factor_of(remainder)
             if mantissa:
                 written.append(_term(mantissa, shift, name))
-            left -= mantissa / 2.0**shift
+            remainder -= mantissa / 2.0**shift
     return written or ["INT64_C(0)"]
 
 
@@ -212,7 +212,7 @@ def _term(mantissa: int, shift: int, name: str) -> str:
 
 
 def _table(rows: Floats) -> dict[str, list[list[str]]]:
-    """Return m and s of coefficients (r, k), row by row."""
+    """Return the m and s of coefficients (r, k), row by row."""
     factors = [[factor_of(value) for value in row] for row in rows.tolist()]
     return {
         "mantissas": [[str(mantissa) for mantissa, _ in row] for row in factors],
@@ -221,15 +221,15 @@ def _table(rows: Floats) -> dict[str, list[list[str]]]:
 
 
 def _cost(source: str) -> OperationCount:
-    """Count the operations of a settled row: a product is two of 32 by 32 bits, which are added and rounded."""
+    """Count the operations of a row in the steady state; a product is two of 32 by 32 bits, added and rounded."""
     lines = source.splitlines()
     first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("int64_t nu = "))
     row = "\n".join(lines[first : next(i for i in range(first, len(lines)) if "s->p[0] = " in lines[i])])
     products, sums, rounded = (len(re.findall(rf"becalm_{name}\(", row)) for name in ("times", "sum", "rounded"))
-    return OperationCount(2 * products, 2 * products + sums + rounded + 1)  # the last rounds the signal
+    return OperationCount(2 * products, 2 * products + sums + rounded + 1)  # the last operation rounds the signal
 
 
 def _bytes(design: Design, schedule: Schedule) -> int:
-    """Return the size of the state, as a compiler lays it out that aligns 64 bits to them."""
+    """Return the size of the state in bytes for a compiler that aligns 64-bit integers to 64 bits."""
     size = 8 * design.states + 8 + 4 * (not schedule.exact) + 16 * bool(design.limits.stuck_readings)
     return -(-size // 8) * 8

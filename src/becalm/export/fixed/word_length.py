@@ -1,11 +1,11 @@
-"""Where the point stands in each state of a filter in fixed point, and what that costs, computed before anything runs.
+"""Choose the binary point of each state of a filter in fixed point, and compute the resulting error beforehand.
 
-A reading is a count of 31 bits, a state an integer of 61 whose last digit is 2^-f counts. f is as large as the range of
-the state leaves: what the settled filter makes of the worst readings (the sum of |h| over its impulse response), and,
-as far as the digits go, of the worst readings while it starts, or coasts; a filter that leaves it then begins anew.
-Both are computed, not proved: the response is looked at row by row at first, later in fewer rows of each octave, so
-that its sum holds to about a hundredth. Rounding stalls a state, and is noise at every step, as in
-`export/word_length.py`; readings and signal are rounded to counts.
+A reading is a count of 31 bits, a state an integer of 61 bits whose last digit is 2^-f counts. f is as large as the
+range of the state allows. That range covers the worst readings in the steady state (the sum of |h| over the impulse
+response), and, as far as the digits suffice, the worst readings during the start or a prediction without readings; a
+filter that leaves it then starts anew. The ranges are computed, not proved: the response is evaluated row by row at
+first, later at fewer rows of each octave, so that its sum is accurate to about a hundredth. Rounding stalls a state,
+and is noise at every step, as in `export/word_length.py`; readings and signal are rounded to counts.
 """
 
 from __future__ import annotations
@@ -22,30 +22,31 @@ from becalm.export.schedule import Schedule
 from becalm.export.word_length import MOST_ERROR, WordLength, gathered
 
 STATE_BITS = 61
-"""Of a state besides its sign; sums of terms have one more, and two of them fit into 64 bits."""
+"""Bits of a state without its sign; a sum of terms has one more, and two of them fit into 64 bits."""
 
 _COUNT_BITS = 31
-_INNOVATION_DIGITS = 28  # more would only be digits of a reading's noise
-_QUIET = 0.02  # of a count: beside the rounding of what is told nobody finds it
-_PROMISED = 3e-4  # of a reading's noise: signals of a dozen noises are told to 90 dB
-_APART = 128.0  # noises, by which readings may differ at the least while a filter starts
-_STARTED = 512  # rows of a start that are looked at
-_MARGIN = 1.01  # for what is not looked at
-_GRID = 512  # rows of an impulse response that are looked at one by one, and in each octave after them
+_INNOVATION_DIGITS = 28  # at most; more would only be digits of a reading's noise
+_QUIET = 0.02  # of a count: negligible against the rounding of the signal
+_PROMISED = 3e-4  # of a reading's noise: gives 90 dB for signals of a dozen noises
+_APART = 128.0  # standard deviations of noise by which readings may at least differ during a start
+_START_ROWS = 512  # rows of a start that are evaluated
+_MARGIN = 1.01  # for rows that are not evaluated
+_GRID = 512  # rows of an impulse response that are evaluated at first, and in each octave after them
 _OCTAVES = 60
 
 
 class BinaryPoint(NamedTuple):
-    """Where the point stands: how many binary digits come after it, in counts.
+    """The binary points: the numbers of binary digits after them, in counts.
 
     Attributes
     ----------
     states : tuple of int
-        Of each state, f.
+        f of each state.
     innovation, signal : int
-        Of nu, and of the sum that becomes the signal.
+        Digits of nu, and of the sum that becomes the signal.
     apart : float
-        By how much of half the range readings may differ while the filter starts, or coasts, before it begins anew.
+        Largest difference of readings during a start or a prediction, as a share of half the range; beyond it, the
+        filter starts anew.
     """
 
     states: tuple[int, ...]
@@ -55,19 +56,19 @@ class BinaryPoint(NamedTuple):
 
 
 class StateBounds(NamedTuple):
-    """How far states (n,) go, in parts of the greatest reading."""
+    """The largest magnitudes of the states (n,), relative to the greatest reading."""
 
     settled: Floats
     starting: Floats
 
 
 def fit(design: Design, schedule: Schedule, lsb: float) -> tuple[BinaryPoint, WordLength]:
-    """Find where the point of each state stands, and what that costs.
+    """Choose the binary point of each state, and compute the resulting error.
 
     Parameters
     ----------
     design : Design
-        A filter that settles.
+        A filter with a steady state.
     schedule : Schedule
         Its gains.
     lsb : float
@@ -76,18 +77,18 @@ def fit(design: Design, schedule: Schedule, lsb: float) -> tuple[BinaryPoint, Wo
     Raises
     ------
     RecipeError
-        If readings, or states, have too few digits beside the noise.
+        If readings, or states, have too few digits for the noise.
     """
     unit, span = design.unit_after, lsb * 2.0 ** (_COUNT_BITS + 1)
     if lsb > design.noise_std:
         raise RecipeError(
-            f"{design.name}: one count of q31 is {lsb:.3g}{unit} where readings span {span:.3g}{unit}, more"
+            f"{design.name}: one count of q31 is {lsb:.3g}{unit} for readings that span {span:.3g}{unit}, more"
             f" than their noise of {design.noise_std:.3g}{unit}; give a narrower --range, or --precision float32."
         )
     reach, least = reach_of(design, schedule), min(_APART * lsb_noise(design, lsb) / 2.0**_COUNT_BITS, 1.0)
     apart = 1.0
     point = _point(design, schedule, reach, apart)
-    while apart > least and _states_cost(design, point) > _QUIET:
+    while apart > least and _states_error(design, point) > _QUIET:
         apart = max(apart / 2, least)
         point = _point(design, schedule, reach, apart)
     word = _word(design, point, lsb)
@@ -101,21 +102,21 @@ def lsb_noise(design: Design, lsb: float) -> float:
 
 
 def _refuse(design: Design, point: BinaryPoint, word: WordLength, lsb: float) -> None:
-    unit, beside = design.unit_after, _states_cost(design, point)
-    quiet = word.share <= MOST_ERROR and beside <= _PROMISED * lsb_noise(design, lsb)
+    unit, states_error = design.unit_after, _states_error(design, point)
+    quiet = word.share <= MOST_ERROR and states_error <= _PROMISED * lsb_noise(design, lsb)
     if quiet and min(point.innovation, point.signal) > 0:
         return
     raise RecipeError(
-        f"{design.name}: q31 would cost {word.share:.2g} of the signal's standard deviation of {design.settled_std:.3g}"
-        f"{unit} where readings span {word.range:.3g}{unit}, and a tenth is the most (it stalls {word.stall:.2g}"
-        f"{unit} off, rounding adds {word.noise:.2g}{unit}; its states are {beside * lsb:.2g}{unit} of that, and"
-        f" {_PROMISED * design.noise_std:.2g}{unit} is the most); give a narrower --range, a larger"
-        " process_noise_density, or --precision float64."
+        f"{design.name}: with q31 the error is {word.share:.2g} of the signal's standard deviation of"
+        f" {design.settled_std:.3g}{unit} for readings that span {word.range:.3g}{unit}; at most a tenth is allowed"
+        f" (it stalls {word.stall:.2g}{unit} off, rounding adds {word.noise:.2g}{unit}; its states are"
+        f" {states_error * lsb:.2g}{unit} of that, where {_PROMISED * design.noise_std:.2g}{unit} is allowed); give a"
+        " narrower --range, a larger process_noise_density, or --precision float64."
     )
 
 
 def _word(design: Design, point: BinaryPoint, lsb: float) -> WordLength:
-    """Return what a point costs, in unit."""
+    """Return the error of the binary points, in unit."""
     assert design.steady is not None
     stall = stall_of(design, point)
     rounded = (1 + design.steady.noise_gain()) / 12  # the signal, and readings
@@ -124,16 +125,16 @@ def _word(design: Design, point: BinaryPoint, lsb: float) -> WordLength:
     return WordLength(stall * lsb, noise * lsb, share, lsb * 2.0 ** (_COUNT_BITS + 1), lsb)
 
 
-def _states_cost(design: Design, point: BinaryPoint) -> float:
+def _states_error(design: Design, point: BinaryPoint) -> float:
     assert design.steady is not None
     return max(stall_of(design, point), noise_of(design.steady, point))
 
 
 def stall_of(design: Design, point: BinaryPoint) -> float:
-    """Return the error at which a filter of a constant stands still, or about which it swings, in counts.
+    """Return the error at which a filter stalls on a constant signal, or about which it oscillates, in counts.
 
-    A state of a motion does not move while |F K nu| is below half its last digit, and where a slope stands still that
-    is not 0, the level stands where K nu makes up for it. No innovation is seen below half a digit of its own.
+    A state of a motion does not change while |F K nu| is below half its last digit. Where a slope that is not 0 stalls,
+    the level stalls where K nu compensates it. An innovation below half of its own last digit has no effect.
     """
     assert design.steady is not None
     n = design.motion_order
@@ -143,9 +144,9 @@ def stall_of(design: Design, point: BinaryPoint) -> float:
 
 
 def noise_of(steady: SteadyFilter, point: BinaryPoint) -> float:
-    """Return the standard deviation of what rounding in the states adds to a settled signal, in counts.
+    """Return the standard deviation of the rounding noise of the states in the signal, in the steady state, in counts.
 
-    Each term of a sum is rounded to the last digit of what it is added to, evenly.
+    Each term of a sum is rounded to the last digit of the sum, with a uniform error.
     """
     F, H, C, K = steady.model.F, steady.model.H, steady.output, steady.gain
     D = _scale(steady)
@@ -156,12 +157,12 @@ def noise_of(steady: SteadyFilter, point: BinaryPoint) -> float:
     injected = np.diag(terms * (digit / D) ** 2 / 12) + seen * (enters @ enters.T)
     through = gathered(steady.loop.M, injected)
     row = (C - (C @ K) @ H) * D
-    told = (np.count_nonzero(C) + 1) * 4.0**-point.signal / 12 + seen * float((C @ K)[0, 0]) ** 2
-    return float(np.sqrt((row @ through @ row.T)[0, 0] + told))
+    of_signal = (np.count_nonzero(C) + 1) * 4.0**-point.signal / 12 + seen * float((C @ K)[0, 0]) ** 2
+    return float(np.sqrt((row @ through @ row.T)[0, 0] + of_signal))
 
 
 def _point(design: Design, schedule: Schedule, reach: StateBounds, apart: float) -> BinaryPoint:
-    """Give each state the digits that its reach, and that of the sums it is made by, leaves."""
+    """Return the digits of each state that its range, and that of its sums, allow."""
     F, H, C = design.model.F, np.abs(design.model.H[0]), np.abs(design.output)
     K = np.vstack([schedule.K, schedule.settled])
     level = design.level_direction
@@ -170,30 +171,30 @@ def _point(design: Design, schedule: Schedule, reach: StateBounds, apart: float)
     nu = 1.0 + float(H @ states)
     entering = np.maximum(np.abs(F @ schedule.settled), apart * np.abs(K @ F.T).max(axis=0)) * nu
     sums = (np.abs(F) @ states + entering) / 2
-    told = float(C @ states) + float(np.abs(K @ design.output).max()) * nu
+    signal = float(C @ states) + float(np.abs(K @ design.output).max()) * nu
     digits = [_digits(size) for size in np.maximum(sums, states).tolist()]
-    for i in reversed(range(design.states - 1)):  # what is added as it is, is only ever rounded
+    for i in reversed(range(design.states - 1)):  # a state that is added without a factor may only lose digits
         digits[i] = min([digits[i], *(digits[j] for j in range(i + 1, design.states) if F[i, j] == 1.0)])
     seen = [each for each, used in zip(digits, H + C, strict=True) if used]
     return BinaryPoint(
         tuple(digits),
         min(_digits(nu), _INNOVATION_DIGITS, *seen),
-        min(_digits(told), _INNOVATION_DIGITS, *seen),
+        min(_digits(signal), _INNOVATION_DIGITS, *seen),
         apart,
     )
 
 
 def _digits(size: float) -> int:
-    """Return how many digits come after the point of what is so many times the greatest reading."""
+    """Return the number of digits after the point of a quantity of `size` times the greatest reading."""
     return STATE_BITS - _COUNT_BITS - int(np.ceil(np.log2(_MARGIN * max(size, 1e-9))))
 
 
 def reach_of(design: Design, schedule: Schedule) -> StateBounds:
-    """Return how far the worst readings drive the states."""
+    """Return the largest magnitudes of the states for the worst readings."""
     assert design.steady is not None
     columns, weights, D = _responses(design.steady)
     settled = D * (np.abs(columns) @ weights)
-    starting, leap = np.maximum(_started(design, schedule), settled), design.steady.loop.F
+    starting, leap = np.maximum(_start_magnitudes(design, schedule), settled), design.steady.loop.F
     coasts = design.coasts
     for length in sorted({min(1 << bit, coasts) for bit in range(17)}):
         far = np.linalg.matrix_power(leap, length)
@@ -202,10 +203,10 @@ def reach_of(design: Design, schedule: Schedule) -> StateBounds:
 
 
 def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:
-    """Return the response (n, k) of states to an impulse, (k,) for how many rows each stands, and (n,) their spreads.
+    """Return the impulse response (n, k) of the states, the number of rows (k,) of each column, and the spreads (n,).
 
-    Every row for a while, then as many in each octave; of what turns as it fades as much is met as passed by, about.
-    The states are those of equal spread.
+    At first there is one column per row, then the same number for each octave. For a decaying oscillation, errors of
+    the sampling about cancel. The states are scaled to equal spread.
     """
     loop = steady.loop
     grid, power = loop.F @ loop.K, loop.M
@@ -223,18 +224,18 @@ def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:
 
 
 def _scale(steady: SteadyFilter) -> Floats:
-    """Return the spreads of the states (n,), in which those of its `loop` are told; 1 of one that is known."""
+    """Return the spreads of the states (n,), which are the units of its `loop`; 1 for a state that is known."""
     spread = spread_of(steady)
     return np.where(spread > 0, spread, 1.0)
 
 
-def _started(design: Design, schedule: Schedule) -> Floats:
-    """Return how far the states (n,) go in the first rows, where readings lie as far from the first as can be."""
+def _start_magnitudes(design: Design, schedule: Schedule) -> Floats:
+    """Return the largest magnitudes of the states (n,) in the first rows, for readings farthest from the first."""
     F, H, weights = design.model.F, design.model.H, design.opening.weights
     opened = np.abs(weights[1:]).sum(axis=0)
     columns = F @ weights.T
     most: Floats = np.maximum(2 * opened, np.abs(columns).sum(axis=1))
-    for K in np.repeat(schedule.K, np.minimum(schedule.counts, _STARTED), axis=0)[:_STARTED]:
+    for K in np.repeat(schedule.K, np.minimum(schedule.counts, _START_ROWS), axis=0)[:_START_ROWS]:
         columns = np.hstack([F @ (columns - np.outer(K, H @ columns)), (F @ K)[:, np.newaxis]])
         most = np.maximum(most, np.abs(columns).sum(axis=1))
     return most

@@ -1,1 +1,1 @@
-"""C compiled, run, compared with becalm; and the certificate."""
+"""Compile and run exported C, compare it with becalm, and write the certificate."""

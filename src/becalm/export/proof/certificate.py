@@ -1,4 +1,4 @@
-"""The certificate of an export: what was compiled and run, and what came out."""
+"""Write the certificate of an export: what was compiled and run, and the results."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from becalm.export.proof.verifying import Compared, Verified
 
 
 def certificate(bundle: Bundle, verified: Verified) -> str:
-    """Return what was run and what came out, as a page."""
+    """Return the certificate as a Markdown page."""
     names = list(dict.fromkeys(one.build.compiler for one in verified.runs))
     vectors = sum(len(one.vectors) for one in bundle.channels)
     lines = [f"# Certificate of {bundle.stem}", ""]
-    lines += [f"What was run when these files were made, and what came out. {vectors} golden vectors.", ""]
+    lines += [f"Results of the checks that ran when these files were made, with {vectors} golden vectors.", ""]
     lines += [f"- {name}: {version_of(name)}" for name in names]
     lines += ["", "| compiler | flags | vectors and checks |", "|---|---|---|"]
     lines += [
         f"| {one.build.compiler} | `{' '.join(one.build.flags)}` | {'all passed' if one.passed else 'FAILED'} |"
         for one in verified.runs
     ]
-    lines += ["", "| channel | record | rows | beside | greatest difference | signal over difference |"]
+    lines += ["", "| channel | record | rows | reference | greatest difference | signal over difference |"]
     lines += ["|---|---|---|---|---|---|"]
     lines += [
         f"| {one.channel} | {one.record} | {one.rows} | {one.beside} | {_greatest(one)} | {_decibels(one)} |"
@@ -37,8 +37,8 @@ def _greatest(one: Compared) -> str:
 
 
 def _decibels(one: Compared) -> str:
-    told = "no difference" if np.isinf(one.snr_db) else f"{one.snr_db:.1f} dB"
-    return told if one.kept else f"{told}, which is less than promised"
+    ratio = "no difference" if np.isinf(one.snr_db) else f"{one.snr_db:.1f} dB"
+    return ratio if one.kept else f"{ratio}, which is less than promised"
 
 
 def _files(bundle: Bundle) -> list[str]:

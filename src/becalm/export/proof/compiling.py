@@ -1,4 +1,4 @@
-"""C compiled and run, by whatever compilers this machine has."""
+"""Compile and run C with the compilers of this machine."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from becalm.errors import BecalmError, UsageError
 from becalm.export.written import FOLDER
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror", "-ffp-contract=off")
-"""Under which the filters compile without a word."""
+"""Flags with which the filters compile without a warning."""
 
 OPTIMISED = (("-O0",), ("-O2",), ("-O3",), ("-O3", "-ffast-math"))
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 _LONGEST_S = 600.0
-_REPORT = "That is a fault of becalm's: leave --verify out, and report it with the recipe."
+_REPORT = "This is a fault in becalm: leave --verify out, and report it with the recipe."
 
 
 class CompileError(BecalmError):
-    """What was exported does not compile, or does not do what becalm does: a fault of becalm's."""
+    """The exported C does not compile, or does not agree with becalm: a fault in becalm."""
 
     exit_code = 1
 
 
 class Build(NamedTuple):
-    """A program that runs the filters of a bundle.
+    """A compiled program that runs the filters of a bundle.
 
     Attributes
     ----------
     compiler : str
-        Its name.
+        Name of the compiler.
     flags : tuple of str
-        Beside the strict ones.
+        Flags in addition to the strict ones.
     program : Path
-        What was built.
+        Path of the program.
     """
 
     compiler: str
@@ -46,73 +46,73 @@ class Build(NamedTuple):
 
 
 def compilers() -> list[str]:
-    """Return the C compilers that are here.
+    """Return the names of the installed C compilers.
 
     Raises
     ------
     UsageError
         If there is none.
     """
-    found = [name for name in ("gcc", "clang") if shutil.which(name)] or ["cc"] * bool(shutil.which("cc"))
-    if not found:
-        raise UsageError("There is no C compiler here: none of gcc, clang and cc is found; install one.")
-    return found
+    names = [name for name in ("gcc", "clang") if shutil.which(name)] or ["cc"] * bool(shutil.which("cc"))
+    if not names:
+        raise UsageError("No C compiler was found: there is no gcc, clang or cc; install one.")
+    return names
 
 
 def version_of(compiler: str) -> str:
-    """Return what a compiler calls itself."""
-    return _ran([compiler, "--version"], "the compiler's version").stdout.splitlines()[0]
+    """Return the name and version that a compiler prints."""
+    return _run_checked([compiler, "--version"], "the compiler's version").stdout.splitlines()[0]
 
 
 def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build:
-    """Compile the filters of a bundle, strictly, and what runs them.
+    """Compile the filters of a bundle with strict flags, and the program that runs them.
 
     Parameters
     ----------
     folder : Path
-        Where the bundle is.
+        Folder of the bundle.
     stem : str
-        What its files begin with.
+        Prefix of its files.
     compiler : str
-        Its name.
+        Name of the compiler.
     flags : sequence of str
-        Beside the strict ones.
+        Flags in addition to the strict ones.
 
     Raises
     ------
     CompileError
-        If it does not compile without a warning.
+        If the compiler reports a warning or an error.
     """
     mark = f"{compiler}{''.join(flags)}".replace("=", "").replace(",", "")
     texts = [folder / f"{stem}.c", *sorted(folder.glob(f"{FOLDER}/*.c")), folder / "main.c"]
     objects = [folder / f"{mark}-{text.parent.name if text.parent != folder else ''}-{text.stem}.o" for text in texts]
     for text, made in zip(texts, objects, strict=True):
         extra = STRICT[:1] if text == texts[-1] else STRICT
-        _ran([compiler, *extra, *flags, "-c", str(text), "-o", str(made)], text.name)
+        _run_checked([compiler, *extra, *flags, "-c", str(text), "-o", str(made)], text.name)
     program = folder / f"{mark}-check"
-    _ran([compiler, *flags, *map(str, objects), "-o", str(program), "-lm"], "the program")
+    _run_checked([compiler, *flags, *map(str, objects), "-o", str(program), "-lm"], "the program")
     return Build(compiler, tuple(flags), program)
 
 
 def run(build: Build, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run a program; what it returns is looked at by the caller."""
-    return _in_time([str(build.program), *words])
+    """Run a program; the caller checks its exit code."""
+    return _run_limited([str(build.program), *words])
 
 
-def _ran(words: Sequence[str], what: str) -> subprocess.CompletedProcess[str]:
-    ran = _in_time(words)
+def _run_checked(words: Sequence[str], what: str) -> subprocess.CompletedProcess[str]:
+    ran = _run_limited(words)
     if ran.returncode != 0:
-        said = " ".join((ran.stderr or ran.stdout).split())[:600]
-        raise CompileError(f"{words[0]} does not make {what} of what becalm exported: {said}. {_REPORT}")
+        output = " ".join((ran.stderr or ran.stdout).split())[:600]
+        raise CompileError(f"{words[0]} does not make {what} of what becalm exported: {output}. {_REPORT}")
     return ran
 
 
-def _in_time(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
+def _run_limited(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(list(words), capture_output=True, text=True, check=False, timeout=_LONGEST_S)
     except OSError as cause:
         raise UsageError(
-            f"{words[0]} cannot be run ({cause.strerror}); mend it, or set TMPDIR to a folder whose programs may run."
+            f"{words[0]} cannot be run ({cause.strerror}); repair it, or set TMPDIR to a folder whose programs may run."
         ) from cause
     except subprocess.TimeoutExpired as cause:
         raise CompileError(

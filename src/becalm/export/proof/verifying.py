@@ -1,4 +1,4 @@
-"""Whether exported C does what becalm does: compiled, run, compared; and the certificate that says so."""
+"""Verify that exported C agrees with becalm: compile it, run it and compare the signals."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from becalm.export.kind import Raw
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, CompileError, build, compilers, run
 from becalm.export.vectors import STARTING
 
-_LONG = 1_000_000  # readings drawn from the model itself
-_FIRST = 20_000  # of them, where the stream itself may keep fewer digits than C
-_SAME_FILTER_DB = 60.0  # below it is no rounding
+_LONG = 1_000_000  # simulated readings
+_FIRST = 20_000  # of them, for a comparison where the stream may have fewer digits than C
+_SAME_FILTER_DB = 60.0  # a smaller ratio is not due to rounding
 _SEED = 7
 
 
 class GoldenRun(NamedTuple):
-    """The golden vectors, run by one build."""
+    """The result of the golden vectors with one build."""
 
     build: Build
     says: str
@@ -35,24 +35,24 @@ class GoldenRun(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """A record of one channel through C and through becalm.
+    """A comparison of C and becalm over a record of one channel.
 
     Attributes
     ----------
     channel, record : str
-        Which.
+        Names of the channel and of the record.
     rows : int
-        How many readings.
+        Number of readings.
     beside : str
-        What it was held against: becalm's stream, or the specification of a filter that carries no covariance.
+        The reference: becalm's stream, or the specification of a filter without a covariance.
     error : float
-        The greatest difference, in parts of the greatest signal.
+        The greatest difference, relative to the greatest signal.
     error_row, first_row : int
-        Row of that difference, and the first whose signal is a filter's; -1 where there is none.
+        Row of that difference, and first row with a filtered signal; -1 if there is none.
     snr_db : float
-        Power of the signal over that of the difference; inf where there is none.
+        Power of the signal over that of the difference; inf if there is no difference.
     kept : bool
-        Whether that is what its precision promises: 240 dB in float64, 120 dB in float32, 90 dB in fixed point.
+        Whether the ratio reaches that of its precision: 240 dB in float64, 120 dB in float32, 90 dB in fixed point.
     """
 
     channel: str
@@ -67,36 +67,36 @@ class Compared(NamedTuple):
 
 
 Becalm = Callable[[Exported, ChannelRecipe, Floats], tuple[Floats, str]]
-"""Returns what becalm makes of readings (N,), and which of its parts did."""
+"""Function that returns the signal of becalm for readings (N,), and a name of the reference."""
 
 
 class Verified(NamedTuple):
-    """What was run."""
+    """The results of a verification."""
 
     runs: list[GoldenRun]
     compared: list[Compared]
 
 
 def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats], folder: Path) -> Verified:
-    """Compile a bundle in every way that this machine can, run it, and compare it with becalm.
+    """Compile a bundle with all compilers and flags, run it, and compare it with becalm.
 
     Parameters
     ----------
     bundle : Bundle
-        What was written.
+        The exported bundle.
     recipe : Recipe
-        What it was written from.
+        The recipe it was written from.
     recorded : mapping of str to (N,) float array
-        Whole records, by channel, in unit.
+        Complete records by channel, in unit.
     folder : Path
-        An empty one, for what is compiled.
+        An empty folder for the compiled files.
 
     Raises
     ------
     UsageError
-        If there is no compiler, or what it makes cannot be run.
+        If there is no compiler, or its programs cannot be run.
     CompileError
-        If it does not compile, a vector fails, or it differs from becalm by more than rounding can explain.
+        If the C does not compile, a vector fails, or it differs from becalm by more than rounding.
     """
     unpacked(bundle, folder)
     ways = [flags for flags in (*OPTIMISED, SANITIZED) if not (bundle.needs_nan and "-ffast-math" in flags)]
@@ -106,18 +106,18 @@ def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats], folde
             f"Built by {failed[0].build.compiler} {' '.join(failed[0].build.flags)}, golden vectors or checks fail:"
             f" {failed[0].says}"
         )
-    quick = next(one.build for one in runs if one.build.flags == ("-O2",))
-    compared = list(_compared(quick, bundle, recipe, recorded))
+    optimised = next(one.build for one in runs if one.build.flags == ("-O2",))
+    compared = list(_compare_channels(optimised, bundle, recipe, recorded))
     if other := [one for one in compared if not one.snr_db >= _SAME_FILTER_DB]:
         raise CompileError(
-            f"{other[0].channel}, {other[0].record}: C and becalm differ, by {other[0].snr_db:.0f} dB less than the"
-            " signal."
+            f"{other[0].channel}, {other[0].record}: C and becalm differ; the signal is only {other[0].snr_db:.0f} dB"
+            " above the difference."
         )
     return Verified(runs, compared)
 
 
 def unpacked(bundle: Bundle, folder: Path) -> Path:
-    """Write the texts of a bundle into a folder of one's own; return it."""
+    """Write the files of a bundle into a folder; return the folder."""
     for path, text in bundle.files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_text(text, encoding="utf-8")
@@ -131,21 +131,23 @@ def _run(folder: Path, bundle: Bundle, compiler: str, flags: tuple[str, ...]) ->
     return GoldenRun(made, " ".join([*failed[:3], ran.stderr[:300]]).strip(), ran.returncode == 0)
 
 
-def _compared(made: Build, bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats]) -> Iterator[Compared]:
+def _compare_channels(
+    made: Build, bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats]
+) -> Iterator[Compared]:
     for one in bundle.channels:
         (channel,) = (channel for channel in recipe.channel if channel.name == one.name)
         records = {"drawn from its own model": drawn(one, _LONG)}
         if one.name in recorded:
             records["the recording"] = recorded[one.name]
         for record, readings in records.items():
-            found = compare(made, one, channel, record, readings)
-            yield found
-            if not found.kept and one.design.modes is None:
+            comparison = compare(made, one, channel, record, readings)
+            yield comparison
+            if not comparison.kept and one.design.modes is None:
                 yield compare(made, one, channel, f"{record}, its first rows", readings[:_FIRST], specified)
 
 
 def drawn(one: Exported, rows: int) -> Floats:
-    """Return readings (N,) of a signal that a channel's model makes, within its rails."""
+    """Return simulated readings (N,) of a channel's model, within its saturation limits."""
     rng, model = np.random.default_rng(_SEED), one.design.model
     low, high = one.design.limits.rails
     centre = (low + high) / 2 if np.isfinite(low + high) else 0.0
@@ -156,7 +158,7 @@ def drawn(one: Exported, rows: int) -> Floats:
         x = model.F @ x + noise[k]
         signal[k] = (model.H @ x)[0]
     half = min((high - low) / 4, 1e4 * one.design.noise_std)
-    if (far := np.abs(signal).max()) > half:  # a motion has no bounds: reflect it at those of the sensor
+    if (far := np.abs(signal).max()) > half:  # a motion has no bounds; reflect it at the limits of the sensor
         signal = half * (2 / np.pi) * np.arcsin(np.sin(signal * (np.pi / 2) / half)) if far > half else signal
     return centre + signal + rng.normal(0, one.design.noise_std, rows)
 
@@ -169,51 +171,52 @@ def compare(  # noqa: PLR0913
     Parameters
     ----------
     made : Build
-        What runs it.
+        The compiled program.
     one : Exported
-        The channel.
+        The exported channel.
     channel : ChannelRecipe
-        Its recipe.
+        Recipe of the channel.
     record : str
-        What the record is called.
+        Name of the record.
     readings : (N,) float array
-        In unit, a step apart; NaN where missing.
+        Readings in unit, one step apart; NaN where missing.
     becalm : callable, optional
-        Returns what becalm makes of readings, and what of it did; by default its stream, where that is the same filter.
+        Reference to compare with; by default becalm's stream, where that is the same filter.
     """
     raw = one.kind.raw(readings, one.written)
     out, codes = streamed(made, one, raw)
-    told = one.kind.in_unit(out, one.written)
+    signal = one.kind.in_unit(out, one.written)
     given = one.kind.in_unit(raw, one.written)
-    want, beside = (becalm or _wanted)(one, channel, given)
-    known = np.isfinite(want) & (codes != STARTING)  # readings that are passed on are no filter's
-    off, power = np.where(known, np.abs(told - want), 0.0), float(np.square(want[known]).sum())
+    want, reference = (becalm or _expected)(one, channel, given)
+    known = np.isfinite(want) & (codes != STARTING)  # while starting, readings are passed on unfiltered
+    off, power = np.where(known, np.abs(signal - want), 0.0), float(np.square(want[known]).sum())
     wrong, greatest = float(np.square(off).sum()), float(np.abs(want[known]).max(initial=0.0))
     snr_db = float(10 * np.log10(power / wrong)) if wrong > 0 < power else np.inf
     error_row = int(np.where(known, off, -1.0).argmax()) if known.any() else -1
     first_row = int(known.argmax()) if known.any() else -1
     error = float(off.max(initial=0.0)) / (greatest or 1.0)
     kept = snr_db >= one.kind.promised_db
-    return Compared(one.name, record, len(given), beside, error, error_row, first_row, snr_db, kept)
+    return Compared(one.name, record, len(given), reference, error, error_row, first_row, snr_db, kept)
 
 
-def _wanted(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Floats, str]:
-    """Return what becalm makes of readings (N,), and which becalm: its stream, or a specification.
+def _expected(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Floats, str]:
+    """Return the expected signal for readings (N,), and the name of its reference: the stream or a specification.
 
-    A filter without a covariance that meets missing readings, or whose start was thinned, is held against its own.
+    A filter without a covariance is compared with its own specification if readings are missing, or its start was
+    thinned.
     """
     step_s = one.design.step_s
-    alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=1 / step_s), channel=(_as_exported(one, channel),))
-    found = StreamCleaner(alone, step_s).push(given[:, np.newaxis], np.ones(len(given)))
-    if one.kind.bridges or (one.written.exact and not LOST[found.verdicts].any()):
-        return found.signal[:, 0], "becalm's stream"
+    recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=1 / step_s), channel=(_as_exported(one, channel),))
+    cleaned = StreamCleaner(recipe, step_s).push(given[:, np.newaxis], np.ones(len(given)))
+    if one.kind.bridges or (one.written.exact and not LOST[cleaned.verdicts].any()):
+        return cleaned.signal[:, 0], "becalm's stream"
     return specified(one, channel, given)
 
 
 def _as_exported(one: Exported, channel: ChannelRecipe) -> ChannelRecipe:
-    """Return a recipe of what C does: it predicts in any hole.
+    """Return the recipe of what the C does: it predicts across any hole.
 
-    But for the library's own channel it believes gross outliers, and has no last sentinel.
+    Except for the library's own channel, it uses gross outliers, and has no last sentinel.
     """
     limits = channel.limits
     if limits is not None and not isinstance(one.kind, WholeChannel):
@@ -222,17 +225,17 @@ def _as_exported(one: Exported, channel: ChannelRecipe) -> ChannelRecipe:
 
 
 def specified(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Floats, str]:
-    """Return what the specification of a filter makes of readings (N,), and that it did."""
+    """Return the signal of a filter's specification for readings (N,), and the name of that reference."""
     return one.kind.reference(channel, one.design, one.written).run(given)[0], "its specification"
 
 
 def streamed(made: Build, one: Exported, raw: Raw) -> tuple[Raw, Codes]:
-    """Run numbers (N,) through a channel in C; return what it tells, and what became of each.
+    """Run numbers (N,) through a channel in C; return the signal and the code of each.
 
     Raises
     ------
     CompileError
-        If it ends otherwise than well.
+        If the program does not exit with 0.
     """
     with tempfile.TemporaryDirectory(dir=made.program.parent) as place:
         source, out, codes = (Path(place) / name for name in ("in", "out", "codes"))

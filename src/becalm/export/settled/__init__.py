@@ -1,1 +1,1 @@
-"""A settled gain after a table of gains: no covariance, no division."""
+"""Export a settled gain after a table of gains, without covariance or division."""

@@ -1,4 +1,4 @@
-"""A settled gain after a table of gains, in floating point."""
+"""Export a settled gain after a table of gains in floating point."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from becalm.export.written import WrittenChannel
 
 
 class Settled(Floating):
-    """A settled gain after a table of gains."""
+    """The kind of filter with a settled gain after a table of gains, in floating point."""
 
     @property
     def bridges(self) -> bool:
-        """Whether it goes on after missing readings as becalm does: it keeps its gain."""
+        """Whether it continues after missing readings as becalm does; False, since it keeps its gain."""
         return False
 
     def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
-        """Write a filter."""
+        """Write a filter as C."""
         return written_settled(design, prefix, self.number, apart(span))
 
     def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:
-        """Return what it is held against, at the start."""
+        """Return a new reference that the filter is compared with."""
         return SettledReference(design, schedule_in(design, self.number), written.largest)

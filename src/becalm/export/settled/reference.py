@@ -1,8 +1,8 @@
-"""The specification of an exported filter with a settled gain: what its C does with each reading, in plain Python.
+"""Specify an exported filter with a settled gain: what its C does with each reading, in plain Python.
 
-It is `becalm.Online` wherever no reading is missing. Where one is, it predicts and keeps its gain, since it carries no
-covariance; after so many that the prediction is worth less than a reading it holds still, and the next reading begins
-anew.
+It equals `becalm.Online` while no reading is missing. For a missing reading it predicts and keeps its gain, since it
+carries no covariance. After so many that the prediction is worth less than a reading, it holds its state, and starts
+anew with the next reading.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from becalm.export.vectors import STARTING
 
 
 class SettledReference:
-    """One channel.
+    """A reference for one channel with a settled gain.
 
     Parameters
     ----------
     design : Design
-        Its filter.
+        The filter of the channel.
     schedule : Schedule
-        Its gains.
+        The gains of the filter.
     largest : float
-        Magnitude beyond which a value is no reading, in unit.
+        Magnitude beyond which a value is overrange, in unit.
 
     Attributes
     ----------
     p : (n,) float array
-        The state predicted for the next row, less the level.
+        Predicted state for the next row, less the level.
     level : float
-        What readings are told from, in unit.
+        Level that is subtracted from readings, in unit.
     row : int
-        Usable readings so far, until the gain has settled.
+        Number of usable readings so far, until the gain has settled.
     missed : int
-        Rows without a usable one, one after the other.
+        Number of rows in a row without a usable reading.
     """
 
     def __init__(self, design: Design, schedule: Schedule, largest: float) -> None:
@@ -50,14 +50,14 @@ class SettledReference:
         self.p, self.level, self.row, self.missed = np.zeros(design.states), 0.0, 0, 0
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
-        """Take readings (B,); return the signal and what became of each."""
+        """Process readings (B,); return the signal and the code of each."""
         codes = self._faults.push(readings, np.ones(len(readings)))
-        told = [self._step(reading, code) for reading, code in zip(readings.tolist(), codes.tolist(), strict=True)]
-        signal, became = zip(*told, strict=True) if told else ((), ())
-        return np.array(signal, np.float64), np.array(became, np.int8)
+        rows = [self._step(reading, code) for reading, code in zip(readings.tolist(), codes.tolist(), strict=True)]
+        signal, final = zip(*rows, strict=True) if rows else ((), ())
+        return np.array(signal, np.float64), np.array(final, np.int8)
 
     def gap(self, rows: int) -> None:
-        """Go on for some rows without a reading."""
+        """Advance by some rows without a reading."""
         for _ in range(min(rows, self._design.coasts)):
             self.coast()
 
@@ -72,7 +72,7 @@ class SettledReference:
         return self._take(reading), Verdict.USED
 
     def coast(self) -> float:
-        """Go on for a row without a reading; return what was predicted for it."""
+        """Advance by a row without a reading; return the prediction for it."""
         if self.row < len(self._opening):
             self.row, self.p = 0, np.zeros_like(self.p)
             return self.level
@@ -83,7 +83,7 @@ class SettledReference:
         return signal
 
     def _open(self, reading: float) -> tuple[float, int]:
-        """Gather one of the readings that tell the state."""
+        """Process one of the first readings, which determine the state."""
         F, C = self._design.model.F, self._design.output
         if self.row == 0:
             self.level, self.p = reading, np.zeros_like(self.p)
@@ -96,7 +96,7 @@ class SettledReference:
         return signal, Verdict.USED
 
     def _take(self, reading: float) -> float:
-        """Equations (1), (3) and (6), from the predicted state."""
+        """Process a reading by equations (1), (3) and (6), from the predicted state."""
         F, H, C = self._design.model.F, self._design.model.H[0], self._design.output
         at = self.row - len(self._opening)
         K = self._gains[int(np.searchsorted(self._until, at, side="right"))]

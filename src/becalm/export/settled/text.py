@@ -1,4 +1,4 @@
-"""A filter with a settled gain as C: gains from a table until it has settled, no division and no covariance."""
+"""Write a filter with a settled gain as C: gains from a table until it has settled, no division, no covariance."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from becalm.export.templates import render
 from becalm.export.word_length import WordLength
 from becalm.export.written import WrittenChannel, look_of, moved_level
 
-_NEAR = {"float64": 1e-13, "float32": 1e-8}
+_NEAR = {"float64": 1e-13, "float32": 1e-8}  # relative precision of the schedule
 _MOST_NUMBERS = {"float64": 8192, "float32": MOST_NUMBERS}
 _COUNTS = 12  # on a line
 
@@ -29,29 +29,29 @@ def written_settled(design: Design, prefix: str, number: NumberType, span: float
     design : Design
         The filter.
     prefix : str
-        What its names in C begin with.
+        Prefix of its names in C.
     number : NumberType
-        What it computes in.
+        Number type of the filter.
     span : float or None
-        How far readings lie from each other at the most, in unit; a *small* one leaves more digits, and trusts that
-        they never lie farther apart: beyond, they are overrange. None where nobody said.
+        Largest distance of two readings, in unit; None if unknown. A *small* one leaves more digits, and trusts that
+        readings are never farther apart: beyond it, they are overrange.
 
     Raises
     ------
     RecipeError
-        If it never settles, or its word is too short.
+        If it has no steady state, or its word length is too short.
     """
     return with_gains(design, schedule_in(design, number), prefix, number, prove(design, number, span))
 
 
 @lru_cache(maxsize=256)
 def schedule_in(design: Design, number: NumberType) -> Schedule:
-    """Return the gains of a filter, as near to the end and as many as its numbers are worth."""
+    """Return the schedule of gains of a filter with the precision of its numbers."""
     return schedule_of(design, _NEAR[number.precision], _MOST_NUMBERS[number.precision])
 
 
 def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberType, word: WordLength) -> WrittenChannel:
-    """Write a filter whose gains, and whose word length, are known."""
+    """Write a filter with given gains and word length."""
     n, F = design.states, design.model.F
     p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
     K = np.vstack([schedule.K, schedule.settled])
@@ -90,7 +90,7 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
 
 
 def _settled_row(source: str) -> list[str]:
-    """Return the lines that a settled row runs through."""
+    """Return the C lines that run for a row in the steady state."""
     lines = source.splitlines()
     first = max(i for i, line in enumerate(lines) if line.lstrip().startswith("const") and " nu = " in line)
     return lines[first : next(i for i in range(first, len(lines)) if "} else {" in lines[i])]
@@ -101,7 +101,7 @@ def _literals(rows: Floats, number: NumberType) -> list[list[str]]:
 
 
 def _bytes(design: Design, schedule: Schedule, number: NumberType) -> int:
-    """Return the size of the state, as a compiler lays it out."""
+    """Return the size of the state in bytes, as a compiler lays it out."""
     size = (design.states + 1) * number.bytes + 4 + 4 * (not schedule.exact)
     if design.limits.stuck_readings:
         size = -(-size // number.bytes) * number.bytes + 3 * number.bytes + 4

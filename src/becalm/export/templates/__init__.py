@@ -1,4 +1,4 @@
-"""The texts that are filled in: C, its Makefile, its README."""
+"""Render the templates of an export: C, its Makefile, its README."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ _TEMPLATES.filters["grouped"] = _grouped
 
 
 def render(name: str, context: Mapping[str, Any]) -> str:
-    """Fill a template in."""
+    """Return the text of a template with its values."""
     return _TEMPLATES.get_template(name).render(context)

@@ -1,1 +1,1 @@
-"""Several modes of a channel: which a record shows, and what each is."""
+"""Identify the modes of a channel (interacting multiple models, IMM) from a record."""

@@ -1,4 +1,4 @@
-"""Whether a smoother that switches errs less than one that does not, without the truth."""
+"""Compare the errors of an IMM smoother and a fixed smoother without the truth."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from becalm.identification.likelihood import Evidence, Tuning
 from becalm.identification.risk import estimated_risk, long_pieces
 from becalm.native.imm import NOTHING_WANTED, filter_rows, new_state
 
-_LESS = 0.05  # of a mean squared error, by which a smoother that switches must err less
-_CLEARLY = 3.0  # standard errors, by which it does beyond doubt
-_FAR_LESS, _BY_CHANCE = 0.1, 2.0  # of a fixed smoother's risk: beside it hidden readings may contradict by so many, for
-# one of a shock, which nothing foretells, makes one of them alone
-_HIDDEN = 10  # every such reading is hidden from smoothers that are compared
+_LESS = 0.05  # relative reduction of the mean squared error that an IMM smoother needs
+_CLEARLY = 3.0  # standard errors by which it is better beyond doubt
+_FAR_LESS = 0.1  # share of the fixed smoother's risk below which hidden readings may contradict, within ...
+_BY_CHANCE = 2.0  # ... so many standard errors: one reading of a shock, which nothing predicts, makes one of them
+_HIDDEN = 10  # every tenth reading is hidden from the smoothers
 _PROBE = 0.02  # of a standard deviation of the noise
-_LIKELY = 0.5  # probability from which a reading is taken for a wild one
+_LIKELY = 0.5  # probability from which a reading is taken for an outlier
 _PIECE = 1 << 15  # rows
 
 
 def find_wild(switching: InteractingModels, readings: Floats, elapsed: Floats) -> Booleans:
-    """Tell which readings (N,) a filter took for wild, as they came."""
+    """Return which readings (N,) the causal IMM filter takes for outliers."""
     wild = np.zeros(len(readings))
     state = new_state(switching.bank(np.ones(1)), keeps_level=False)
     for start in range(0, len(readings), _PIECE):
@@ -31,12 +31,12 @@ def find_wild(switching: InteractingModels, readings: Floats, elapsed: Floats) -
         lengths, steps = numbered_steps(elapsed[rows])
         trace = NOTHING_WANTED._replace(wild=wild[rows])
         filter_rows(switching.bank(lengths), state, np.ascontiguousarray(readings[rows]), steps, trace)
-    told: Booleans = wild > _LIKELY
-    return told
+    outliers: Booleans = wild > _LIKELY
+    return outliers
 
 
-def _tame(switching: InteractingModels, evidence: Evidence) -> Evidence:
-    """Return evidence with draws of what a bank believes in place of the readings that it takes for wild."""
+def _without_outliers(switching: InteractingModels, evidence: Evidence) -> Evidence:
+    """Return evidence with each outlier replaced by a draw from the IMM smoother's estimate."""
     if not switching.rejects:
         return evidence
     z, noise = evidence.z[:, 0].copy(), switching.least_noise_variance
@@ -49,16 +49,16 @@ def _tame(switching: InteractingModels, evidence: Evidence) -> Evidence:
 
 
 def errs_less(switching: InteractingModels, tuning: Tuning, evidence: Evidence) -> bool:
-    """Whether a smoother that switches errs less than the fixed one: clearly where readings are hidden, or by its risk.
+    """Return whether an IMM smoother errs less than the fixed one, clearly at hidden readings or by its estimated risk.
 
-    What little is gained where a record rests drowns in the noise of hidden readings; then the risk tells it, and
-    hidden readings have to contradict by no more than chance: one standard error, or two where it tells much. The risk
-    needs the variance of the noise, and of two it takes the smaller; hidden readings need none.
-    Readings that the bank takes for wild say nothing of errors; draws of what it believes stand in their place.
+    Where a record rests, the small gain is lost in the noise of hidden readings. Then the risk decides, and the hidden
+    readings may contradict it only by chance: by one standard error, or by two where the gain in risk is large. The
+    risk needs the variance of the noise; of the two variances the smaller is used. Hidden readings need none. Outliers
+    say nothing about errors, so draws from the IMM's estimate replace them.
     """
-    evidence = _tame(switching, evidence)
-    alone = SmoothedFlow(tuning.component, tuning.noise_variance)
-    more = hidden_errors(ImmFlow(switching, causal=False), evidence) - hidden_errors(alone, evidence)
+    evidence = _without_outliers(switching, evidence)
+    fixed_flow = SmoothedFlow(tuning.component, tuning.noise_variance)
+    more = hidden_errors(ImmFlow(switching, causal=False), evidence) - hidden_errors(fixed_flow, evidence)
     if not len(more):
         return False
     chance = float(more.std()) / np.sqrt(len(more))
@@ -71,7 +71,7 @@ def errs_less(switching: InteractingModels, tuning: Tuning, evidence: Evidence) 
 
 
 def hidden_errors(flow: SmoothedFlow | ImmFlow, evidence: Evidence) -> Floats:
-    """Return the squared errors of a smoother at every tenth reading, which it is not shown; none of few readings."""
+    """Return the squared errors of a smoother at every tenth reading, which is hidden from it; none if few."""
     part = max(long_pieces(evidence), key=lambda piece: piece.stop - piece.start)
     z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
     hidden = np.arange(len(z)) % _HIDDEN == _HIDDEN // 2
@@ -79,18 +79,20 @@ def hidden_errors(flow: SmoothedFlow | ImmFlow, evidence: Evidence) -> Floats:
 
 
 def _risk(switching: InteractingModels, evidence: Evidence, noise_variance: float) -> float:
-    """Estimate the mean squared error of a smoother that switches, by how it answers a small probe."""
-    squares, answers, count = 0.0, 0.0, 0
+    """Estimate the mean squared error of an IMM smoother from its response to a small probe."""
+    squares, responses, count = 0.0, 0.0, 0
     size = _PROBE * float(np.sqrt(noise_variance))
     for part in long_pieces(evidence):
         z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
         probe = np.random.default_rng(len(z)).choice([-1.0, 1.0], len(z))
-        smooth, answer = (_smoothed(ImmFlow(switching, causal=False), read, elapsed) for read in (z, z + size * probe))
+        smooth, response = (
+            _smoothed(ImmFlow(switching, causal=False), read, elapsed) for read in (z, z + size * probe)
+        )
         squares += float(np.sum((z - smooth) ** 2))
-        answers += float(np.sum(probe * (answer - smooth))) / size
+        responses += float(np.sum(probe * (response - smooth))) / size
         count += len(z)
-    return squares / count + noise_variance * (2 * answers / count - 1)
+    return squares / count + noise_variance * (2 * responses / count - 1)
 
 
 def _smoothed(flow: SmoothedFlow | ImmFlow, z: Floats, elapsed: Floats) -> Floats:
-    return np.concatenate([told.signal for told in [*flow.push(z, elapsed), *flow.finish()]])
+    return np.concatenate([estimate.signal for estimate in [*flow.push(z, elapsed), *flow.finish()]])

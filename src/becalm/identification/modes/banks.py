@@ -1,11 +1,11 @@
-"""Five banks of modes, each told by few numbers, and the search for them by likelihood.
+"""Define five families of interacting multiple models (IMM), and search the numbers of one by likelihood.
 
-resting   a still mode beside the fixed filter
-jumping   random walks from still to abrupt, and leaps, for levels that hold and jump; wild readings are left out
+resting   a still mode in addition to the fixed filter
+jumping   random walks from still to abrupt, and leaps, for levels that hold and jump; outliers are left out
 noisy     the fixed filter with quiet and with loud noise
-spiky     the fixed filter with wild readings, which are left out, and an abrupt mode, in which the level jumps and
-          all else goes on, so that it never locks out
-bursting  the fixed filter with calm and with violent motion; wild readings are left out
+spiky     the fixed filter with outliers, which are left out, and an abrupt mode, in which the level jumps and
+          everything else goes on, so that the filter never rejects a new level for good
+bursting  the fixed filter with calm and with violent motion; outliers are left out
 """
 
 from __future__ import annotations
@@ -26,42 +26,44 @@ from becalm.native.imm import Steps, filter_rows, new_state
 Kind = Literal["resting", "jumping", "noisy", "spiky", "bursting"]
 
 STANDS_OUT = 8.0
-"""Standard deviations of noise, beyond which a reading stands out among its neighbours."""
+"""Standard deviations of noise beyond which a reading stands out from its neighbours."""
 
-_PIECE, _PIECES = 1 << 14, 4  # readings of a long record that banks are compared on
-_DIFFERENT_STEPS = 64  # lengths of steps that are told apart while searching
+_PIECE, _PIECES = 1 << 14, 4  # readings in a piece of a long record, and pieces, that IMMs are compared on
+_DIFFERENT_STEPS = 64  # most lengths of steps that a search distinguishes
 
-_GAIN, _SOME = 2.0, 0.1  # of a log-likelihood, for which a number leaves its default; for which a variance does
-_MUCH = 10.0  # for which one of a bank of levels does: a record shows few of their jumps, the next may be another
+_GAIN = 2.0  # gain in log-likelihood for which a number leaves its default
+_VARIANCE_GAIN = 0.1  # the same for a variance
+_MUCH = 10.0  # the same for levels: a record shows few jumps, and the next may differ
 _SWEEPS = 5
-_SURPRISED = 0.03  # share of surprises of a moving sensor that say nothing of its mode
-_RESTS, _MOVES = 1.6e5, 3e6  # steps that a level stays still, or moves, where the record does not tell
-_UNMOVED = 1e8  # steps between jumps of what is only spiky
+_SURPRISED = 0.03  # share of a moving sensor's readings that are surprising in any mode
+_REST_STEPS, _MOVE_STEPS = 1.6e5, 3e6  # default steps for which a level stays still, or moves
+_SPIKY_STEPS = 1e8  # steps between two jumps of a signal that only has spikes
 _WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # q/r
-_RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of them
-_WILD = 1e-9  # share of readings that are wild, where the record shows none: a jump, or a burst, is far likelier
-_APART = 100.0  # times the variance of the noise, by which wild readings are spread where none stands out
-_FARTHER = 4.0  # times the variance of wild readings, which that of a leap is
-_AT_ONCE = 0.7  # steps that an abrupt mode lasts
-_FINEST = 1e-7  # of what most readings span, the noise of a bank: of less a jump leaves nothing but rounding
-_LOST = 1e-13  # of what all of them span, so
-_VIOLENT, _CALMS, _STORMS = 100.0, 3000.0, 20.0  # q/r of violent motion, which believes readings; steps of both
-_LOUDEST = 1e15  # times the calm motion's density: of more the calm is lost to rounding where it is mixed
-_BLOCK = 50  # readings, of which the variance of bends is taken
+_RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of the ratios above
+_WILD = 1e-9  # default share of outliers, where the record shows none: a jump or a burst is far likelier
+_OUTLIER_VARIANCE = 100.0  # variance of outliers over that of the noise, where none stands out
+_LEAP_VARIANCE = 4.0  # variance of a leap over that of outliers
+_ABRUPT_STEPS = 0.7  # steps that an abrupt mode lasts
+_FINEST = 1e-7  # least noise of an IMM over what most readings span: with less, a jump leaves nothing but rounding
+_LOST = 1e-13  # the same over what all readings span
+_VIOLENT = 100.0  # q/r of violent motion, which follows the readings
+_CALM_STEPS, _BURST_STEPS = 3000.0, 20.0  # for which calm and violent motion last
+_LOUDEST = 1e15  # most of violent over calm density: with more, mixing loses the calm mode to rounding
+_BLOCK = 50  # readings in a block whose second differences are averaged
 
 
 class Number(NamedTuple):
-    """One number of a bank, searched by its logarithm."""
+    """One number of an IMM family, which is searched by its logarithm."""
 
     default: float
     low: float
     high: float
-    stride: float = 2.0  # of the logarithm, at first
+    stride: float = 2.0  # first step of the logarithm
     gain: float = _GAIN
 
 
 class ImmFamily(NamedTuple):
-    """A family of banks: its numbers, and how they make one."""
+    """A family of IMMs: its numbers, and the function that makes an IMM from them."""
 
     numbers: list[Number]
     make: Callable[..., InteractingModels]
@@ -71,14 +73,14 @@ class EvidencePiece(NamedTuple):
     """A part of a record, laid out for the filter."""
 
     z: Floats  # (N,)
-    lengths: Floats  # (u,) of steps
-    steps: Steps  # (N,) which of them precedes each reading
+    lengths: Floats  # (u,) different lengths of steps
+    steps: Steps  # (N,) which of the lengths precedes each reading
 
 
 def resting(tuning: Tuning, evidence: Evidence) -> ImmFamily:
-    """Return banks of a still mode beside a fixed filter.
+    """Return the family of IMMs with a still mode and a fixed filter.
 
-    A moving sensor now and then surprises its filter, which says nothing of whether it came to rest.
+    A moving sensor surprises its filter now and then, which does not mean that it came to rest.
     """
     spread = float(np.ptp(evidence.z)) ** 2
     moving = Mode("moving", replace(tuning, damping=0.0).component, tuning.noise_variance, 1.0, wild_share=_SURPRISED)
@@ -91,50 +93,55 @@ def resting(tuning: Tuning, evidence: Evidence) -> ImmFamily:
 
 
 def jumping(evidence: Evidence, wild: float = _WILD) -> ImmFamily:
-    """Return banks of random walks, from still to abrupt, and of leaps as far as readings reach, and farther.
+    """Return the family of IMMs of random walks, from still to abrupt, and of leaps.
 
-    What is farther out than any wild reading is a leap: so a level is never lost for good. `wild` is the share of wild
-    readings to begin with; with a *small* one the record has to show them, and a far reading is a jump.
+    A leap reaches as far as the readings do, and farther. Beyond any outlier a reading is a leap, so a level is never
+    lost for good. `wild` is the share of outliers to begin with; with a *small* one the record has to show outliers,
+    and a far reading is a jump.
     """
     spread = float(np.ptp(evidence.z)) ** 2
 
     def make(r: float, still: float, others: float, wild: float, *ratios: float) -> InteractingModels:
-        lasts = (still, others, others, _AT_ONCE)
+        lasts = (still, others, others, _ABRUPT_STEPS)
         walks = [
             Mode(name, motion(1, ratio * r), r, last, "quick" if name == "abrupt" else "", wild)
             for name, ratio, last in zip(_WALKS, ratios, lasts, strict=True)
         ]
-        leap = Mode("leap", motion(1, _FARTHER * spread), r, _AT_ONCE, "quick")
+        leap = Mode("leap", motion(1, _LEAP_VARIANCE * spread), r, _ABRUPT_STEPS, "quick")
         return InteractingModels((*walks, leap), spread, rejects=True)
 
     numbers = [
         _variance(evidence),
-        *(Number(*told, gain=_MUCH) for told in ((_RESTS, 10.0, 1e7), (_MOVES, 0.5, 1e7), (wild, 1e-12, 0.2))),
+        *(
+            Number(*limits, gain=_MUCH)
+            for limits in ((_REST_STEPS, 10.0, 1e7), (_MOVE_STEPS, 0.5, 1e7), (wild, 1e-12, 0.2))
+        ),
     ]
     walks = [Number(ratio, *bounds, gain=_MUCH) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
     return ImmFamily([*numbers, *walks], make)
 
 
 def noisy(tuning: Tuning) -> ImmFamily:
-    """Return banks of a fixed filter with quiet and with loud noise: of Q and R, only R changes."""
+    """Return the family of IMMs of a fixed filter with quiet and with loud noise: only R changes, not Q."""
     r = tuning.noise_variance
 
     def make(quiet: float, louder: float, calms: float, storms: float) -> InteractingModels:
         one = Mode("quiet", tuning.component, quiet, calms)
         return InteractingModels((one, replace(one, name="loud", noise_variance=quiet * louder, lasts=storms)))
 
-    own = Number(r / 3, r * 1e-4, r * 20, 1.0, _SOME)
+    own = Number(r / 3, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN)
     return ImmFamily([own, Number(10.0, 1.5, 1e6), *2 * [Number(1000.0, 50.0, 1e6)]], make)
 
 
 def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None = None) -> ImmFamily:
-    """Return banks of a fixed filter with calm and with violent motion: of Q and R, only Q changes.
+    """Return the family of IMMs of a fixed filter with calm and with violent motion: only Q changes, not R.
 
-    With a bank that it is to be `like`, perhaps of another order, the calm motion is that of `tuning`; it stays.
+    `like` is an IMM to start from, perhaps of another order. With it the calm motion is that of `tuning` and is not
+    searched.
     """
-    r, ratio, first = tuning.noise_variance, tuning.ratio, (_VIOLENT, _WILD, _CALMS, _STORMS)
-    own = [Number(r, r * 1e-4, r * 20, 1.0, _SOME), Number(ratio, 1e-14, 1e6, gain=_SOME)]
-    apart = max(outstanding_variance(evidence.z[:, 0], r), _APART * r)
+    r, ratio, first = tuning.noise_variance, tuning.ratio, (_VIOLENT, _WILD, _CALM_STEPS, _BURST_STEPS)
+    own = [Number(r, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN), Number(ratio, 1e-14, 1e6, gain=_VARIANCE_GAIN)]
+    apart = max(outstanding_variance(evidence.z[:, 0], r), _OUTLIER_VARIANCE * r)
 
     def make(noise: float, ratio: float, violent: float, share: float, *lasts: float) -> InteractingModels:
         ratios = (ratio, max(violent, ratio))
@@ -156,80 +163,84 @@ def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None 
 
 
 def spiky(tuning: Tuning, evidence: Evidence) -> ImmFamily:
-    """Return banks of a fixed filter, tuned anew, with wild readings; where they agree, it was a jump."""
+    """Return the family of IMMs of a fixed filter, tuned anew, with outliers; outliers that agree are a jump."""
     r, spread = max(middle_variance(evidence.z[:, 0]), _least(evidence)), float(np.ptp(evidence.z)) ** 2
 
     def make(noise: float, ratio: float, share: float, wild: float) -> InteractingModels:
         own = replace(tuning, ratio=ratio, noise_variance=noise).component
-        steady = Mode("steady", own, noise, _UNMOVED, wild_share=share)
-        abrupt = Mode("abrupt", with_walking_level(own, wild), noise, _AT_ONCE, "steady", share)
+        steady = Mode("steady", own, noise, _SPIKY_STEPS, wild_share=share)
+        abrupt = Mode("abrupt", with_walking_level(own, wild), noise, _ABRUPT_STEPS, "steady", share)
         return InteractingModels((steady, abrupt), wild, rejects=True)
 
     fastest = (1e-12, 1e6)
     return ImmFamily(
         [
             _about(r, 1e4, evidence),
-            Number(tuning.ratio, *fastest, gain=_SOME),
+            Number(tuning.ratio, *fastest, gain=_VARIANCE_GAIN),
             Number(0.03, 3e-3, 0.4),
-            Number(max(outstanding_variance(evidence.z[:, 0], r), _APART * r), 9 * r, max(spread, _APART * r)),
+            Number(
+                max(outstanding_variance(evidence.z[:, 0], r), _OUTLIER_VARIANCE * r),
+                9 * r,
+                max(spread, _OUTLIER_VARIANCE * r),
+            ),
         ],
         make,
     )
 
 
 def _variance(evidence: Evidence) -> Number:
-    """Return the variance of noise at rest as a number to search."""
+    """Return the variance of the noise at rest as a number to search."""
     r = max(quiet_variance(evidence.z[:, 0]), _least(evidence))
     return _about(r, 1e2, evidence)
 
 
 def _about(r: float, times: float, evidence: Evidence) -> Number:
-    """Return a variance of noise to search about r."""
-    return Number(r, max(r / times, _least(evidence)), r * times, 1.0, _SOME)
+    """Return a noise variance as a number to search around r."""
+    return Number(r, max(r / times, _least(evidence)), r * times, 1.0, _VARIANCE_GAIN)
 
 
 def _least(evidence: Evidence) -> float:
-    """Return the least variance of noise: levels without any are infinitely likely, and lost where they jump."""
+    """Return the least noise variance: a level without noise is infinitely likely, and lost when it jumps."""
     low, high = np.quantile(evidence.z[:, 0], (0.05, 0.95))
     finest = max(_FINEST * float(high - low), _LOST * float(np.ptp(evidence.z)))
     return max(evidence.smallest_variance, finest**2)
 
 
 def of_first_mode(tuning: Tuning, switching: InteractingModels) -> Tuning:
-    """Return a tuning with the noise, and the process noise, of the first mode of a bank that was made of it."""
+    """Return a tuning with the noise, and the process noise, of the first mode of an IMM that was made from it."""
     first = switching.modes[0]
     ratio = float(first.component.noise_density[0, 0]) / first.noise_variance
     return replace(tuning, ratio=ratio, noise_variance=first.noise_variance)
 
 
 def with_wild_share(switching: InteractingModels, share: float) -> InteractingModels:
-    """Return a bank of which so many readings are wild in every mode; with a share of 0 it believes all of them."""
+    """Return an IMM with a given share of outliers in every mode; with a share of 0 it uses all readings."""
     modes = tuple(replace(mode, wild_share=share) for mode in switching.modes)
     return replace(switching, modes=modes, rejects=share > 0)
 
 
 def searched(bank: ImmFamily, pieces: Sequence[EvidencePiece]) -> tuple[InteractingModels, float]:
-    """Search a bank's numbers one after the other, with strides that halve; return it and its log-likelihood."""
+    """Search a family's numbers in turn, with steps that halve; return the best IMM and its log-likelihood."""
     at, strides = [float(np.log(number.default)) for number in bank.numbers], [number.stride for number in bank.numbers]
-    best = log_likelihood(_made(bank, at), pieces)
+    best = log_likelihood(_make(bank, at), pieces)
     for _ in range(_SWEEPS):
         for i in range(len(at)):
             moved, value = _best_move(bank, at, i, strides[i], best, pieces)
             strides[i] *= 1.0 if value > best else 0.5
             at, best = moved, value
-    return _made(bank, at), best
+    return _make(bank, at), best
 
 
 def _best_move(  # noqa: PLR0913
     bank: ImmFamily, at: list[float], i: int, stride: float, best: float, pieces: Sequence[EvidencePiece]
 ) -> tuple[list[float], float]:
-    """Move one number as far as that pays, up or else down."""
+    """Move one number up, or else down, as long as the log-likelihood gains enough."""
     number = bank.numbers[i]
     for way in (stride, -stride):
         gained = False
         while np.log(number.low) <= at[i] + way <= np.log(number.high):
             moved = [*at[:i], at[i] + way, *at[i + 1 :]]
-            value = log_likelihood(_made(bank, moved), pieces)
+            value = log_likelihood(_make(bank, moved), pieces)
             if value == -np.inf or value < best + number.gain:  # from -inf to -inf is no gain
                 break
             at, best, gained = moved, value, True
@@ -238,12 +249,12 @@ def _best_move(  # noqa: PLR0913
     return at, best
 
 
-def _made(bank: ImmFamily, logs: Sequence[float]) -> InteractingModels:
+def _make(bank: ImmFamily, logs: Sequence[float]) -> InteractingModels:
     return bank.make(*np.exp(logs).tolist())
 
 
 def log_likelihood(switching: InteractingModels, pieces: Sequence[EvidencePiece]) -> float:
-    """Return the log-likelihood of pieces of a record, each begun anew."""
+    """Return the log-likelihood of pieces of a record; the filter starts anew in each."""
     total = 0.0
     for piece in pieces:
         bank = switching.bank(piece.lengths)
@@ -252,7 +263,7 @@ def log_likelihood(switching: InteractingModels, pieces: Sequence[EvidencePiece]
 
 
 def pieces_of(evidence: Evidence, row: int) -> list[EvidencePiece]:
-    """Return a record, or, of a long one, pieces that are spread over it, and one about a row."""
+    """Return a record as one piece; a long one as pieces spread over it, and one around a row."""
     parts, last = [slice(0, len(evidence.z))], len(evidence.z) - _PIECE
     if last > _PIECE * (_PIECES - 1):
         starts = [*np.linspace(0, last, _PIECES - 1).astype(int).tolist(), min(max(row - _PIECE // 2, 0), last)]
@@ -265,7 +276,7 @@ def pieces_of(evidence: Evidence, row: int) -> list[EvidencePiece]:
 
 
 def _few_lengths(elapsed: Floats) -> Floats:
-    """Round steps so that few are different."""
+    """Round the lengths of steps so that there are at most 64 different ones."""
     if len(np.unique(elapsed)) <= _DIFFERENT_STEPS:
         return elapsed
     least = max(float(elapsed[elapsed > 0].min(initial=1.0)), 1e-6)
@@ -275,7 +286,7 @@ def _few_lengths(elapsed: Floats) -> Floats:
 
 
 def quiet_variance(z: Floats) -> float:
-    """Return the variance of white noise as quiet as the quietest tenth of a record (N,), by its second differences."""
+    """Return the variance of white noise as quiet as the quietest tenth of a record (N,), from second differences."""
     bends = np.diff(z, 2)
     width = min(_BLOCK, max(len(bends) // 10, 1))
     blocks = bends[: len(bends) // width * width].reshape(-1, width)
@@ -283,12 +294,12 @@ def quiet_variance(z: Floats) -> float:
 
 
 def middle_variance(z: Floats) -> float:
-    """Return the variance of white noise as the middle of the second differences of a record (N,) tells it."""
+    """Return the variance of white noise from the median second difference of a record (N,)."""
     return float(1.4826 * np.median(np.abs(np.diff(z, 2)))) ** 2 / 6
 
 
 def outstanding_variance(z: Floats, r: float) -> float:
-    """Return the mean square by which readings (N,) that stand out of noise of variance r do so; 0 where none does."""
+    """Return the mean squared distance of outliers to the running median of z (N,), at noise variance r; 0 if none."""
     if len(z) < WINDOW:
         return 0.0
     apart = z - running_median(z)

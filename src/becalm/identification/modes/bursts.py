@@ -1,9 +1,9 @@
-"""Calm motion and violent motion: a filter for each, and the calm one tuned on what is calm.
+"""Identify a filter with two modes, calm and violent motion, and tune the calm one on the calm rows.
 
-One shock in a long record is enough to make a fixed filter so quick that it leaves most of the noise everywhere. So
-the rows of violent motion are found by a first bank; the filter is chosen again as though they were missing; and a
-bank of it, and of the same motion much louder, is searched. That is expectation and maximisation with hard decisions.
-Source: Celeux and Govaert, Computational Statistics and Data Analysis 14 (1992) 315.
+One shock in a long record is enough to make a fixed filter so fast that it leaves most of the noise everywhere. So a
+first IMM finds the rows of violent motion; the filter is chosen again as if those rows were missing; and the IMM of
+this filter, and of the same motion with a much larger Q, is searched. That is expectation maximisation with hard
+decisions. Source: Celeux and Govaert, Computational Statistics and Data Analysis 14 (1992) 315.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from becalm.identification.modes.banks import (
     with_wild_share,
 )
 
-_ROUNDS = 2  # of finding what is violent, and of tuning what is calm
-_MOST = 0.3  # share of violent readings, from which on the calm is no exception to tune on
-_BESIDE = 10  # readings on each side that count to it as well: its ends are not told from calm motion
-_LIKELY = 0.5  # probability of a burst, from which a reading counts to it
-_MOST_STATES = HIGHEST_ORDER + 1  # of a filter for which a bank is looked for: more keep a person waiting
+_ROUNDS = 2  # of finding the violent rows, and tuning the calm ones
+_MOST_VIOLENT = 0.3  # largest share of violent readings; with more, the calm rows are too few to tune on
+_MARGIN = 10  # readings on each side of a burst that belong to it: its ends look like calm motion
+_LIKELY = 0.5  # probability of a burst from which a reading belongs to it
+_MOST_STATES = HIGHEST_ORDER + 1  # of a filter in an IMM; the search would be too slow with more
 
 
 class Bursting(NamedTuple):
-    """A filter for calm motion, and the bank of it and of violent motion."""
+    """A filter for calm motion, and the IMM of calm and violent motion."""
 
     tuning: Tuning
     switching: InteractingModels
@@ -48,70 +48,70 @@ class Bursting(NamedTuple):
 def find_bursting(
     tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool
 ) -> tuple[Bursting, Bursting]:
-    """Find a bank of calm and violent motion, and the filter of calm motion; and the same without wild readings.
+    """Find the IMM of calm and violent motion, and the filter of calm motion; the second result has no outliers.
 
     Parameters
     ----------
     tuning : Tuning
-        The fixed filter that foretells all readings best.
+        The fixed filter that predicts all readings best.
     evidence : Evidence
         The readings.
     pieces : list of EvidencePiece
-        Those of them that banks are compared on; the last is about a row where something happened.
+        The readings that IMMs are compared on; the last piece is around a row where something happened.
     causal : bool
-        Whether it shall filter (True) or smooth.
+        True for a filter, False for a smoother.
     """
-    found = _find_bursting(tuning, evidence, pieces, causal)
-    believing = with_wild_share(found.switching, 0.0)
-    return found, Bursting(found.tuning, believing, log_likelihood(believing, pieces))
+    bursts = _find_bursting(tuning, evidence, pieces, causal)
+    without_outliers = with_wild_share(bursts.switching, 0.0)
+    return bursts, Bursting(bursts.tuning, without_outliers, log_likelihood(without_outliers, pieces))
 
 
 def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool) -> Bursting:
-    found, before = _searched(tuning, bursting(tuning, evidence), pieces[-1:]), np.zeros(len(evidence.z), dtype=bool)
+    best, before = _search(tuning, bursting(tuning, evidence), pieces[-1:]), np.zeros(len(evidence.z), dtype=bool)
     for _ in range(_ROUNDS):
-        violent = _find_violent(found.switching, evidence)
-        if np.array_equal(violent, before) or violent.mean() > _MOST:
+        violent = _find_violent(best.switching, evidence)
+        if np.array_equal(violent, before) or violent.mean() > _MOST_VIOLENT:
             break
-        calm, before = _without(violent, evidence), violent
+        calm, before = _without_rows(violent, evidence), violent
         likeliest = [damped(tune_motion(order, calm), calm) for order in ORDERS]
         tried = [
-            _searched(one, bursting(one, evidence, found.switching), pieces[-1:]) for one in likeliest if one.ratio > 0
+            _search(one, bursting(one, evidence, best.switching), pieces[-1:]) for one in likeliest if one.ratio > 0
         ]
-        found = max([found, *tried], key=lambda one: one.log_likelihood)
+        best = max([best, *tried], key=lambda one: one.log_likelihood)
     if not before.any():
-        found = _searched(tuning, bursting(tuning, evidence), pieces)
-        return found._replace(tuning=of_first_mode(tuning, found.switching))
-    found = _searched(found.tuning, bursting(found.tuning, evidence, found.switching), pieces)
-    chosen = _chosen(_without(before, evidence), causal)
+        best = _search(tuning, bursting(tuning, evidence), pieces)
+        return best._replace(tuning=of_first_mode(tuning, best.switching))
+    best = _search(best.tuning, bursting(best.tuning, evidence, best.switching), pieces)
+    chosen = _choose_calm(_without_rows(before, evidence), causal)
     if chosen is None:
-        return found
-    other = _searched(chosen, bursting(chosen, evidence, found.switching), pieces)
+        return best
+    other = _search(chosen, bursting(chosen, evidence, best.switching), pieces)
     if causal:
-        return max(found, other, key=lambda one: one.log_likelihood)
-    errors = [hidden_errors(ImmFlow(one.switching, causal=False), evidence) for one in (found, other)]
-    return other if errors[1].sum() <= errors[0].sum() else found  # what foretells best need not smooth best
+        return max(best, other, key=lambda one: one.log_likelihood)
+    errors = [hidden_errors(ImmFlow(one.switching, causal=False), evidence) for one in (best, other)]
+    return other if errors[1].sum() <= errors[0].sum() else best  # the best predictor need not be the best smoother
 
 
-def _chosen(calm: Evidence, causal: bool) -> Tuning | None:
-    """Choose the filter of calm motion; without its tones, if a bank of them would have too many states."""
+def _choose_calm(calm: Evidence, causal: bool) -> Tuning | None:
+    """Choose the filter of calm motion, without tones if an IMM with them would have too many states."""
     choice = choose(calm.z[:, 0], calm.elapsed, causal)
     alone = None if choice.motion is None else damped(choice.motion, calm)
     fitting = (one for one in (choice.tuning, alone) if one is not None and one.ratio > 0)
     return next((one for one in fitting if len(one.component.drift) <= _MOST_STATES), None)
 
 
-def _without(violent: Booleans, evidence: Evidence) -> Evidence:
+def _without_rows(violent: Booleans, evidence: Evidence) -> Evidence:
     return Evidence.of(np.where(violent, np.nan, evidence.z[:, 0]), evidence.elapsed)
 
 
-def _searched(tuning: Tuning, bank: ImmFamily, pieces: list[EvidencePiece]) -> Bursting:
+def _search(tuning: Tuning, bank: ImmFamily, pieces: list[EvidencePiece]) -> Bursting:
     return Bursting(tuning, *searched(bank, pieces))
 
 
 def _find_violent(switching: InteractingModels, evidence: Evidence) -> Booleans:
-    """Tell which readings (N,) belong to violent motion, as a smoother sees it."""
+    """Return which readings (N,) belong to violent motion, by the IMM smoother."""
     flow = ImmFlow(switching, causal=False, tells_modes=True)
-    told = [*flow.push(evidence.z[:, 0], evidence.elapsed), *flow.finish()]
-    violent = np.concatenate([one.parts[-1] for one in told]) > _LIKELY
-    near: Booleans = np.convolve(violent, np.ones(2 * _BESIDE + 1), "same") > 0.5
+    smoothed = [*flow.push(evidence.z[:, 0], evidence.elapsed), *flow.finish()]
+    violent = np.concatenate([one.parts[-1] for one in smoothed]) > _LIKELY
+    near: Booleans = np.convolve(violent, np.ones(2 * _MARGIN + 1), "same") > 0.5
     return near

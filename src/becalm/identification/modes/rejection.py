@@ -1,4 +1,7 @@
-"""Whether rejected readings are outliers, or motion: an outlier stands alone among neighbours that are calmer."""
+"""Decide whether rejected readings are outliers or motion.
+
+An outlier stands out from its neighbours, which are calmer.
+"""
 
 from __future__ import annotations
 
@@ -8,29 +11,30 @@ from numpy.lib.stride_tricks import sliding_window_view
 from becalm.core.arrays import Booleans, Floats
 
 MOSTLY = 0.75
-"""Share of the rejected readings that have to stand out of their neighbours."""
+"""Least share of the rejected readings that must stand out from their neighbours."""
 
-_STANDS_OUT = 1.5  # times the local root mean square of second differences, which is 2.4 of white noise
-_NEAR, _FEWEST = 8, 4  # readings on each side, and second differences that have to be among them
+_STANDS_OUT = 1.5  # times the local RMS of second differences, which is 2.4 standard deviations for white noise
+_NEAR, _FEWEST = 8, 4  # readings on each side; least number of second differences among them
 
 
 def stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -> bool:
-    """Return whether most of the rejected readings stand out of their neighbours on both sides.
+    """Return whether most of the rejected readings stand out from their neighbours on both sides.
 
     Parameters
     ----------
     readings : (N,) float array
-        In the channel's unit, NaN where missing.
+        Measurements in the channel's unit, NaN where missing.
     rejected : (N,) bool array
-        Those that a filter does not believe.
+        True where a filter rejected the reading.
     at_jumps : bool
-        Whether the first readings after a jump may be among them, as where a filter waits for the next one.
+        True if a first reading after a jump may be rejected, as by a filter that waits for the next reading.
 
     Notes
     -----
-    Each rejected reading is compared with the line between the nearest accepted readings, and its distance with the
-    second differences of the accepted readings near it. In a shock, a reversal or an impact the neighbours move as
-    much as the rejected reading does; where readings jump, they lie farther apart than it does from one of them.
+    The distance of each rejected reading from the line between the nearest accepted readings is compared with the
+    second differences of the accepted readings near it. In a shock, a reversal or an impact the neighbours move as much
+    as the rejected reading does. At a jump the neighbours are farther from each other than the rejected reading is from
+    one of them.
     """
     seen = np.isfinite(readings)
     z, out = readings[seen], rejected[seen]
@@ -48,7 +52,7 @@ def stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -
 
 
 def _roughness(z: Floats, out: Booleans) -> Floats:
-    """Return the root mean square (N,) of second differences of accepted readings near each; inf where few are."""
+    """Return the RMS (N,) of second differences of the accepted readings near each reading; inf where these are few."""
     bends, valid = np.zeros(len(z)), np.zeros(len(z))
     if len(z) > 2:
         valid[1:-1] = ~(out[:-2] | out[1:-1] | out[2:])

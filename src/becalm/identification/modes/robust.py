@@ -1,7 +1,7 @@
 """Identify a robust filter, for records with up to one outlier in ten samples.
 
-Wild readings inflate the noise, and hide what moves and what hums; so once the bank has told which they are, each is
-replaced by a draw from what all others say of it, the channel's filter is chosen again, and the bank with it.
+Outliers inflate the noise, and hide motion and tones. So once the IMM has found the outliers, each is replaced by a
+draw from its distribution given all other readings, and the channel's filter and its IMM are chosen again.
 """
 
 from __future__ import annotations
@@ -17,33 +17,35 @@ from becalm.identification.modes.switching import Switched
 
 
 def choose_robust(tuning: Tuning, evidence: Evidence, causal: bool) -> Switched:
-    """Choose the filter of one channel of whose readings many are wild.
+    """Choose the filter of one channel with many outliers.
 
     Parameters
     ----------
     tuning : Tuning
-        The filter chosen as if every reading were good.
+        The filter that was chosen as if there were no outliers.
     evidence : Evidence
-        The readings, wild ones among them.
+        The readings with their outliers.
     causal : bool
-        Whether the filter shall run causally.
+        True for a filter, False for a smoother.
     """
     first, readings, elapsed = robust_filter(tuning, evidence), evidence.z[:, 0], evidence.elapsed
-    wild = find_wild(first.switching, readings, elapsed)
-    tame = imputed(of_first_mode(tuning, first.switching), readings, elapsed, wild)
-    found = choose(tame, elapsed, causal).tuning
-    return first if found is None else robust_filter(found, evidence)
+    outliers = find_wild(first.switching, readings, elapsed)
+    repaired = imputed(of_first_mode(tuning, first.switching), readings, elapsed, outliers)
+    chosen = choose(repaired, elapsed, causal).tuning
+    return first if chosen is None else robust_filter(chosen, evidence)
 
 
 def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
-    """Return a fixed filter with heavy tails: its noise, its process noise and its wild readings found by likelihood.
+    """Return a fixed filter with heavy-tailed noise.
+
+    Its noise, process noise and outliers are identified by likelihood.
 
     Parameters
     ----------
     tuning : Tuning
-        The filter, perhaps with tones.
+        The filter to start from, perhaps with tones.
     evidence : Evidence
-        The readings, wild ones among them.
+        The readings with their outliers.
     """
     switching, value = searched(spiky(tuning, evidence), pieces_of(evidence, len(evidence.z) // 2))
     return Switched("spiky", switching, value, np.nan, tuning)

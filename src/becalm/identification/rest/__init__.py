@@ -1,1 +1,1 @@
-"""Noise at rest: found by itself, by Allan deviations, and as data sheets say it."""
+"""Identify the noise of a sensor at rest: find rests, measure R and Allan deviations, convert datasheet numbers."""

@@ -1,13 +1,12 @@
-"""The overlapping Allan deviation of a motionless sensor, with confidence intervals.
+"""Compute the overlapping Allan deviation of a motionless sensor, with confidence intervals.
 
 With theta the cumulative sum of the readings x over a step T, and a cluster of m readings, tau = m T,
 
     sigma^2(tau) = mean of (theta[k + 2 m] - 2 theta[k + m] + theta[k])^2 / (2 tau^2)
 
-over every k. What `allan_terms` reads from the curve is white noise, bias instability, random walk.
-Sources: IEEE Std 952-1997, annex C; Riley, Handbook of Frequency Stability Analysis, NIST SP 1065
-(2008), whose phase is theta and whose frequency is a reading; Riley and Greenhall, 18th EFTF (2004),
-for the type of noise from the lag-1 autocorrelation.
+over every k. `allan_terms` fits white noise, bias instability and random walk to the curve. Sources: IEEE Std 952-1997,
+annex C; Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), where theta is called phase and a reading
+frequency; Riley and Greenhall, 18th EFTF (2004), for the type of noise from the lag-1 autocorrelation.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from becalm.core.arrays import Floats, Integers, frozen, real
 from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import RecordingError, UsageError
 
-_FEWEST_CLUSTERS = 128  # below which the lag-1 autocorrelation takes chance for another type of noise
-_SLOPE_OF_WALK = 0.25  # of delta in Riley and Greenhall: above it the clusters are differenced once
-_STEEPEST = 2  # exponents of f in the spectrum: from -2, random walk, to 2, quantisation
-_WHOLE = 1e-6  # how near to a whole number of steps, relatively, a cluster time must be
+_FEWEST_CLUSTERS = 128  # least number for the lag-1 autocorrelation; with fewer, chance mimics other types of noise
+_SLOPE_OF_WALK = 0.25  # delta in Riley and Greenhall above which the clusters are differenced once
+_STEEPEST = 2  # largest exponent of f in the spectrum: from -2, random walk, to 2, quantisation
+_WHOLE = 1e-6  # relative tolerance of a cluster time that must be a whole number of steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,19 +38,19 @@ class AllanCurve:
     deviation : (k,) float array
         sigma(tau), in the unit of the readings.
     low, high : (k,) float array
-        Bounds of the true deviation, in the unit of the readings, each missed with equal chance.
+        Bounds of the true deviation, in the unit of the readings, with equal probability of error on each side.
     degrees_of_freedom : (k,) float array
-        Equivalent degrees of freedom of sigma^2; a *small* number says that the record has few
-        independent clusters of this length, so that the deviation is not to be trusted.
+        Equivalent degrees of freedom of sigma^2. A *small* number means that the record has few independent clusters of
+        this length, so the deviation is unreliable.
     noise_exponent : (k,) int array
-        Of the frequency in the noise's spectrum around 1/tau: 2 quantisation, 1 between, 0 white,
-        -1 bias instability (flicker), -2 random walk or steeper.
+        Exponent of the frequency in the noise's spectrum around 1/tau: 2 quantisation, 1 between, 0 white, -1 bias
+        instability (flicker), -2 random walk or steeper.
     counts : (k,) int array
-        Differences averaged.
+        Number of differences averaged.
     step_s : float
         T, the time between two readings, in seconds.
     confidence : float
-        Chance that an interval holds the true deviation.
+        Probability that an interval holds the true deviation.
     """
 
     cluster_times_s: Floats
@@ -81,45 +80,47 @@ def allan_deviation(
     Parameters
     ----------
     readings : (N,) array_like
-        Of a rate, an acceleration, a strain: what the sensor reads, not its integral. NaN or inf is a
-        reading that did not come, and the differences that need it are left out, so that a gap costs
-        cluster times about as long as the stretches beside it, and nothing else.
+        Readings of a rate, an acceleration or a strain, not of its integral. NaN or inf marks a missing reading.
+        Differences that need it are left out; a gap costs only cluster times about as long as the stretches on both
+        sides.
     rate_hz : float
-        Readings a second, at even distances; rows that are absent must be put in as NaN.
+        Readings per second, evenly spaced; missing rows must be present as NaN.
     cluster_times_s : {"octave", "decade"} or (k,) array_like
-        Steps times 1, 2, 4, 8, ... or 1, 2, 5, 10, ... up to half of the record; or cluster times in
+        Cluster times of 1, 2, 4, 8, ... or 1, 2, 5, 10, ... steps, up to half of the record; or cluster times in
         seconds, each a whole number of steps.
     confidence : float
-        Of the intervals, between 0 and 1; a *small* one makes them narrow.
+        Confidence level of the intervals, between 0 and 1; a *small* one makes them narrow.
 
     Raises
     ------
     RecordingError
-        If no two readings came in a row, or they are not one column of numbers.
+        If no two readings follow each other, or they are not one column of numbers.
     UsageError
-        If the rate or the confidence is out of range, or a cluster time cannot be had.
+        If the rate or the confidence is out of range, or a cluster time is not possible.
 
     Notes
     -----
-    Each cluster time costs one pass over the record. The intervals are those of chi-square with the
-    degrees of freedom of NIST SP 1065, section 5.4, for the type of noise found at that cluster time; where
-    a record has under 128 such clusters, at the longest cluster time that has, or white if none.
+    Each cluster time costs one pass over the record. The intervals are those of chi-square with the degrees of freedom
+    of NIST SP 1065, section 5.4, for the type of noise at that cluster time. Where a record has under 128 such
+    clusters, the type is that of the longest cluster time with more, or white if there is none.
     """
     x = _column(readings)
     if not (SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
-        raise UsageError(f"rate_hz = {rate_hz} is not a rate; give the readings a second, as 100.0.")
+        raise UsageError(
+            f"rate_hz = {rate_hz} is not a rate; give the number of readings per second, for instance 100.0."
+        )
     if not (0 < confidence < 1):
         raise UsageError(f"confidence = {confidence} is not between 0 and 1; give for instance 0.95.")
-    asked = cluster_times_s if isinstance(cluster_times_s, str) else None
-    sizes = _series(asked, len(x)) if asked else _whole_steps(cluster_times_s, rate_hz, len(x))
+    series = cluster_times_s if isinstance(cluster_times_s, str) else None
+    sizes = _series(series, len(x)) if series else _whole_steps(cluster_times_s, rate_hz, len(x))
     theta, absent = _sums(x)
     mean_squares, counts = np.array([_mean_square(theta, absent, int(m)) for m in sizes]).T
-    if not asked and not counts.all():
+    if not series and not counts.all():
         longest = sizes[counts == 0][0] / rate_hz
         raise UsageError(f"No stretch without a gap is twice as long as {longest:g} s; leave this cluster time out.")
     if not counts.any():
         raise RecordingError(
-            "An Allan deviation needs readings in a row, and no two are; give the record as it was sampled."
+            "An Allan deviation needs consecutive readings, and there are no two; give the record as it was sampled."
         )
     sizes, mean_squares, counts = (each[counts > 0] for each in (sizes, mean_squares, counts))
     exponents = _exponents(theta, absent, sizes)
@@ -151,11 +152,11 @@ def _column(readings: ArrayLike) -> Floats:
 
 
 def _sums(x: Floats) -> tuple[Floats, Integers]:
-    """Return theta (N + 1,) in steps, of the readings about their mean, and how many are absent before each."""
-    came = np.isfinite(x)
-    mean = x.mean(where=came) if came.any() else 0.0
-    theta = np.cumsum(np.append(0.0, np.where(came, x - mean, 0.0)))
-    return theta, np.cumsum(np.append(0, ~came))
+    """Return theta (N + 1,), the sum of the readings about their mean, and how many are missing before each point."""
+    finite = np.isfinite(x)
+    mean = x.mean(where=finite) if finite.any() else 0.0
+    theta = np.cumsum(np.append(0.0, np.where(finite, x - mean, 0.0)))
+    return theta, np.cumsum(np.append(0, ~finite))
 
 
 def _mean_square(theta: Floats, absent: Integers, m: int) -> tuple[float, int]:
@@ -172,7 +173,7 @@ def _mean_square(theta: Floats, absent: Integers, m: int) -> tuple[float, int]:
 def _series(name: str, count: int) -> Integers:
     """Return the cluster sizes of a named series, up to half of the record."""
     if name not in ("octave", "decade"):
-        raise UsageError(f"cluster_times_s = {name!r} is not known; use 'octave', 'decade', or times in seconds.")
+        raise UsageError(f"cluster_times_s = {name!r} is not a series; use 'octave', 'decade', or times in seconds.")
     factors = np.array([1]) if name == "octave" else np.array([1, 2, 5])
     base = 2 if name == "octave" else 10
     sizes = np.multiply.outer(base ** np.arange(60 if base == 2 else 18), factors).ravel()
@@ -181,17 +182,17 @@ def _series(name: str, count: int) -> Integers:
 
 
 def _whole_steps(cluster_times_s: ArrayLike, rate_hz: float, count: int) -> Integers:
-    """Turn cluster times in seconds into readings."""
+    """Convert cluster times in seconds to numbers of readings."""
     try:
         steps = np.unique(np.asarray(real(cluster_times_s), dtype=np.float64).ravel() * rate_hz)
     except (TypeError, ValueError) as cause:
-        raise UsageError(f"cluster_times_s is not numbers of seconds ({cause}).") from cause
+        raise UsageError(f"cluster_times_s does not hold numbers of seconds ({cause}).") from cause
     if not len(steps):
         raise UsageError("cluster_times_s is empty; give times in seconds, or 'octave'.")
     for step in steps:
         if not (0.5 < step <= count / 2 + 0.5):
             raise UsageError(
-                f"A cluster time of {step / rate_hz:g} s cannot be had from {count} readings at {rate_hz:g} Hz; "
+                f"A cluster time of {step / rate_hz:g} s is not possible with {count} readings at {rate_hz:g} Hz; "
                 f"give {1 / rate_hz:g} to {count // 2 / rate_hz:g} s."
             )
         if abs(step - round(step)) > _WHOLE * step:
@@ -204,19 +205,19 @@ def _whole_steps(cluster_times_s: ArrayLike, rate_hz: float, count: int) -> Inte
 
 
 def _exponents(theta: Floats, absent: Integers, sizes: Integers) -> Integers:
-    """Tell the type of noise at each cluster size; long clusters, too few to tell, are taken for the last that told."""
-    found, exponents = 0, []
+    """Return the noise exponent at each cluster size; where the clusters are too few, that of the size before."""
+    exponent, exponents = 0, []
     for m in sizes:
         means = np.diff(theta[::m]) / m
         means[np.diff(absent[::m]) > 0] = np.nan
         if np.count_nonzero(np.isfinite(means)) >= _FEWEST_CLUSTERS:
-            found = _exponent(means)
-        exponents.append(found)
+            exponent = _exponent(means)
+        exponents.append(exponent)
     return np.array(exponents, dtype=np.int64)
 
 
 def _exponent(means: Floats) -> int:
-    """Tell the type of noise from the means of adjacent clusters; NaN is a mean that is not known."""
+    """Return the noise exponent from the means of adjacent clusters, which are NaN where unknown."""
     delta, differenced = _delta(means), 0
     if delta >= _SLOPE_OF_WALK:
         delta, differenced = _delta(np.diff(means)), 1
@@ -248,7 +249,7 @@ def _freedom(exponent: int, m: int, count: int) -> float:
 
 
 def _chi_square(freedom: Floats, probability: float) -> Floats:
-    """Return the quantile of chi-square."""
+    """Return the quantile of chi-square at a probability."""
     from scipy.special import gammaincinv
 
     return np.asarray(2 * gammaincinv(freedom / 2, probability), dtype=np.float64)

@@ -1,9 +1,8 @@
-"""How Allan variances at several cluster times spread together, for each kind of noise.
+"""Compute the covariance of Allan variances at several cluster times, for each kind of noise.
 
-Second differences of theta over m_i and m_j readings, M_i and M_j of them, have the covariances c;
-of Gaussian noise the Allan variances then have the covariance 2 sum c^2 / (M_i M_j (2 m_i m_j)^2).
-Everything is in steps, T = 1. Source: Greenhall and Riley, Uncertainty of stability variances based
-on finite differences, 35th PTTI (2003).
+M_i and M_j second differences of theta over m_i and m_j readings have the covariances c. For Gaussian noise the Allan
+variances then have the covariance 2 sum c^2 / (M_i M_j (2 m_i m_j)^2). Everything is in steps, T = 1. Source: Greenhall
+and Riley, Uncertainty of stability variances based on finite differences, 35th PTTI (2003).
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from becalm.core.arrays import Floats, Integers, frozen
 FLICKER = 2 * np.log(2) / np.pi
 """Allan variance of bias instability over B^2; its root is 0.664."""
 
-_NODES = 8  # lags between two knots
+_NODES = 8  # lags between two knots at which the covariance is evaluated
 
 
 def shapes(sizes: Floats | Integers) -> Floats:
@@ -29,18 +28,18 @@ def shapes(sizes: Floats | Integers) -> Floats:
 
 @lru_cache(maxsize=8)  # channels of one record share it
 def spreads(sizes: tuple[int, ...], counts: tuple[int, ...]) -> Floats:
-    """Return S (k, k, 4, 4) by which p' S[i, j] p is the covariance of two Allan variances.
+    """Return S (k, k, 4, 4) such that p' S[i, j] p is the covariance of two Allan variances.
 
     Parameters
     ----------
     sizes : tuple of k int
         m, readings in a cluster, ascending.
     counts : tuple of k int
-        M, differences averaged.
+        M, number of differences averaged.
 
     Notes
     -----
-    p holds Q^2, N^2, B^2, K^2. The lags that stand for others cost 0.3 % at the most.
+    p holds Q^2, N^2, B^2, K^2. Evaluating only some of the lags costs at most 0.3 % accuracy.
     """
     spread = np.zeros((len(sizes), len(sizes), 4, 4))
     for i, j in combinations_with_replacement(range(len(sizes)), 2):
@@ -56,8 +55,8 @@ def _covariances(lags: Floats, m: float) -> Floats:
 
     Notes
     -----
-    It is the second difference of theta's generalised autocovariance, which is 1 at t = 0, -|t| / 2,
-    t^2 ln|t| / (2 pi), (|t|^3 - |t|) / 12, written so that far away no digits are lost.
+    It is the second difference of theta's generalised autocovariance, which is 1 at t = 0, -|t| / 2, t^2 ln|t| / (2
+    pi), (|t|^3 - |t|) / 12 for the four terms. The form avoids a loss of digits at large lags.
     """
     t = np.abs(lags)
     jumps = (t == m) - 2.0 * (t == 0)
@@ -72,17 +71,17 @@ def _covariances(lags: Floats, m: float) -> Floats:
 
 
 def _flicker(t: Floats) -> Floats:
-    """Return t^2 ln|t|, 0 at 0."""
+    """Return t^2 ln|t|, which is 0 at 0."""
     result: Floats = t**2 * np.log(np.where(t == 0, 1.0, np.abs(t)))
     return result
 
 
 def _lags(m: float, n: float, first: float, second: float) -> tuple[Floats, Floats]:
-    """Return lags from `first` differences over m readings to `second` over n, and how many pairs each stands for.
+    """Return lags between `first` differences over m readings and `second` over n, and the pairs each represents.
 
     Notes
     -----
-    Between knots, which are dense where the covariance bends, Gauss's eight points stand for all lags.
+    Knots are dense where the covariance bends. Between two knots, eight Gauss-Legendre points represent all lags.
     """
     reach = m * np.append(0, 2.0 ** np.arange(np.ceil(np.log2((first + second) / m)) + 1))
     near = [centre + sign * reach for centre in (0.0, -n, -2 * n, m, 2 * m) for sign in (-1, 1)]

@@ -1,13 +1,13 @@
-"""White noise, bias instability and random walk from an Allan deviation, each with its standard error.
+"""Estimate white noise, bias instability and random walk from an Allan deviation, with standard errors.
 
 With m readings in a cluster, in steps T = 1, the Allan variance of the four terms is
 
     3 Q^2 / m^2,   N^2 / m,   (2 ln 2 / pi) B^2,   K^2 (m / 3 + 1 / (6 m))
 
-and weighted least squares find Q^2, N^2, B^2, K^2, none negative. The last is that of a random walk
-read at its instants, as the bias state of a filter is; averaged over each step it would be K^2 m / 3.
-Standard errors count that the variances at two cluster times come from the same record (`allan_covariance`).
-Source: IEEE Std 952-1997, annex C.
+and weighted least squares find Q^2, N^2, B^2, K^2, none negative. The last term is that of a random walk sampled at
+instants, as the bias state of a filter is; a random walk averaged over each step would give K^2 m / 3. Standard errors
+take into account that the variances at two cluster times come from the same record (`allan_covariance`). Source: IEEE
+Std 952-1997, annex C.
 """
 
 from __future__ import annotations
@@ -26,35 +26,36 @@ from becalm.identification.rest.datasheet import noise_variance
 
 FEWEST_CLUSTER_TIMES = 6
 
-_EARNED = 9.0  # by each term, in twice the log-likelihood: what three standard errors earn
-_FORM = 0.02  # of the variance: how well four straight lines can describe any sensor
+_TERM_COST = 9.0  # gain in twice the log-likelihood that each term needs: that of three standard errors
+_FORM = 0.02  # relative model error of a variance: four straight lines describe no sensor exactly
 _ONE_SIDED_95 = 1.645
 _ROUNDS = 20
 
-_UNTOLD = (
+_REASONS = (
     "No quantisation shows at the shortest cluster times.",
-    "White noise is nowhere loud enough to be seen. Sample faster.",
-    "The Allan deviation has no flat stretch that the other terms leave unexplained: bias instability is not told.",
-    "The Allan deviation does not rise up to the longest cluster time, {longest:.3g} s: the random walk is not told. "
-    "A smaller one needs a longer record.",
+    "White noise is not loud enough at any cluster time. Sample faster.",
+    "The Allan deviation has no flat stretch that the other terms do not explain: bias instability is undetermined.",
+    "The Allan deviation does not rise up to the longest cluster time, {longest:.3g} s: the random walk is "
+    "undetermined. A smaller one needs a longer record.",
 )
 
 
 @dataclass(frozen=True)
 class NoiseTerm:
-    """One coefficient, or why it is not told.
+    """One coefficient, or the reason why it is undetermined.
 
     Attributes
     ----------
     value : float
-        NaN if this record cannot tell it.
+        The coefficient; NaN if this record does not determine it.
     standard_error : float
-        Of the value, in its unit; NaN with it. It counts the terms that were found as the only ones.
+        Standard error of the value, in its unit; NaN if the value is. It assumes that there are no other terms than
+        those found.
     limit : float
-        What the coefficient does not exceed, at 95 % one-sided by the normal approximation; told in either
-        case. Of simulated records it held in 88 to 100 %.
+        Upper bound of the coefficient, at 95 % one-sided by the normal approximation; given in either case. It held for
+        88 to 100 % of simulated records.
     reason : str
-        Why there is no value, in a sentence; "" where there is one.
+        A sentence on why there is no value; "" where there is one.
     """
 
     value: float
@@ -65,23 +66,23 @@ class NoiseTerm:
 
 @dataclass(frozen=True)
 class NoiseTerms:
-    """What makes the noise of a sensor at rest; every density is two-sided.
+    """The terms of a sensor's noise at rest; every density is two-sided.
 
     Attributes
     ----------
     quantisation : NoiseTerm
-        Q, in unit s: the noise of each sum theta, as of a gyroscope that counts angles. The rounding
-        of a rate is white, and part of `white`.
+        Q, in unit s: the noise of each sum theta, as of a gyroscope that counts angles. The rounding of a rate is white
+        noise, and part of `white`.
     white : NoiseTerm
         N, in unit s^(1/2): angle or velocity random walk; sigma = N / sqrt(tau).
     bias_instability : NoiseTerm
-        B, in the unit: the flat stretch is 0.664 B.
+        B, in the unit; the flat stretch of the curve lies at 0.664 B.
     random_walk : NoiseTerm
         K, in unit / s^(1/2): rate random walk; sigma = K sqrt(tau / 3).
     misfit : float
-        Root mean square of what the fit leaves, in its own standard deviations: about 1 where the
-        four terms describe the sensor. Over 2, something else does: vibration, drift of the
-        temperature, a filter within the sensor.
+        Root mean square of the residuals of the fit, in their standard deviations: about 1 where the four terms
+        describe the sensor. Above 2, something else contributes: vibration, a drift of the temperature, a filter within
+        the sensor.
     step_s : float
         T, in seconds.
     """
@@ -94,24 +95,24 @@ class NoiseTerms:
     step_s: float
 
     def deviation(self, cluster_times_s: ArrayLike) -> Floats:
-        """Return the Allan deviation of the terms found, in the unit, at cluster times in seconds."""
+        """Return the Allan deviation of these terms, in the unit, at cluster times in seconds."""
         sizes = np.asarray(cluster_times_s, dtype=np.float64) / self.step_s
-        found = (self.quantisation, self.white, self.bias_instability, self.random_walk)
-        squares = np.nan_to_num([term.value for term in found]) ** 2 / _units(self.step_s)
+        terms = (self.quantisation, self.white, self.bias_instability, self.random_walk)
+        squares = np.nan_to_num([term.value for term in terms]) ** 2 / _units(self.step_s)
         result: Floats = np.sqrt(shapes(sizes) @ squares)
         return result
 
     def to_noise_variance(self, rate_hz: float) -> float:
-        """Return R = N^2 rate, in unit^2: the variance of one reading's white noise at `rate_hz` readings a second.
+        """Return R = N^2 rate, in unit^2: the variance of one reading's white noise at `rate_hz` readings per second.
 
         Raises
         ------
         UsageError
-            If the record does not tell white noise, or the rate is not positive.
+            If the record does not determine white noise, or the rate is not positive.
 
         Notes
         -----
-        At another rate than the record's it holds for a sensor that averages between two readings.
+        At a rate other than the record's, this holds for a sensor that averages between two readings.
         """
         return noise_variance(_value(self.white), rate_hz)
 
@@ -123,11 +124,11 @@ class NoiseTerms:
         Raises
         ------
         UsageError
-            If the record does not tell a random walk.
+            If the record does not determine a random walk.
 
         Notes
         -----
-        Bias instability has no finite model and is not in q. Where B is told and K is not, q = 0 would trust
+        Bias instability has no finite model and is not part of q. Where B is determined and K is not, q = 0 would trust
         the bias for ever; (K's `limit`)^2 is the largest q that this record allows.
         """
         return _value(self.random_walk) ** 2
@@ -139,8 +140,8 @@ def noise_terms(curve: AllanCurve) -> NoiseTerms:
     Parameters
     ----------
     curve : AllanCurve
-        At six cluster times or more; octaves are best. Where a filter within the sensor bends the
-        curve, give `allan_deviation` only cluster times longer than that filter.
+        The deviation at six cluster times or more; octaves are best. Where a filter within the sensor bends the curve,
+        give `allan_deviation` only cluster times longer than that filter.
 
     Raises
     ------
@@ -149,16 +150,15 @@ def noise_terms(curve: AllanCurve) -> NoiseTerms:
 
     Notes
     -----
-    Weights are those of the fitted variances, so that chance lows do not pull; 2 % of each variance is
-    allowed for what no straight line describes. Every choice of terms is fitted; the likeliest is taken, where
-    each term must raise twice the log-likelihood by 9, as one that is three standard errors above zero does.
-    A drift in one direction is read as random walk: take it out of the readings beforehand, or leave it
-    there, if the filter is to follow it.
+    The weights come from the fitted variances, so that a variance that is low by chance does not get a large weight; 2
+    % of each variance is added as a model error. Every choice of terms is fitted, and the likeliest is taken. Each term
+    must raise twice the log-likelihood by 9, as a term does that is three standard errors above zero. A steady drift
+    looks like a random walk: remove it from the readings beforehand, or leave it if the filter shall follow it.
     """
     if len(curve.deviation) < FEWEST_CLUSTER_TIMES:
         raise RecordingError(
-            f"{len(curve.deviation)} cluster times came; {FEWEST_CLUSTER_TIMES} are needed to tell kinds of noise "
-            f"apart: give 64 readings or more in a row."
+            f"{len(curve.deviation)} cluster times came; {FEWEST_CLUSTER_TIMES} are needed to distinguish kinds of "
+            f"noise: give 64 readings or more in a row."
         )
     if not np.all(curve.deviation > 0):
         raise RecordingError("The readings do not change over some cluster time; a sensor without noise has no terms.")
@@ -170,16 +170,16 @@ def noise_terms(curve: AllanCurve) -> NoiseTerms:
     errors[kept] = fit.errors(squares, kept)
     units = _units(curve.step_s) * curve.deviation[0] ** 2
     quantisation, white, bias_instability, random_walk = (
-        _found(squares[k] * units[k], errors[k] * units[k])
+        _determined(squares[k] * units[k], errors[k] * units[k])
         if k in kept
-        else _untold(k, fit.limit(squares, kept, k) * units[k], float(curve.cluster_times_s[-1]))
+        else _undetermined(k, fit.limit(squares, kept, k) * units[k], float(curve.cluster_times_s[-1]))
         for k in range(4)
     )
     return NoiseTerms(quantisation, white, bias_instability, random_walk, fit.misfit(squares), curve.step_s)
 
 
 class _Fit:
-    """Weighted least squares of an Allan variance, in steps and in units of its first value."""
+    """A weighted least-squares fit of an Allan variance, in steps and in units of its first value."""
 
     def __init__(self, curve: AllanCurve) -> None:
         self.variance = (curve.deviation / curve.deviation[0]) ** 2
@@ -187,12 +187,12 @@ class _Fit:
         self.spreads = spreads(tuple(curve.cluster_sizes.tolist()), tuple(curve.counts.tolist()))
 
     def covariance(self, squares: Floats) -> Floats:
-        """Return the covariance (k, k) of the variances, if `squares` are true."""
+        """Return the covariance (k, k) of the variances for given true `squares`."""
         spread: Floats = self.spreads @ squares @ squares
         return spread + np.diag((_FORM * self.shapes @ squares) ** 2)
 
     def solve(self, kept: list[int]) -> Floats:
-        """Return the squares (4,) that fit, of the kept terms; 0 for the others."""
+        """Return the fitted squares (4,) of the kept terms; 0 for the others."""
         from scipy.optimize import nnls
 
         squares, sigma = np.zeros(4), self.variance
@@ -207,13 +207,13 @@ class _Fit:
         return squares
 
     def cost(self, squares: Floats) -> float:
-        """Return minus twice the Gaussian log-likelihood of the variances, and what each term must earn."""
+        """Return minus twice the Gaussian log-likelihood of the variances, plus the cost of each term."""
         root = np.linalg.cholesky(self.covariance(squares))
-        left = np.linalg.solve(root, self.variance - self.shapes @ squares)
-        return float(left @ left + 2 * np.log(np.diag(root)).sum() + _EARNED * np.count_nonzero(squares))
+        residuals = np.linalg.solve(root, self.variance - self.shapes @ squares)
+        return float(residuals @ residuals + 2 * np.log(np.diag(root)).sum() + _TERM_COST * np.count_nonzero(squares))
 
     def errors(self, squares: Floats, columns: list[int]) -> Floats:
-        """Return the standard errors of some terms, estimated together, if `squares` are true."""
+        """Return the standard errors of some terms that are estimated together, for given true `squares`."""
         covariance = self.covariance(squares)
         sigma = np.sqrt(np.diag(covariance))[:, np.newaxis]
         weigh = np.linalg.pinv(self.shapes[:, columns] / sigma, rcond=1e-12) / sigma.T
@@ -221,7 +221,7 @@ class _Fit:
         return result
 
     def limit(self, squares: Floats, kept: list[int], term: int) -> float:
-        """Return what the square of a term taken out does not exceed, at 95 %, were it fitted with the others."""
+        """Return the 95 % upper bound of the square of a term that was left out, fitted with the others."""
         columns = [*kept, term]
         sigma = np.sqrt(np.diag(self.covariance(squares)))
         weighted = self.shapes[:, columns] / sigma[:, np.newaxis]
@@ -229,31 +229,31 @@ class _Fit:
         return max(estimate, 0.0) + _ONE_SIDED_95 * float(self.errors(squares, columns)[-1])
 
     def misfit(self, squares: Floats) -> float:
-        """Return the root mean square of what is left, in standard deviations."""
-        left = (self.variance - self.shapes @ squares) / np.sqrt(np.diag(self.covariance(squares)))
-        return float(np.sqrt(np.mean(left**2)))
+        """Return the root mean square of the residuals, in standard deviations."""
+        residuals = (self.variance - self.shapes @ squares) / np.sqrt(np.diag(self.covariance(squares)))
+        return float(np.sqrt(np.mean(residuals**2)))
 
 
 def _units(step_s: float) -> Floats:
-    """Return what turns Q^2, N^2, B^2, K^2 in steps into seconds, (4,)."""
+    """Return the factors (4,) that convert Q^2, N^2, B^2, K^2 from steps to seconds."""
     return np.array([step_s**2, step_s, 1.0, 1.0 / step_s])
 
 
-def _found(square: float, error: float) -> NoiseTerm:
-    """Return a coefficient from its square, and the error of that."""
+def _determined(square: float, error: float) -> NoiseTerm:
+    """Return a term from the square of its coefficient, and the standard error of the square."""
     value = float(np.sqrt(square))
     relative = float(error / (2 * square))
     return NoiseTerm(value, relative * value, value * float(np.exp(_ONE_SIDED_95 * relative)))
 
 
-def _untold(term: int, square: float, longest: float) -> NoiseTerm:
-    """Return what bounds a coefficient that was not found."""
+def _undetermined(term: int, square: float, longest: float) -> NoiseTerm:
+    """Return a term without a value, from the upper bound of its square."""
     limit = float(np.sqrt(square))
-    return NoiseTerm(np.nan, np.nan, limit, _UNTOLD[term].format(longest=longest))
+    return NoiseTerm(np.nan, np.nan, limit, _REASONS[term].format(longest=longest))
 
 
 def _value(term: NoiseTerm) -> float:
-    """Return the value of a term, or say why there is none."""
+    """Return the value of a term, or raise a UsageError with the reason why there is none."""
     if np.isnan(term.value):
         raise UsageError(f"{term.reason} Its `limit` may be used in its place.")
     return term.value

@@ -1,13 +1,13 @@
-"""Datasheet numbers to R and q, and back.
+"""Convert datasheet numbers to R and q, and back.
 
-Two densities of the same white noise go by the same unit. A *noise density* n_d, in ug/sqrt(Hz) or
-(deg/s)/sqrt(Hz), is one-sided: its square fills the band from 0 to half of the rate. An *angle* or
-*velocity random walk* N, in deg/sqrt(h) or (m/s)/sqrt(h), is two-sided, and what an Allan deviation
-reads: N = n_d / sqrt(2). The variance of one reading is R = N^2 rate = n_d^2 rate / 2.
+Two densities of the same white noise have the same unit. A *noise density* n_d, in ug/sqrt(Hz) or (deg/s)/sqrt(Hz), is
+one-sided: its square fills the band from 0 to half of the rate. An *angle* or *velocity random walk* N, in deg/sqrt(h)
+or (m/s)/sqrt(h), is two-sided, and is what an Allan deviation shows: N = n_d / sqrt(2). The variance of one reading is
+R = N^2 rate = n_d^2 rate / 2.
 
-The unit says which of the two is meant: per root of hertz one-sided, per root of time two-sided.
-Where a sheet states in words that its density is two-sided, its words hold: `convert` gives N then.
-The table of units (`datasheet_units`) is closed. Source: IEEE Std 952-1997, annex C.
+The unit shows which of the two is meant: one-sided per root of hertz, two-sided per root of time. If a datasheet states
+explicitly that its density is two-sided, use `convert`, which then gives N. The table of units (`datasheet_units`) is
+fixed. Source: IEEE Std 952-1997, annex C.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from becalm.identification.rest.datasheet_units import reading_size, walk_size, 
 
 
 def convert(value: float, unit: str, reading_unit: str) -> float:
-    """Return a bias, a step or another reading in another unit.
+    """Convert a bias, a step or another reading to another unit.
 
     Parameters
     ----------
     value : float
-        In `unit`.
+        The number in `unit`.
     unit, reading_unit : str
-        m/s^2, g, mg, ug; rad/s, deg/s, mdeg/s, deg/h; m/m, um/m, nm/m.
+        One of m/s^2, g, mg, ug; rad/s, deg/s, mdeg/s, deg/h; m/m, um/m, nm/m.
 
     Raises
     ------
@@ -37,102 +37,102 @@ def convert(value: float, unit: str, reading_unit: str) -> float:
 
 
 def white_noise(value: float, unit: str, reading_unit: str) -> float:
-    """Return N, two-sided, in reading_unit s^(1/2), of white noise as a datasheet gives it.
+    """Convert a datasheet's white noise to N, two-sided, in reading_unit s^(1/2).
 
     Parameters
     ----------
     value : float
-        In `unit`.
+        The datasheet's number, in `unit`.
     unit : str
-        One-sided per sqrt(Hz), as "ug/sqrt(Hz)", "(deg/s)/sqrt(Hz)", "um/m/sqrt(Hz)"; or two-sided of
-        the sum, as "deg/sqrt(h)", "(m/s)/sqrt(h)".
+        One-sided per sqrt(Hz), such as "ug/sqrt(Hz)", "(deg/s)/sqrt(Hz)", "um/m/sqrt(Hz)"; or two-sided for the
+        integral, such as "deg/sqrt(h)", "(m/s)/sqrt(h)".
     reading_unit : str
-        Unit of the readings to be filtered, as "m/s^2".
+        Unit of the readings to be filtered, such as "m/s^2".
 
     Raises
     ------
     UsageError
-        If the unit is not one of white noise, or measures something else.
+        If the unit is not one of white noise, or belongs to another quantity.
     """
     return _finite(value) * white_size(unit, reading_unit)
 
 
 def white_noise_in(unit: str, white: float, reading_unit: str) -> float:
-    """Return white noise as a datasheet would give it: the inverse of `white_noise`.
+    """Convert N to a datasheet's white noise: the inverse of `white_noise`.
 
     Parameters
     ----------
     unit : str
-        Of what is returned, as "ug/sqrt(Hz)" or "deg/sqrt(h)".
+        Unit of the result, such as "ug/sqrt(Hz)" or "deg/sqrt(h)".
     white : float
         N, two-sided, in reading_unit s^(1/2).
     reading_unit : str
-        Unit of the readings, as "m/s^2".
+        Unit of the readings, such as "m/s^2".
 
     Raises
     ------
     UsageError
-        If the unit is not one of white noise, or measures something else.
+        If the unit is not one of white noise, or belongs to another quantity.
     """
     return _finite(white) / white_size(unit, reading_unit)
 
 
 def random_walk(value: float, unit: str, reading_unit: str) -> float:
-    """Return K, in reading_unit / s^(1/2), of a rate random walk as a datasheet gives it.
+    """Convert a datasheet's rate random walk to K, in reading_unit / s^(1/2).
 
     Its square is the `noise_density` of `components.level`.
 
     Parameters
     ----------
     value : float
-        In `unit`.
+        The datasheet's number, in `unit`.
     unit : str
-        Of the reading per root of time, as "deg/s/sqrt(h)", "deg/h/sqrt(h)", "ug/sqrt(s)".
+        Unit of a reading per root of time, such as "deg/s/sqrt(h)", "deg/h/sqrt(h)", "ug/sqrt(s)".
     reading_unit : str
-        Unit of the readings to be filtered, as "deg/s".
+        Unit of the readings to be filtered, such as "deg/s".
 
     Raises
     ------
     UsageError
-        If the unit is not one of a random walk, or measures something else.
+        If the unit is not one of a random walk, or belongs to another quantity.
     """
     return _finite(value) * walk_size(unit, reading_unit)
 
 
 def random_walk_in(unit: str, walk: float, reading_unit: str) -> float:
-    """Return a rate random walk as a datasheet would give it: the inverse of `random_walk`.
+    """Convert K to a datasheet's rate random walk: the inverse of `random_walk`.
 
     Parameters
     ----------
     unit : str
-        Of what is returned, as "deg/h/sqrt(h)" or "ug/sqrt(s)".
+        Unit of the result, such as "deg/h/sqrt(h)" or "ug/sqrt(s)".
     walk : float
         K, in reading_unit / s^(1/2).
     reading_unit : str
-        Unit of the readings, as "deg/s".
+        Unit of the readings, such as "deg/s".
 
     Raises
     ------
     UsageError
-        If the unit is not one of a random walk, or measures something else.
+        If the unit is not one of a random walk, or belongs to another quantity.
     """
     return _finite(walk) / walk_size(unit, reading_unit)
 
 
 def random_walk_of_stability(lowest_deviation: float, white: float) -> float:
-    """Return K, in unit / s^(1/2), from an in-run bias stability, the lowest point of the Allan deviation.
+    """Return K, in unit / s^(1/2), from an in-run bias stability: the lowest point of the Allan deviation.
 
     Parameters
     ----------
     lowest_deviation : float
-        In the unit of the readings; a *small* one trusts the bias and follows it slowly.
+        The bias stability, in the unit of the readings; a *small* one trusts the bias and follows it slowly.
     white : float
         N, in unit s^(1/2).
 
     Notes
     -----
-    White noise and a random walk alone have their lowest point at tau = sqrt(3) N / K, where
-    sigma^2 = 2 N K / sqrt(3). Where a flat stretch lies between, K is at most this.
+    White noise and a random walk alone have their lowest point at tau = sqrt(3) N / K, where sigma^2 = 2 N K / sqrt(3).
+    If there is a flat stretch between the two, this is an upper bound of K.
     """
     return float(np.sqrt(3) / 2 * _positive("lowest_deviation", lowest_deviation) ** 2 / _positive("white", white))
 
@@ -145,24 +145,24 @@ def noise_variance(white: float, rate_hz: float, bandwidth_hz: float = np.inf, p
     white : float
         N, two-sided, in unit s^(1/2), from `white_noise`.
     rate_hz : float
-        Readings a second.
+        Readings per second.
     bandwidth_hz : float
-        Where the sensor's own low-pass is at -3 dB; inf for one that averages between two readings.
+        -3 dB bandwidth of the sensor's own low-pass; inf for a sensor that averages between two readings.
     poles : {1, 2}
-        Of that low-pass; two are a Butterworth.
+        Number of poles of that low-pass; two are a Butterworth.
 
     Raises
     ------
     UsageError
-        If a number is not positive, or there are other poles.
+        If a number is not positive, or the number of poles is another.
 
     Notes
     -----
-    Noise over half of the rate is folded back. What a filter slower than the sensor meets is the folded
-    density at low frequencies, R = N^2 rate times the sum of abs(H(k rate))^2 over k, here in closed form. It goes from
-    N^2 rate, of a bandwidth far below the rate, where readings are correlated and their own variance
-    `rms(...)^2` would promise too much, to 2 N^2 (noise bandwidth), of one far above it. A sensor
-    that is read with its full bandwidth is noisier than n_d^2 rate / 2 says.
+    Noise above half of the rate is aliased. A filter slower than the sensor sees the aliased density at low
+    frequencies, R = N^2 rate times the sum of abs(H(k rate))^2 over k, here in closed form. It goes from N^2 rate, for
+    a bandwidth far below the rate, to 2 N^2 (noise bandwidth), for one far above it. In the first case the readings are
+    correlated, and their own variance `rms(...)^2` would be too small. A sensor that is read with its full bandwidth is
+    noisier than n_d^2 rate / 2.
     """
     flat = _positive("white", white) ** 2 * _positive("rate_hz", rate_hz)
     _check_poles(poles)
@@ -178,14 +178,14 @@ def noise_variance(white: float, rate_hz: float, bandwidth_hz: float = np.inf, p
 
 
 def noise_bandwidth(bandwidth_hz: float, poles: int = 1) -> float:
-    """Return the width, in Hz, of the ideal low-pass that passes as much white noise.
+    """Return the width, in Hz, of the ideal low-pass that passes the same power of white noise.
 
     Parameters
     ----------
     bandwidth_hz : float
-        Where the low-pass is at -3 dB.
+        -3 dB bandwidth of the low-pass.
     poles : {1, 2}
-        One: pi / 2 of the bandwidth. Two, of a Butterworth: pi / sqrt(8).
+        Number of poles: the width is pi / 2 of the bandwidth for one, pi / sqrt(8) for two, a Butterworth.
     """
     _check_poles(poles)
     return float(_positive("bandwidth_hz", bandwidth_hz) * (np.pi / 2 if poles == 1 else np.pi / np.sqrt(8)))
@@ -199,32 +199,32 @@ def rms(white: float, bandwidth_hz: float, poles: int = 1) -> float:
     white : float
         N, two-sided, in unit s^(1/2).
     bandwidth_hz : float
-        Where the sensor's own low-pass is at -3 dB.
+        -3 dB bandwidth of the sensor's own low-pass.
     poles : {1, 2}
-        Of that low-pass; two are a Butterworth.
+        Number of poles of that low-pass; two are a Butterworth.
 
     Raises
     ------
     UsageError
-        If a number is not positive, or there are other poles.
+        If a number is not positive, or the number of poles is another.
     """
     return float(np.sqrt(2 * noise_bandwidth(bandwidth_hz, poles)) * _positive("white", white))
 
 
 def white_noise_of_rms(value: float, bandwidth_hz: float, poles: int = 1) -> float:
-    """Return N, in unit s^(1/2), of a sensor from the root mean square of its output noise: the inverse of `rms`.
+    """Return N, in unit s^(1/2), of a sensor from the RMS of its output noise: the inverse of `rms`.
 
     Parameters
     ----------
     value : float
         Root mean square, in the unit of the readings.
     bandwidth_hz, poles
-        Of the sensor's own low-pass, as in `rms`.
+        Bandwidth and poles of the sensor's own low-pass, as in `rms`.
 
     Raises
     ------
     UsageError
-        If a number is not positive, or there are other poles.
+        If a number is not positive, or the number of poles is another.
     """
     return float(_positive("value", value) / np.sqrt(2 * noise_bandwidth(bandwidth_hz, poles)))
 
@@ -235,14 +235,14 @@ def quantisation_step(span: float, bits: int) -> float:
     Parameters
     ----------
     span : float
-        From the lowest to the highest reading: 4 for +-2 g.
+        Difference of the highest and the lowest reading: 4 for +-2 g.
     bits : int
-        Of the converter, sign included.
+        Word length of the converter, sign included.
 
     Raises
     ------
     UsageError
-        If the span is not positive, or the bits are not 1 to 64.
+        If the span is not positive, or `bits` is not 1 to 64.
     """
     if bits not in range(1, 65):
         raise UsageError(f"bits = {bits} is not the width of a converter; give a whole number from 1 to 64.")
@@ -250,10 +250,10 @@ def quantisation_step(span: float, bits: int) -> float:
 
 
 def quantisation_variance(step: float) -> float:
-    """Return what rounding to `step`, in unit, adds to R: step^2 / 12, in unit^2.
+    """Return the variance that rounding to `step`, in unit, adds to R: step^2 / 12, in unit^2.
 
-    It is white and even where the other noise is louder than about half a step; a record that stands on
-    one value has no noise that could be averaged.
+    The rounding error is white and uniform where the other noise is louder than about half a step. A record that stays
+    at one value has no noise that could be averaged.
     """
     return _positive("step", step) ** 2 / 12
 
@@ -269,13 +269,13 @@ def _positive(name: str, value: float) -> float:
 
 
 def _checked(name: str, value: float, fits: bool, needed: str) -> float:
-    """Return the number, or say what is needed in its place."""
+    """Return the number, or raise a UsageError that names what is needed."""
     if not fits:
-        raise UsageError(f"{name} = {value} cannot be; give {needed}.")
+        raise UsageError(f"{name} = {value} is not possible; give {needed}.")
     return float(value)
 
 
 def _check_poles(poles: int) -> None:
     """Check the poles of a sensor's own low-pass."""
     if poles not in (1, 2):
-        raise UsageError(f"poles = {poles} is not offered; use 1, or 2 for a Butterworth low-pass.")
+        raise UsageError(f"poles = {poles} is not supported; use 1, or 2 for a Butterworth low-pass.")

@@ -1,4 +1,4 @@
-"""The units of datasheets: a closed table of readings, of their sums, and of noise per root of hertz or time."""
+"""Convert units of datasheets by a fixed table: readings, their integrals, and noise per root of hertz or time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from becalm.errors import UsageError
 
 
 class _Unit(NamedTuple):
-    """What one unit measures, and how much of it in SI."""
+    """The quantity of one unit, and its size in SI."""
 
     quantity: str
     size: float
@@ -31,11 +31,11 @@ _READINGS = {
     "um/m": _Unit("strain", 1e-6),
     "nm/m": _Unit("strain", 1e-9),
 }
-_SUMS = {
+_INTEGRALS = {
     "deg": _Unit("angular rate", _DEG),
     "rad": _Unit("angular rate", 1.0),
     "m/s": _Unit("acceleration", 1.0),
-}  # what readings add up to over time, and the readings they come from
+}  # units of a reading's integral over time, with the quantity of the reading
 _SECONDS = {"s": 1.0, "h": 3600.0}
 
 _SPELLINGS = (
@@ -55,7 +55,7 @@ _SPELLINGS = (
 
 
 def reading_size(unit: str, reading_unit: str) -> float:
-    """Return a reading of one `unit`, in reading_unit."""
+    """Return the size of one `unit` in reading_unit."""
     return _size(unit, reading_unit, _READINGS)
 
 
@@ -66,41 +66,43 @@ def white_size(unit: str, reading_unit: str) -> float:
         return _size(head, reading_unit, _READINGS) / math.sqrt(2)
     if head in _READINGS:
         raise UsageError(f"{unit!r} is a unit of a rate random walk, not of white noise; use random_walk.")
-    return _size(head, reading_unit, _SUMS) / math.sqrt(_SECONDS[root])
+    return _size(head, reading_unit, _INTEGRALS) / math.sqrt(_SECONDS[root])
 
 
 def walk_size(unit: str, reading_unit: str) -> float:
     """Return K, in reading_unit / s^(1/2), of one `unit`."""
     head, root = _split(unit)
-    if root == "Hz" or head in _SUMS:
+    if root == "Hz" or head in _INTEGRALS:
         raise UsageError(f"{unit!r} is a unit of white noise, not of a rate random walk; use white_noise.")
     return _size(head, reading_unit, _READINGS) / math.sqrt(_SECONDS[root])
 
 
 def _split(unit: str) -> tuple[str, str]:
-    """Return what stands over the root, and what stands within it: Hz, s or h."""
-    found = re.fullmatch(r"\(?(.+?)\)?/sqrt\((Hz|s|h)\)", _tidy(unit))
-    if found is None:
+    """Return the part before the root, and the part within it: Hz, s or h."""
+    match = re.fullmatch(r"\(?(.+?)\)?/sqrt\((Hz|s|h)\)", _tidy(unit))
+    if match is None:
         raise UsageError(
             f"{unit!r} has no root of hertz or time; write it as ug/sqrt(Hz), deg/sqrt(h) or deg/s/sqrt(h)."
         )
-    return found[1], found[2]
+    return match[1], match[2]
 
 
 def _size(unit: str, reading_unit: str, table: dict[str, _Unit]) -> float:
-    """Return one `unit` of a table over one unit of the readings, both of the same quantity."""
+    """Return the size of one `unit` of a table in units of the readings; both must have the same quantity."""
     one, other = table.get(_tidy(unit)), _READINGS.get(_tidy(reading_unit))
     if one is None:
         raise UsageError(f"{unit!r} is not in the table of units; use one of {', '.join(table)}.")
     if other is None:
-        raise UsageError(f"{reading_unit!r} is not a unit of readings here; use one of {', '.join(_READINGS)}.")
+        raise UsageError(f"{reading_unit!r} is not a unit of readings; use one of {', '.join(_READINGS)}.")
     if one.quantity != other.quantity:
-        raise UsageError(f"{unit!r} belongs to {one.quantity}, {reading_unit!r} to {other.quantity}; give both alike.")
+        raise UsageError(
+            f"{unit!r} belongs to {one.quantity}, {reading_unit!r} to {other.quantity}; give units of one quantity."
+        )
     return one.size / other.size
 
 
 def _tidy(unit: str) -> str:
-    """Spell a unit as the tables do."""
+    """Return a unit in the spelling of the tables."""
     for pattern, plain in _SPELLINGS:
         unit = re.sub(pattern, plain, unit)
     return unit

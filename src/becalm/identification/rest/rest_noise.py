@@ -1,4 +1,4 @@
-"""The noise of a sensor at rest: from differences of neighbours, or split at a cut-off as in the IMU paper."""
+"""Measure the noise of a sensor at rest: from differences of neighbours, or split at a cut-off as in the IMU paper."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from becalm.identification.rest.detection import Stretch
 from becalm.identification.rest.windows import FEWEST, quantum, window_size
 
 _SPIKE = 6.0  # standard deviations
-_KEPT = 0.9
+_KEPT = 0.9  # share of the differences that set the limit for spikes
 _NORMAL_KEPT = 0.6230  # mean square of the nine tenths of a normal variable that are nearest to zero
-_FEWEST_CYCLES = 10.0  # of a cut-off
+_FEWEST_CYCLES = 10.0  # of a cut-off in the stretch
 _SPLIT_ORDER = 2
 
 
@@ -29,16 +29,16 @@ class RestNoise:
     Attributes
     ----------
     name : str
-        Of the channel.
+        Name of the channel.
     variance : float
-        R, half of the mean squared difference of neighbours, in unit^2; NaN if under 32 came.
+        R, half of the mean squared difference of neighbours, in unit^2; NaN if there are under 32 differences.
     standard_error : float
-        Of `variance` if the noise is white, in unit^2.
+        Standard error of `variance` if the noise is white, in unit^2.
     slowness : float
-        Variance over half a second over `variance`: 1 for white noise; above it, the noise is slower
-        than the readings, and `variance` is only that of its fastest part; below it, it alternates.
+        Variance over half a second divided by `variance`. It is 1 for white noise. Above 1, the noise is slower than
+        the readings, and `variance` is only that of its fastest part; below 1, the noise alternates.
     differences, spikes : int
-        Differences that counted, and those beyond six standard deviations, which did not.
+        Number of differences used, and of those beyond six standard deviations, which were not.
     """
 
     name: str
@@ -50,7 +50,7 @@ class RestNoise:
 
 
 class Split(NamedTuple):
-    """A motionless record below and above a cut-off, both in unit^2.
+    """The variances of a motionless record above and below a cut-off, in unit^2.
 
     Attributes
     ----------
@@ -65,14 +65,14 @@ class Split(NamedTuple):
 
 
 def noise_at_rest(recording: Recording, stretches: Sequence[Stretch]) -> tuple[RestNoise, ...]:
-    """Measure the noise of each channel where it is still.
+    """Measure the noise of each channel where it is at rest.
 
     Parameters
     ----------
     recording : Recording
-        Any channels.
+        The record, with any channels.
     stretches : sequence of Stretch
-        Where they are still, from `find_still` or `said_still`.
+        The rests, from `find_still` or `said_still`.
 
     Raises
     ------
@@ -81,9 +81,9 @@ def noise_at_rest(recording: Recording, stretches: Sequence[Stretch]) -> tuple[R
 
     Notes
     -----
-    A drift of b units a step adds b^2 / 2 to the variance: nothing. Squared differences of white noise
-    are correlated with their neighbours alone, whence the standard error, variance * sqrt(3 / N) for
-    normal noise (von Neumann and others, Annals of Mathematical Statistics 12 (1941) 153).
+    A drift of b units per step adds only b^2 / 2 to the variance. Squared differences of white noise are correlated
+    with their neighbours only; hence the standard error, variance * sqrt(3 / N) for normal noise (von Neumann and
+    others, Annals of Mathematical Statistics 12 (1941) 153).
     """
     if not stretches:
         raise RecordingError("There is no rest to measure noise in; name one, as 0:30 for the first half minute.")
@@ -96,30 +96,32 @@ def split_at_cutoff(readings: Floats, rate_hz: float, cutoff_hz: float = 1.0) ->
     Parameters
     ----------
     readings : (N,) float array
-        Of one stretch, in unit, none missing.
+        Readings of one stretch, in unit, none missing.
     rate_hz : float
         Readings per second.
     cutoff_hz : float
-        A *small* one calls more of the record measurement noise.
+        The cut-off; a *small* one assigns more of the record to measurement noise.
 
     Raises
     ------
     RecordingError
-        If a reading is missing, or the stretch has under ten cycles of the cut-off or no such frequency.
+        If a reading is missing, the stretch is shorter than ten cycles of the cut-off, or the cut-off is not below half
+        of the rate.
 
     Notes
     -----
-    Kownacki (2010), table 1, which names no filter: here a causal
-    Butterworth filter of order 2, started at the mean. Of white noise, a share of 2.22 cutoff / rate
-    is called process noise. The variances make a far slower filter than a person wants, as the paper
-    says: what moves at rest is not what moves in use.
+    Kownacki (2010), table 1, does not name the filter: here it is a causal Butterworth filter of order 2, started at
+    the mean. A share of 2.22 cutoff / rate of white noise is called process noise. As the paper notes, the variances
+    give a far slower filter than a person wants: the motion at rest is not the motion in use.
     """
     from scipy.signal import butter, sosfilt
 
     if not np.isfinite(readings).all():
-        raise RecordingError("A record is split at a cut-off without gaps; give a stretch with no reading missing.")
+        raise RecordingError("A record with gaps cannot be split at a cut-off; give a stretch with no reading missing.")
     if not 0 < cutoff_hz < rate_hz / 2:
-        raise RecordingError(f"cutoff_hz = {cutoff_hz:g} is no cut-off at {rate_hz:g} Hz; stay below half of the rate.")
+        raise RecordingError(
+            f"cutoff_hz = {cutoff_hz:g} is not a cut-off at {rate_hz:g} Hz; stay below half of the rate."
+        )
     if len(readings) * cutoff_hz < _FEWEST_CYCLES * rate_hz:
         raise RecordingError(
             f"{len(readings) / rate_hz:.3g} s are too short to be split at {cutoff_hz:g} Hz; "
@@ -157,7 +159,7 @@ def _differences(channel: Floats, elapsed: Floats) -> Floats:
 
 
 def _standard_error(square: Floats, used: int) -> float:
-    """Return the standard error of the mean of a sequence whose neighbours alone are correlated; NaN is left out."""
+    """Return the standard error of the mean of a sequence with correlated neighbours only; NaN is ignored."""
     about = square - np.nanmean(square)
     power, neighbours = float(np.nansum(about**2)), float(np.nansum(about[1:] * about[:-1]))
     return float(np.sqrt(max(0.0, power + 2 * neighbours)) / used)
@@ -166,7 +168,7 @@ def _standard_error(square: Floats, used: int) -> float:
 def _variance_within(stretches: Sequence[Floats], size: int, most: float) -> float:
     """Return the mean variance, in unit^2, of windows of `size` readings without a spike, about their mean.
 
-    A spike is where half of the squared difference of neighbours is beyond `most`.
+    At a spike half of the squared difference of neighbours exceeds `most`.
     """
     windows = np.concatenate([part[: len(part) // size * size].reshape(-1, size) for part in stretches])
     whole = windows[(np.diff(windows, axis=1) ** 2 / 2 <= most).all(axis=1)]

@@ -1,7 +1,7 @@
-"""Cut a record into windows, and test whether a window holds noise alone.
+"""Cut a record into windows, and test whether a window holds noise only.
 
-Noise has two marks that need no unit and no datasheet: it keeps its power, and it cannot be foretold.
-The quietest windows that last set a floor for each channel; windows that stay on it are calm.
+Noise has two marks that need no unit and no datasheet: its power is constant, and it cannot be predicted. The quietest
+lasting windows set a floor for each channel; windows that stay on it are calm.
 """
 
 from __future__ import annotations
@@ -19,37 +19,37 @@ from becalm.metrics.whiteness import whiteness
 Value = TypeVar("Value", bound=np.generic)
 
 FEWEST = 32
-"""Readings in a window."""
+"""Least number of readings in a window."""
 
 MOST_MISSING = 0.25
-"""Share of the readings that a window, or a channel that is to tell rest, may lack."""
+"""Largest share of readings that may be missing in a window, or in a channel that is used to find rests."""
 
 _NORMAL_MAD = 1.4826  # standard deviation over median absolute deviation
 _WINDOW_S = 0.5
 _BLOCKS = 8  # in a window
-_KEPT = 0.9  # of a window: a spike is not motion
+_KEPT = 0.9  # share of a window's readings that set its power: a spike is not motion
 _SPIKE = 4.0  # standard deviations of its window
-_SIGMAS = 3.5  # of chance, in the logarithm of a window's power
-_WARMTH = 0.25  # by which that logarithm may change while a sensor warms up
+_SIGMAS = 3.5  # standard deviations by chance of the logarithm of a window's power
+_WARMTH = 0.25  # change of that logarithm while a sensor warms up
 _ROUNDS = 8
-_DRIFT = 8 * _BLOCKS  # blocks: a straight line through so many is drift, not motion
+_DRIFT = 8 * _BLOCKS  # blocks; a straight line through so many is drift, not motion
 
 
 class Windows(NamedTuple):
-    """W windows of a record of m channels; each shares half of its readings with the next.
+    """W windows of a record of m channels; two adjacent windows overlap by half.
 
     Attributes
     ----------
     hop : int
         Readings from one window to the next, half of a window.
     log_power : (W, m) float array
-        Logarithm of the mean square about the median, in unit^2, without the tenth that is farthest.
+        Logarithm of the mean square about the median, in unit^2, without the tenth of readings farthest from it.
     chance : (W, m) float array
-        Standard deviation of `log_power` by chance, as the powers of its eight blocks tell it.
+        Standard deviation of `log_power` by chance, estimated from the powers of the window's eight blocks.
     means : (W, 8, m) float array
-        Of the blocks, in unit.
+        Means of the blocks, in unit.
     sound : (W,) bool array
-        Whether there are enough readings, no gap, and no slope that outweighs the noise.
+        True where a window has enough readings, no gap, and no slope that exceeds the noise.
     """
 
     hop: int
@@ -73,7 +73,7 @@ class Windows(NamedTuple):
         return cls(hop, log_power, chance, means, sound)
 
     def calm(self, lasting: int) -> Booleans:
-        """Return which windows (W,) stay on the floor of the quietest `lasting` ones in a row, in all channels."""
+        """Return which windows (W,) stay at the level of the quietest `lasting` windows in a row, in all channels."""
         loudness = np.where(self.sound, self.log_power.mean(axis=1), np.inf)
         row = int(np.lib.stride_tricks.sliding_window_view(loudness, lasting).max(axis=1).argmin())
         calm = np.zeros(len(loudness), dtype=bool)
@@ -86,37 +86,37 @@ class Windows(NamedTuple):
         return calm
 
     def unevenness(self, calm: Booleans) -> Floats:
-        """Return how many times more the power of the calm windows varies than by chance, (m,)."""
+        """Return the variation of the calm windows' power as a multiple of that by chance, (m,)."""
         log_power, chance = self.log_power[calm], np.median(self.chance[calm], axis=0)
         spread = _NORMAL_MAD * np.median(np.abs(log_power - np.median(log_power, axis=0)), axis=0)
         return np.asarray((spread / np.maximum(chance, np.finfo(float).tiny)) ** 2)
 
     def foretold(self, runs: list[tuple[int, int]]) -> Floats:
-        """Return the share of the power of block means that their past foretells in runs of windows, (m,).
+        """Return the share of the power of block means that their past predicts in runs of windows, (m,).
 
         Notes
         -----
-        Blocks average fast noise of any colour away; straight lines through eight windows take slow
-        drift out. What is left is white at rest, and smooth in motion.
+        Blocks average out fast noise of any colour; straight lines through eight windows remove slow drift. The rest is
+        white in a sensor at rest, and smooth in motion.
         """
-        lines = [line for first, last in runs for line in _straightened(self.means[first : last + 1 : 2])]
+        lines = [line for first, last in runs for line in _detrended(self.means[first : last + 1 : 2])]
         residuals = np.concatenate(lines) if lines else np.empty((0, self.means.shape[2]))
         return np.array([whiteness(channel).predictable_share for channel in residuals.T])
 
 
 def window_size(rate_hz: float) -> int:
-    """Return how many readings a window has, a multiple of eight."""
+    """Return the number of readings in a window, a multiple of eight."""
     return _BLOCKS * (max(FEWEST, round(_WINDOW_S * rate_hz)) // _BLOCKS)
 
 
 def runs_of(calm: Booleans) -> list[tuple[int, int]]:
-    """Return the first and the last of each run of calm windows (W,)."""
+    """Return the first and the last window of each run of calm windows (W,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], calm, [False]]).astype(int)))
     return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
 
 
 def quantum(channel: Floats) -> float:
-    """Return the smallest step between two different readings of a channel (N,), in unit; 0 if none differ.
+    """Return the smallest step between two different readings of a channel (N,), in unit; 0 if all are equal.
 
     Steps below a billionth of the largest reading are rounding of the arithmetic, not of the sensor.
     """
@@ -127,12 +127,12 @@ def quantum(channel: Floats) -> float:
 
 
 def _measure(channel: Floats, hop: int) -> tuple[Floats, Floats, Floats]:
-    """Return the logarithm of the power (W,), its chance (W,) and the block means (W, 8) of one channel (N,).
+    """Return the log power (W,), its standard deviation by chance (W,) and block means (W, 8) of a channel (N,).
 
-    A noise below the quantum shows as nothing or as a toggling last digit; the quantum's own square,
-    added to the power, makes both alike.
+    Noise below the quantum shows as nothing or as a toggling last digit. Adding the quantum's square to the power makes
+    both cases alike.
     """
-    z = _cut(_held(channel), hop)
+    z = _cut(_filled(channel), hop)
     middle = np.median(z, axis=1, keepdims=True)
     kept = int(np.ceil(_KEPT * z.shape[1]))
     least = max(quantum(channel) ** 2, np.finfo(float).tiny)
@@ -152,19 +152,19 @@ def _slope_power(means: Floats) -> Floats:
 
 
 def _cut(values: NDArray[Value], hop: int) -> NDArray[Value]:
-    """Return windows of two hops of values (N, ...), along the last axis: (W, ..., 2 hop)."""
+    """Return windows of 2 hop values each, of values (N, ...): an array (W, ..., 2 hop)."""
     return np.lib.stride_tricks.sliding_window_view(values, 2 * hop, axis=0)[::hop]
 
 
-def _held(channel: Floats) -> Floats:
-    """Return a channel (N,) whose missing readings repeat the last one that came, or the first."""
+def _filled(channel: Floats) -> Floats:
+    """Return a channel (N,) with each missing reading replaced by the last finite one, or else by the first."""
     seen = np.flatnonzero(np.isfinite(channel))
     before = np.searchsorted(seen, np.arange(len(channel)), side="right") - 1
     return np.asarray(channel[seen[np.maximum(before, 0)]])
 
 
-def _straightened(means: Floats) -> list[Floats]:
-    """Return block means (w, 8, m) of windows in a row less straight lines, in pieces (b, m)."""
+def _detrended(means: Floats) -> list[Floats]:
+    """Return block means (w, 8, m) of consecutive windows, less straight lines, in pieces (b, m)."""
     series = means.reshape(-1, means.shape[2])
     pieces = [series[start : start + _DRIFT] for start in range(0, len(series), _DRIFT)]
     return [_residual(piece) for piece in pieces]

@@ -1,1 +1,1 @@
-"""Several channels together: full Q and R, and the paper's cost of one."""
+"""Identify Q and R: of a model with several channels by likelihood, or of an IMU by step and spectrum."""

@@ -1,11 +1,10 @@
-"""What the readings' autocovariances tell of Q and R: which unknowns, how many, and roughly how much.
+"""Compute which unknowns of Q and R the autocovariances of readings determine, how many, and roughly their values.
 
-Some successive readings stacked are y = O x + noise, with O the observability matrix. On what is
-orthogonal to O's columns only noise is left, whatever the state and whether or not it grows, and its
-covariance is *linear* in the entries of Q and R. What that linear map does not tell, no second moment
-of the readings tells, and for Gaussian noise there is nothing else. Over 2 n + 1 rows it holds all
-autocovariances of the annihilated readings. Sources: Mehra, IEEE TAC-15 (1970) 175; Odelson, Rajamani
-and Rawlings, Automatica 42 (2006) 303.
+A stack of successive readings is y = O x + noise, with O the observability matrix. Its components orthogonal to O's
+columns hold only noise, for any state, stationary or not, and their covariance is *linear* in the entries of Q and R.
+What that linear map does not determine, no second moment of the readings determines, and for Gaussian noise there is no
+other information. Over 2 n + 1 rows it covers all autocovariances of the annihilated readings. Sources: Mehra, IEEE
+TAC-15 (1970) 175; Odelson, Rajamani and Rawlings, Automatica 42 (2006) 303.
 """
 
 from __future__ import annotations
@@ -21,37 +20,37 @@ from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.core.model.model import Model
 from becalm.identification.several.matrices import Patterns
 
-_RANK = 1e-9  # of columns scaled to length one
-_STRETCHES = 50_000
+_RANK = 1e-9  # tolerance of the rank, for columns scaled to length one
+_STRETCHES = 50_000  # of successive readings, that an estimate uses
 
 
 class Confounded(NamedTuple):
-    """An unknown that looks like a mixture of others."""
+    """An unknown with the same effect on the readings as a mixture of others."""
 
     which: int
-    others: Floats  # (k,) how much of each of the others one unit of it looks like
+    others: Floats  # (k,) amounts of the others that have the same effect as one unit of it
 
 
 @dataclass(frozen=True, eq=False)
 class Autocovariances:
-    """The linear map from amounts of k patterns, first those of Q and then those of R, to second moments.
+    """The linear map from the amounts of k patterns, those of Q before those of R, to second moments.
 
     Attributes
     ----------
     heard : (m,) bool array
-        Channels of which any reading arrived; the others are left out.
+        Channels with at least one reading; the others are left out.
     units : (heard,) float array
-        Of each channel, in which its readings have about size one.
+        Unit of each channel in which its readings have a size of about one.
     rows : int
-        Successive readings that are looked at together.
+        Number of successive readings in a stack.
     noise_only : (rows * heard, d) float array
-        Orthonormal directions of stacked readings that see no state.
+        Orthonormal directions of stacked readings that do not depend on the state.
     slopes : (d * d, k) float array
-        Their covariance, by amounts.
+        Derivative of the covariance along these directions by each amount.
     held : (d * d,) float array
-        Their covariance from what is not free.
+        Covariance along these directions due to the fixed part of Q and R.
     largest : (k,) float array
-        Lengths that the columns of `slopes` would have if nothing in them cancelled.
+        Lengths of the columns of `slopes` without cancellation.
     """
 
     heard: Booleans
@@ -64,51 +63,53 @@ class Autocovariances:
 
     @cached_property
     def lengths(self) -> Floats:
-        """How much one unit of each amount moves the moments, (k,)."""
+        """Length of the change of the moments by one unit of each amount, (k,)."""
         return np.asarray(np.linalg.norm(self.slopes, axis=0))
 
     @cached_property
     def unseen(self) -> Booleans:
-        """Unknowns on which no second moment of the readings depends, (k,)."""
+        """Mask (k,) of the unknowns on which no second moment of the readings depends."""
         return np.asarray(self.lengths <= _RANK * self.largest)
 
     @cached_property
     def rank(self) -> int:
-        """How many unknowns the autocovariances tell."""
+        """Number of unknowns that the autocovariances determine."""
         diagonal = np.abs(np.diag(self._factors[0]))
         return int((diagonal > _RANK).sum())
 
     @cached_property
     def confounded(self) -> list[Confounded]:
-        """Unknowns that are seen, but look like mixtures of others."""
+        """Unknowns that affect the readings, but only as a mixture of others does."""
         from scipy.linalg import solve_triangular
 
         triangle, order = self._factors
         first, rest = order[: self.rank], order[self.rank :]
         mixtures = solve_triangular(triangle[: self.rank, : self.rank], triangle[: self.rank, self.rank :])
         mixtures[np.abs(mixtures) < np.sqrt(_RANK)] = 0.0
-        found = []
+        confounded = []
         for which, mixture in zip(rest, mixtures.T, strict=True):
             if not self.unseen[which]:
                 others = np.zeros(len(order))
                 others[first] = mixture * self.lengths[which] / self.lengths[first]
-                found.append(Confounded(int(which), others))
-        return found
+                confounded.append(Confounded(int(which), others))
+        return confounded
 
     def untold(self) -> Floats:
-        """Return directions of amounts along which nothing changes, (k, untold)."""
+        """Return the directions of amounts (k, number of directions) along which no moment changes."""
         directions = [-np.eye(len(self.lengths))[which] for which in np.flatnonzero(self.unseen)]
         for which, others in self.confounded:
             directions.append(others - np.eye(len(others))[which])
         return np.array(directions).reshape(-1, len(self.lengths)).T
 
     def estimate(self, z: Floats) -> Floats | None:
-        """Return amounts (k,) by least squares on the moments of readings z (N, m); None where too few follow.
+        """Estimate the amounts (k,) by least squares on the moments of readings z (N, m).
+
+        Returns None where too few complete stacks of readings came.
 
         Notes
         -----
-        Unweighted, and blind to process noise that is small against the readings' noise over `rows`
-        readings; no more than a place to start from. Amounts may come out negative.
+        The fit is unweighted, and cannot resolve process noise that is small against the readings' noise over `rows`
+        readings; use it only as a starting point. Amounts may be negative.
         """
         if len(z) < self.rows:
             return None
@@ -127,7 +128,7 @@ class Autocovariances:
 
     @cached_property
     def _factors(self) -> tuple[Floats, Integers]:
-        """Return the triangle of the scaled map and the order of its columns, the plainest first."""
+        """Return the triangle of the scaled map and the order of its columns, the most independent first."""
         from scipy.linalg import qr
 
         lengths = np.where(self.unseen, np.inf, self.lengths)
@@ -139,18 +140,18 @@ class Autocovariances:
 def autocovariances(
     model: Model, process: Patterns, noise: Patterns, together: Booleans, sizes: Floats
 ) -> Autocovariances:
-    """Return what second moments of readings tell of Q and R.
+    """Return the linear map from the free entries of Q and R to the second moments of readings.
 
     Parameters
     ----------
     model : Model
-        Its F, G and H; n states, m channels.
+        A model with n states and m channels; its F, G and H are used, and R for the shape of its noise.
     process, noise : Patterns
-        What is free of Q and of R.
+        Patterns of the free entries of Q and of R.
     together : (m, m) bool array
-        Pairs of channels of which readings ever arrived in the same row; on its diagonal, those that ever did.
+        True for pairs of channels that ever had readings in the same row; on its diagonal, for channels with readings.
     sizes : (m,) float array
-        About how large the readings of each channel are, in its unit, so that channels of any units compare.
+        Typical size of the readings of each channel, in its unit, so that channels of different units can be compared.
     """
     heard = np.diag(together)
     units, R = sizes[heard], model.R[np.ix_(heard, heard)]
@@ -169,7 +170,7 @@ def autocovariances(
 
 
 def _moments(parts: Sequence[Floats], process: Iterable[Floats], noise: Iterable[Floats]) -> Floats:
-    """Return the second moments, one column each, that process covariances and those of readings bring about."""
+    """Return the second moments of given covariances of process noise and of readings, one column each."""
     H, F, G, noise_only = parts
     rows = len(noise_only) // len(H)
     enters = [_enter(H, G, _powers(F, rows), late).T @ noise_only for late in range(1, rows)]
@@ -180,7 +181,7 @@ def _moments(parts: Sequence[Floats], process: Iterable[Floats], noise: Iterable
 
 
 def _powers(F: Floats, count: int) -> list[Floats]:
-    """Return the first powers of F, from the identity on."""
+    """Return the first `count` powers of F, from the identity on."""
     powers = [np.eye(len(F))]
     for _ in range(count - 1):
         powers.append(powers[-1] @ F)
@@ -188,6 +189,6 @@ def _powers(F: Floats, count: int) -> list[Floats]:
 
 
 def _enter(H: Floats, G: Floats, powers: list[Floats], late: int) -> Floats:
-    """Return how the noise of the step before row `late` enters all rows stacked, (rows * m, p)."""
+    """Return the effect (rows * m, p) of the process noise of the step before row `late` on all stacked rows."""
     before = np.zeros((late * len(H), G.shape[1]))
     return np.vstack([before, *(H @ power @ G for power in powers[: len(powers) - late])])

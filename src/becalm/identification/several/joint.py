@@ -1,9 +1,9 @@
-"""Maximum likelihood of Q and R of any model, all its channels together, with standard errors.
+"""Identify Q and R of any model with all its channels by maximum likelihood, with standard errors.
 
-The likelihood is the filter's own, exact, with a known or a flat start and with readings missing; nothing
-is concentrated out, so that every entry gets its error from the curvature. What readings cannot tell is
-said in sentences. Sources: Schweppe, IEEE TIT-11 (1965) 61; Shumway and Stoffer, Time Series Analysis
-and Its Applications, section 6.3.
+The likelihood is the filter's own: exact, with a known or a flat prior, and with missing readings. Nothing is
+concentrated out, so every entry gets its standard error from the curvature. Sentences describe what the readings do not
+determine. Sources: Schweppe, IEEE TIT-11 (1965) 61; Shumway and Stoffer, Time Series Analysis and Its Applications,
+section 6.3.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from becalm.identification.several.certainty import Certainty, judge
 from becalm.identification.several.matrices import Freedom, FreeMatrix, Patterns, patterns_of
 from becalm.identification.several.peak import climb, walk
 
-_LEAST = 1e-3  # of the strongest noise: where a search begins whose start is at or below zero
+_LEAST_SHARE = 1e-3  # of the strongest noise: starting point of a variance whose start is at or below zero
 
 
 @dataclass(frozen=True, eq=False)
 class TunedModel:
-    """A model whose Q and R come from readings.
+    """A model whose Q and R were identified from readings.
 
     Attributes
     ----------
     model : Model
-        The likeliest. What the readings do not tell keeps the value it started from.
+        The likeliest model. What the readings do not determine keeps its starting value.
     process_error : (p, p) float array
-        Standard error of each entry of Q, in its unit; 0 where it was not free, inf where it cannot be told.
+        Standard error of each entry of Q, in its unit; 0 where it was not free, inf where it is not determined.
     noise_error : (m, m) float array
-        The same of R.
+        The same for R.
     log_likelihood : float
-        Exact, at the maximum; see `becalm.core.filter.filtering.Estimate`.
+        Exact log-likelihood at the maximum; see `becalm.core.filter.filtering.Estimate`.
     used : int
-        Readings, channels counted one by one, that entered it.
+        Number of readings used, each channel counted separately.
     not_identifiable : tuple of str
-        A sentence for each thing that the readings do not tell, with the reason; empty if they tell all.
+        A sentence for each quantity that the readings do not determine, with the reason; empty if there is none.
     """
 
     model: Model
@@ -60,18 +60,18 @@ class TunedModel:
 def tune_model(
     model: Model, z: ArrayLike, free_process: Freedom = "diagonal", free_noise: Freedom = "diagonal"
 ) -> TunedModel:
-    """Find the process and measurement covariances of a model by maximum likelihood.
+    """Identify the process and measurement covariances of a model by maximum likelihood.
 
     Parameters
     ----------
     model : Model
-        F, G and H are taken as they are, and so are x0 and P0 or their absence. Its Q and R are held,
-        scaled, or a place to start from; the search also begins where the readings' autocovariances point.
+        The model. F, G and H are fixed, and so are x0 and P0 or their absence. Its Q and R are fixed, scaled, or a
+        starting point; the search also starts from an estimate by the readings' autocovariances.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units, one step a row; NaN where one did not arrive. Never modified.
+        Readings in the channels' units, one step per row; NaN where missing. The array is not modified.
     free_process, free_noise : {"full", "diagonal", "scale", "fixed"}
-        What of Q and of R is free: every entry; the variances, with all else zero; one factor for each
-        independent block, as of components joined by `+`; nothing.
+        Free entries of Q and of R: all entries; the variances, with all others zero; one factor for each independent
+        block, such as components joined by `+`; none.
 
     Raises
     ------
@@ -82,11 +82,11 @@ def tune_model(
 
     Notes
     -----
-    Errors come from the observed information by the delta method. Where a variance cannot be told from
-    zero, its error is how far it may grow until the log-likelihood has fallen by one half.
+    Standard errors come from the observed information by the delta method. Where a variance cannot be distinguished
+    from zero, its error is the change at which the log-likelihood has fallen by one half.
 
-    What is known of the states before any reading, `Model.known`, is held: that coloured noise is
-    stationary it says at the Q that the model came with.
+    The prior knowledge about the states, `Model.known`, is fixed: that coloured noise is stationary refers to the Q of
+    the given model.
     """
     readings = checked_readings(model, z)
     process, noise = patterns_of("Q", model.Q, free_process), patterns_of("R", model.R, free_noise)
@@ -99,31 +99,31 @@ def tune_model(
             f"{seen.sum()} readings came; {unknowns} unknowns of Q and R and {model.states} states need more"
             f" than {unknowns + model.states}. Give a longer record, or free less of Q and R."
         )
-    told = autocovariances(model, process, noise, seen.T.astype(float) @ seen > 0, _sizes(readings, seen))
+    moments = autocovariances(model, process, noise, seen.T.astype(float) @ seen > 0, _sizes(readings, seen))
     free = Free((process, noise), (free_process == "full", free_noise == "full"))
-    joint = _start(RecordLikelihood(model, readings), free, told)
-    peak = climb(joint, walk(joint, np.zeros(unknowns), joint.variances & ~told.unseen), joint.used)
-    return _result(joint, judge(joint, peak, told), peak.theta)
+    joint = _start(RecordLikelihood(model, readings), free, moments)
+    peak = climb(joint, walk(joint, np.zeros(unknowns), joint.variances & ~moments.unseen), joint.used)
+    return _result(joint, judge(joint, peak, moments), peak.theta)
 
 
 class Free(NamedTuple):
-    """What of Q and R is free."""
+    """The free entries of Q and R."""
 
     patterns: tuple[Patterns, Patterns]  # of Q and of R
-    full: tuple[bool, bool]  # whether every entry is
+    full: tuple[bool, bool]  # True where every entry is free
 
     @property
     def variances(self) -> Booleans:
-        """Which amounts are of variances, (k,); their numbers are logarithms."""
+        """Mask (k,) of the amounts that are variances; their parameters are logarithms."""
         return np.concatenate([part.variances for part in self.patterns])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the amounts are called."""
+        """The names of the amounts."""
         return self.patterns[0].names + self.patterns[1].names
 
     def amounts(self, Q: Floats, R: Floats) -> Floats:
-        """Return the amounts (k,) of the patterns that Q and R hold."""
+        """Return the amounts (k,) of the patterns in Q and R."""
         return np.concatenate([part.amounts(M) for part, M in zip(self.patterns, (Q, R), strict=True)])
 
 
@@ -134,17 +134,17 @@ class RecordLikelihood:
         self.model, self.z, self._timeline = model, z, even_timeline(model, len(z))
 
     def __call__(self, Q: Floats, R: Floats) -> tuple[float, int]:
-        """Return the log-likelihood at Q and R, and of how many readings."""
+        """Return the log-likelihood at Q and R, and its number of readings."""
         model, G = self.model, self.model.G
         timeline = self._timeline._replace(system=self._timeline.system._replace(Q=(G @ Q @ G.T)[np.newaxis], R=R))
-        found = run_filter(model, timeline, self.z, NOTHING).estimate
-        return found.log_likelihood, found.used
+        estimate = run_filter(model, timeline, self.z, NOTHING).estimate
+        return estimate.log_likelihood, estimate.used
 
 
 class JointLikelihood:
-    """The log-likelihood of readings as a function of numbers theta (k,) that stand for the free entries of Q and R.
+    """The log-likelihood of readings as a function of parameters theta (k,) of the free entries of Q and R.
 
-    All numbers are zero at the covariances it is made with.
+    All parameters are zero at the covariances that it is created with.
     """
 
     def __init__(self, record: RecordLikelihood, free: Free, Q: Floats, R: Floats) -> None:
@@ -156,16 +156,16 @@ class JointLikelihood:
 
     @property
     def variances(self) -> Booleans:
-        """Which amounts are of variances, (k,); their numbers are logarithms."""
+        """Mask (k,) of the amounts that are variances; their parameters are logarithms."""
         return self.free.variances
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the amounts are called."""
+        """The names of the amounts."""
         return self.free.names
 
     def __call__(self, theta: Floats) -> float:
-        """Return the log-likelihood at theta (k,); -inf where it does not count the same readings."""
+        """Return the log-likelihood at theta (k,); -inf where it does not use the same readings."""
         try:
             value, used = self.record(*self.at(theta))
         except (ModelError, np.linalg.LinAlgError):
@@ -182,7 +182,7 @@ class JointLikelihood:
         return self.free.amounts(*self.at(theta))
 
     def scales(self, theta: Floats) -> Floats:
-        """Return how large the amounts (k,) could be beside the variances at theta (k,)."""
+        """Return the scales of the amounts (k,), given the variances at theta (k,)."""
         return np.concatenate([part.scales(M) for part, M in zip(self.free.patterns, self.at(theta), strict=True)])
 
     def slopes(self, theta: Floats) -> Floats:
@@ -196,27 +196,27 @@ class JointLikelihood:
 
 
 def _sizes(z: Floats, seen: Booleans) -> Floats:
-    """Return how large the readings (N, m) of each channel are beside the largest, (m,); one where all are zero."""
+    """Return the RMS (m,) of each channel's readings (N, m), relative to the largest reading; 1 where all are zero."""
     largest = np.abs(np.where(seen, z, 0.0)).max()
     shares = np.where(seen, z, 0.0) / (largest if largest > 0 else 1.0)
     sizes = np.sqrt((shares**2).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
     return np.where(sizes > 0, sizes, 1.0)
 
 
-def _start(record: RecordLikelihood, free: Free, told: Autocovariances) -> JointLikelihood:
-    """Begin at the model's own Q and R, or where the autocovariances point, whichever is likelier."""
+def _start(record: RecordLikelihood, free: Free, moments: Autocovariances) -> JointLikelihood:
+    """Start at the model's own Q and R, or at the estimate by autocovariances, whichever is likelier."""
     own = free.amounts(record.model.Q, record.model.R)
-    begins = [_positive(free, told, own)]
-    pointed = told.estimate(np.where(arrived(record.z), record.z, np.nan))
-    if pointed is not None:
-        begins.append(_positive(free, told, np.where(told.unseen, own, pointed)))
-    return JointLikelihood(record, free, *max(begins, key=lambda matrices: record(*matrices)[0]))
+    starts = [_positive(free, moments, own)]
+    estimate = moments.estimate(np.where(arrived(record.z), record.z, np.nan))
+    if estimate is not None:
+        starts.append(_positive(free, moments, np.where(moments.unseen, own, estimate)))
+    return JointLikelihood(record, free, *max(starts, key=lambda matrices: record(*matrices)[0]))
 
 
-def _positive(free: Free, told: Autocovariances, amounts: Floats) -> tuple[Floats, Floats]:
-    """Make covariances of amounts (k,), of which each free variance is above zero as far as readings see it."""
-    strongest = (amounts * told.lengths)[free.variances].max(initial=0.0)
-    least = _LEAST * (strongest if strongest > 0 else 1.0) / np.where(told.unseen, np.inf, told.lengths)
+def _positive(free: Free, moments: Autocovariances, amounts: Floats) -> tuple[Floats, Floats]:
+    """Return Q and R for amounts (k,), with each free variance that affects the readings raised above zero."""
+    strongest = (amounts * moments.lengths)[free.variances].max(initial=0.0)
+    least = _LEAST_SHARE * (strongest if strongest > 0 else 1.0) / np.where(moments.unseen, np.inf, moments.lengths)
     amounts = np.where(free.variances, np.maximum(amounts, least), amounts)
     process, noise = free.patterns
     cut = len(process.names)
@@ -225,7 +225,7 @@ def _positive(free: Free, told: Autocovariances, amounts: Floats) -> tuple[Float
 
 
 def _definite(covariance: Floats) -> Floats:
-    """Return the nearest matrix of the same variances, roughly, whose correlations are well below one."""
+    """Return a matrix with about the same variances whose correlations are well below one."""
     sigma = np.sqrt(np.diag(covariance))
     sigma = np.where(sigma > 0, sigma, sigma[sigma > 0].min(initial=1.0))
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
@@ -233,13 +233,13 @@ def _definite(covariance: Floats) -> Floats:
     return np.asarray(clipped * np.outer(sigma, sigma))
 
 
-def _result(joint: JointLikelihood, found: Certainty, theta: Floats) -> TunedModel:
-    """Lay out what was found."""
+def _result(joint: JointLikelihood, certainty: Certainty, theta: Floats) -> TunedModel:
+    """Return the identified model with the standard errors of its Q and R."""
     given, (Q, R) = joint.record.model, joint.at(theta)
     tuned = Model(F=given.F, H=given.H, Q=Q, R=R, G=given.G, x0=given.x0, P0=given.P0, known=given.known)
     cut = len(joint.free.patterns[0].names)
     process_error, noise_error = (
         (np.where(part.shapes != 0, each[:, np.newaxis, np.newaxis], 0.0) * np.abs(part.shapes)).sum(axis=0)
-        for part, each in zip(joint.free.patterns, (found.errors[:cut], found.errors[cut:]), strict=True)
+        for part, each in zip(joint.free.patterns, (certainty.errors[:cut], certainty.errors[cut:]), strict=True)
     )
-    return TunedModel(tuned, process_error, noise_error, joint(theta), joint.used, found.sentences)
+    return TunedModel(tuned, process_error, noise_error, joint(theta), joint.used, certainty.sentences)

@@ -1,9 +1,9 @@
-"""Which entries of Q and R are free, and numbers without bounds that stand for them.
+"""Define the free entries of Q and R, and map them to parameters without bounds.
 
-A covariance is a sum of *patterns*, each with an amount: that form is linear, which tells what readings
-can tell. To search, the same covariance is written so that every number gives one that is positive
-definite: C0 L L' C0' with C0 the root of the covariance started from and the logarithms of the diagonal
-of the triangle L free (Pinheiro and Bates, Statistics and Computing 6 (1996) 289), or patterns times e^2t.
+A covariance is a sum of *patterns*, each with an amount. That form is linear, so it shows what readings can determine.
+For the search, the same covariance is written so that any parameters give a positive definite matrix: C0 L L' C0' with
+C0 the root of the starting covariance, where the logarithms of the diagonal of the triangle L are free (Pinheiro and
+Bates, Statistics and Computing 6 (1996) 289), or patterns times e^2t.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.errors import ModelError
 
 Freedom = Literal["full", "diagonal", "scale", "fixed"]
-"""How much of a covariance is free.
+"""Which entries of a covariance are free.
 
-"full": every entry. "diagonal": the variances, and all else is zero. "scale": one factor for each of
-its independent blocks, as components joined by `+` have them. "fixed": nothing.
+"full": every entry. "diagonal": the variances, with all other entries zero. "scale": one factor for each independent
+block, such as components joined by `+`. "fixed": none.
 """
 
 FURTHEST = 20.0
-"""Logarithms of standard deviations go no further than this from where they started."""
+"""Largest distance of the logarithm of a standard deviation from its start."""
 
 
 @dataclass(frozen=True, eq=False)
 class Patterns:
-    """A covariance (d, d) as the sum of k patterns, each with an amount, and of what is held.
+    """A covariance (d, d) as the sum of k patterns, each with an amount, and a fixed part.
 
     Attributes
     ----------
     names : tuple of k str
-        As a sentence names them, such as "Q[0,1]".
+        Names for messages, such as "Q[0,1]".
     shapes : (k, d, d) float array
-        No two of them share an entry.
+        The patterns; no two of them share an entry.
     held : (d, d) float array
-        What is not free, in unit^2.
+        The fixed part, in unit^2.
     """
 
     names: tuple[str, ...]
@@ -48,31 +48,31 @@ class Patterns:
 
     @property
     def variances(self) -> Booleans:
-        """Which patterns hold variances, (k,); the others correlate."""
+        """Mask (k,) of the patterns that hold variances; the others hold covariances."""
         return np.asarray(np.trace(self.shapes, axis1=1, axis2=2) > 0)
 
     def amounts(self, covariance: Floats) -> Floats:
-        """Return how much of each pattern a covariance (d, d) holds, (k,)."""
+        """Return the amount (k,) of each pattern in a covariance (d, d)."""
         inside = np.einsum("kij,ij->k", self.shapes, covariance)
         return np.asarray(inside / np.einsum("kij,kij->k", self.shapes, self.shapes))
 
     def scales(self, covariance: Floats) -> Floats:
-        """Return amounts (k,) that are large: as if all that a pattern joins were fully correlated."""
+        """Return the amounts (k,) for full correlation of all entries of a pattern, as a scale of what is large."""
         sigma, sizes = np.sqrt(np.diag(covariance)), np.abs(self.shapes)
         return np.asarray(np.einsum("kij,i,j->k", sizes, sigma, sigma) / np.einsum("kij,kij->k", sizes, sizes))
 
     def covariance(self, amounts: Floats) -> Floats:
-        """Return the sum (d, d); with any amounts (k,), so it may have eigenvalues below zero."""
+        """Return the sum (d, d) for any amounts (k,); it may have negative eigenvalues."""
         return np.asarray(self.held + np.einsum("k,kij->ij", amounts, self.shapes))
 
 
 def patterns_of(letter: str, covariance: Floats, freedom: Freedom) -> Patterns:
-    """Return what is free of a covariance (d, d) that is called `letter`.
+    """Return the patterns of the free entries of a covariance (d, d) with the name `letter`.
 
     Raises
     ------
     ModelError
-        If that freedom is not known.
+        If `freedom` is not one of the four.
     """
     d, nothing = len(covariance), np.zeros_like(covariance)
     if freedom == "fixed":
@@ -81,10 +81,12 @@ def patterns_of(letter: str, covariance: Floats, freedom: Freedom) -> Patterns:
         blocks = _blocks(covariance)
         masks = [np.isin(np.arange(d), block) for block in blocks]
         shapes = [covariance * np.outer(mask, mask) for mask in masks]
-        names = tuple(f"the scale of {letter}[{_range(block)}]" for block in blocks)
+        names = tuple(f"the scale of {letter}[{_row_names(block)}]" for block in blocks)
         return Patterns(names, np.array(shapes).reshape(-1, d, d), nothing)
     if freedom not in ("diagonal", "full"):
-        raise ModelError(f"{freedom!r} does not say what of {letter} is free; use one of {list(get_args(Freedom))}.")
+        raise ModelError(
+            f"{freedom!r} is not a choice of free entries of {letter}; use one of {list(get_args(Freedom))}."
+        )
     pairs = [(i, j) for i in range(d) for j in range(i + 1) if i == j or freedom == "full"]
     shapes = [_unit(d, i, j) for i, j in pairs]
     return Patterns(tuple(f"{letter}[{j},{i}]" for i, j in pairs), np.array(shapes), nothing)
@@ -92,16 +94,16 @@ def patterns_of(letter: str, covariance: Floats, freedom: Freedom) -> Patterns:
 
 @dataclass(frozen=True, eq=False)
 class FreeMatrix:
-    """A covariance as a function of k numbers without bounds, which are 0 where it starts.
+    """A covariance as a function of k parameters without bounds, which are 0 at its start.
 
     Attributes
     ----------
     patterns : Patterns
-        What is free.
+        The free entries.
     start : (d, d) float array
-        Where the search begins; positive definite if it is fully free.
+        The starting covariance; positive definite if every entry is free.
     fully : bool
-        Whether every entry is free.
+        True if every entry is free.
     """
 
     patterns: Patterns
@@ -110,7 +112,7 @@ class FreeMatrix:
 
     @property
     def count(self) -> int:
-        """How many numbers are free, k."""
+        """Number of parameters, k."""
         return len(self.patterns.names)
 
     def at(self, theta: Floats) -> Floats:
@@ -118,13 +120,13 @@ class FreeMatrix:
         if self.fully:
             root = self._root @ self._triangle(theta)
             return np.asarray(root @ root.T)
-        scaled = self._begins * _bounded_exp(theta) ** 2
+        scaled = self._start_amounts * _bounded_exp(theta) ** 2
         return self.patterns.covariance(scaled)
 
     def slopes(self, theta: Floats) -> Floats:
-        """Return the derivative of the covariance by each number, (k, d, d)."""
+        """Return the derivative of the covariance by each parameter, (k, d, d)."""
         if not self.fully:
-            scaled = self._begins * _bounded_exp(theta) ** 2
+            scaled = self._start_amounts * _bounded_exp(theta) ** 2
             return np.asarray(2 * scaled[:, np.newaxis, np.newaxis] * self.patterns.shapes)
         rows, columns = self._places
         C, L = self._root, self._triangle(theta)
@@ -146,7 +148,7 @@ class FreeMatrix:
         return np.equal(*self._places)
 
     @cached_property
-    def _begins(self) -> Floats:
+    def _start_amounts(self) -> Floats:
         return self.patterns.amounts(self.start)
 
     def _triangle(self, theta: Floats) -> Floats:
@@ -167,7 +169,7 @@ def _unit(d: int, i: int, j: int) -> Floats:
 
 
 def _blocks(covariance: Floats) -> list[Integers]:
-    """Return the rows of each independent block; those of nothing but zeros are none."""
+    """Return the rows of each independent block; rows that are all zero form no block."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -176,8 +178,8 @@ def _blocks(covariance: Floats) -> list[Integers]:
     return [block for block in blocks if covariance[block[0]].any()]
 
 
-def _range(block: Integers) -> str:
-    """Name rows: 0 or 0:3, or one by one where they do not follow each other."""
+def _row_names(block: Integers) -> str:
+    """Return a name of rows: 0 or 0:3, or a list where they are not consecutive."""
     first, last = int(block[0]), int(block[-1])
     if last - first + 1 != len(block):
         return ",".join(str(int(row)) for row in block)

@@ -1,8 +1,8 @@
-"""The highest point of a log-likelihood of several unknowns, and how steeply it falls from there.
+"""Find the maximum of a log-likelihood of several unknowns, and its curvature there.
 
-Few evaluations and no derivatives are asked for: a walk in factors of ten over the logarithms finds the
-region, BFGS with differences climbs, and the curvature is measured about the top over steps of a
-fraction of a standard error, so that rounding does not count.
+The search needs few evaluations and no derivatives: steps by factors of ten over the logarithms find the region, and
+BFGS with difference quotients climbs. The curvature is measured around the maximum over a fraction of a standard error,
+so that rounding does not matter.
 """
 
 from __future__ import annotations
@@ -16,39 +16,39 @@ from becalm.core.arrays import Booleans, Floats
 
 LogLikelihood = Callable[[Floats], float]
 
-_TEN = 0.5 * np.log(10.0)  # of a variance, in the logarithm of its root
+_TEN = 0.5 * np.log(10.0)  # log of a standard deviation for a factor of ten in its variance
 _SWEEPS = 3
-_LIKELIER = 0.1  # by so much a factor of ten must be likelier to be gone
+_LIKELIER = 0.1  # gain in log-likelihood that a step by a factor of ten needs
 _DIFFERENCE = 1e-6
-_NEAR = 1e-3  # of a standard error: where climbing ends
-_LONGEST = 0.5  # of a logarithm, over which curvature is measured where the likelihood is flat
-_STEP = 0.2  # of a standard error: over which curvature is measured
+_NEAR = 1e-3  # of a standard error: precision of the climb
+_LONGEST = 0.5  # of a logarithm: longest step for the curvature, where the likelihood is flat
+_STEP = 0.2  # of a standard error: step for the curvature
 FAR = 14.0
-"""How far a logarithm of a standard deviation is followed: a factor of 10^12 in its variance."""
+"""Largest change of the logarithm of a standard deviation: a factor of 10^12 in its variance."""
 
 AT_REST = 0.1
-"""Of a log-likelihood: less than this above is a maximum, far within one standard error."""
+"""Gain in log-likelihood still possible at a maximum; less than this is far within one standard error."""
 
 _ROUNDS = 3
-_ROUND = 1e-6  # of the largest curvature, which the least counts as at least
-_HOPELESS = 1e10
+_ROUND = 1e-6  # of the largest curvature: least value of the other curvatures
+_HOPELESS = 1e10  # cost where the log-likelihood is not finite
 
 
 @dataclass(frozen=True, eq=False)
 class Peak:
-    """A maximum.
+    """A maximum of a log-likelihood, and its curvature.
 
     Attributes
     ----------
     theta : (k,) float array
-        Where it is.
+        Position of the maximum.
     value : float
-        The log-likelihood there.
+        Log-likelihood at the maximum.
     information : (k, k) float array
-        Minus its second derivative there.
+        Minus the second derivative at the maximum.
     rising : float
-        How much likelier it could still become, by a step of Newton's or one unit of a flat number; near 0
-        if it is a maximum, and large where there is none.
+        Gain in log-likelihood still possible by a Newton step, or by one unit of a flat parameter. It is near 0 at a
+        maximum, and large where there is none.
     """
 
     theta: Floats
@@ -58,7 +58,7 @@ class Peak:
 
 
 def walk(log_likelihood: LogLikelihood, theta: Floats, logarithms: Booleans) -> Floats:
-    """Multiply one variance after the other by ten or a tenth, for as long as that is likelier."""
+    """Multiply each variance in turn by ten or a tenth, as long as the likelihood rises; return theta (k,)."""
     best, theta = log_likelihood(theta), theta.copy()
     for _ in range(_SWEEPS):
         before = best
@@ -73,16 +73,16 @@ def walk(log_likelihood: LogLikelihood, theta: Floats, logarithms: Booleans) -> 
 
 
 def climb(log_likelihood: LogLikelihood, theta: Floats, readings: int) -> Peak:
-    """Climb from theta (k,) to the maximum, and measure its curvature.
+    """Climb from theta (k,) to the maximum, and measure the curvature there.
 
     Parameters
     ----------
     log_likelihood : callable
-        Of k numbers, of which a standard deviation's logarithm is typical; -inf where it cannot be.
+        Function of k parameters, typically logarithms of standard deviations; -inf where undefined.
     theta : (k,) float array
-        Where to begin.
+        Starting point.
     readings : int
-        How many there are; it sets the scale of the curvature.
+        Number of readings; it sets the scale of the curvature.
     """
     base, scale = log_likelihood(theta), 2.0 * max(readings, 1)
 
@@ -103,7 +103,7 @@ def climb(log_likelihood: LogLikelihood, theta: Floats, readings: int) -> Peak:
 
 
 def _descend(cost: Callable[[Floats], float], theta: Floats, ways: Floats, near: float) -> Floats:
-    """Go down from theta (k,) by BFGS along `ways` (k, k); return where it ends."""
+    """Minimise the cost from theta (k,) by BFGS along the directions `ways` (k, k); return the end point."""
     from scipy.optimize import minimize
 
     def moved(at: Floats) -> float:
@@ -113,12 +113,12 @@ def _descend(cost: Callable[[Floats], float], theta: Floats, ways: Floats, near:
         here, steps = moved(at), _DIFFERENCE * np.eye(len(at))
         return np.array([(moved(at + step) - here) / _DIFFERENCE for step in steps])
 
-    found = minimize(moved, np.zeros(len(theta)), jac=slope, method="BFGS", options={"gtol": near})
-    return np.asarray(theta + ways @ found.x)
+    result = minimize(moved, np.zeros(len(theta)), jac=slope, method="BFGS", options={"gtol": near})
+    return np.asarray(theta + ways @ result.x)
 
 
 def curvature(cost: Callable[[Floats], float], top: Floats, step: float) -> Floats:
-    """Return the second derivative (k, k) of a cost, by differences over a fraction of `step`, longer where it is flat.
+    """Return the second derivative (k, k) of a cost, by differences over part of `step`, longer where it is flat.
 
     Notes
     -----
@@ -137,7 +137,10 @@ def curvature(cost: Callable[[Floats], float], top: Floats, step: float) -> Floa
 
 
 def _lengthen(cost: Callable[[Floats], float], top: Floats, way: Floats, least: float) -> tuple[Floats, float]:
-    """Double a way (k,) until the cost rises by enough to be seen beside rounding; return both costs added up."""
+    """Double a direction (k,) until the cost rises clearly above rounding.
+
+    Returns the direction, and the sum of the costs at both of its ends.
+    """
     here = cost(top)
     while True:
         both = cost(top + way) + cost(top - way)
@@ -147,13 +150,16 @@ def _lengthen(cost: Callable[[Floats], float], top: Floats, way: Floats, least: 
 
 
 def _inverse_root(matrix: Floats) -> Floats:
-    """Return a root (k, k) of the inverse of a curvature, with none of its directions lost."""
+    """Return a root (k, k) of the inverse of a curvature, with flat directions bounded."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray(vectors / np.sqrt(np.maximum(values, _ROUND * np.abs(values).max() + np.finfo(float).tiny)))
 
 
 def _last_step(cost: Callable[[Floats], float], top: Floats, bent: Floats) -> tuple[Floats, float]:
-    """Take Newton's step from where climbing ended, if it leads higher; return what it, or a flat way, promises."""
+    """Take a Newton step from the end of the climb, if it leads higher.
+
+    Returns the new point, and the reduction in cost that the step, or a flat direction, promises.
+    """
     ways = _DIFFERENCE * np.eye(len(top))
     slope = np.array([cost(top + way) - cost(top - way) for way in ways]) / (2 * _DIFFERENCE)
     values, vectors = np.linalg.eigh(bent)
@@ -164,9 +170,9 @@ def _last_step(cost: Callable[[Floats], float], top: Floats, bent: Floats) -> tu
 
 
 def reach(log_likelihood: LogLikelihood, peak: Peak, direction: Floats) -> float:
-    """Return how far a direction (k,) leads until the log-likelihood has fallen by one half; inf if it does not.
+    """Return the distance along a direction (k,) at which the log-likelihood has fallen by one half; inf if none.
 
-    Half a unit is one standard error where the likelihood is a parabola.
+    Where the likelihood is a parabola, this is one standard error.
     """
     fallen, ahead = 0.0, 1e-3
     while peak.value - log_likelihood(peak.theta + ahead * direction) < 0.5:

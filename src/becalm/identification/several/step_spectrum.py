@@ -1,10 +1,10 @@
-"""Tuning by step and spectrum: the cost of the IMU paper, which weighs lag against the noise left.
+"""Compute the tuning cost of the IMU paper, which weighs lag against remaining noise.
 
 J(R, Q) = int from t_s to t_f of (S - x)^2 dt + int from 0 to Fs/2 of |X(f)| df   (10)
 
-In the first term x is the filter's output for a motionless record plus a step of S at t_s, and t_f the
-first time that it reaches S; in the second X is the Welch spectrum of its output for the record alone.
-Source: Kownacki (2010). The search for its least is in `becalm.identification.several.step_tuning`.
+In the first term x is the filter's output for a motionless record plus a step of S at t_s, and t_f is the first time at
+which it reaches S. In the second term X is the Welch spectrum of the output for the record alone. Source: Kownacki
+(2010). `becalm.identification.several.step_tuning` searches the minimum.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Sensor = Literal["accelerometer", "gyroscope"]
 SpectrumKind = Literal["amplitude", "power"]
 
 SEGMENT = 1024
-"""Readings in a segment of the Welch spectrum."""
+"""Number of readings in a segment of the Welch spectrum."""
 
 
 def imu_component(sensor: Sensor, process_variance: float) -> Component:
@@ -35,15 +35,16 @@ def imu_component(sensor: Sensor, process_variance: float) -> Component:
     Parameters
     ----------
     sensor : {"accelerometer", "gyroscope"}
-        State [V, a], of which a is read and V never observed; or [omega, epsilon], of which omega is read.
+        The accelerometer has the state [V, a] and measures a; V is unobservable. The gyroscope has the state [omega,
+        epsilon] and measures omega.
     process_variance : float
-        Q, of the noise on both states, in unit^2; after an Euler step of T, T^2 Q I. A *small* one
-        trusts the model and smooths more.
+        Q, the variance of the noise on both states, in unit^2; after an Euler step of T, T^2 Q I. A *small* one trusts
+        the model and smooths more.
 
     Raises
     ------
     ModelError
-        If the sensor is another.
+        If the sensor is not one of the two.
     """
     if sensor not in ("accelerometer", "gyroscope"):
         raise ModelError(f"sensor = {sensor!r} is not known; use 'accelerometer' or 'gyroscope'.")
@@ -61,14 +62,14 @@ def imu_component(sensor: Sensor, process_variance: float) -> Component:
 
 
 class Cost(NamedTuple):
-    """What one filter costs by (10).
+    """The cost of one filter by (10).
 
     Attributes
     ----------
     lag : float
-        First integral, in unit^2 s.
+        First integral of (10), in unit^2 s.
     noise : float
-        Second integral: in unit sqrt(Hz) of the amplitude spectrum, in unit^2 of the power spectrum.
+        Second integral of (10): in unit sqrt(Hz) for the amplitude spectrum, in unit^2 for the power spectrum.
     reached_after_s : float
         t_f - t_s, in seconds; NaN if the record ends before the output reaches the step.
     """
@@ -79,37 +80,37 @@ class Cost(NamedTuple):
 
     @property
     def total(self) -> float:
-        """J, the sum of both as numbers; their units differ, so that the unit of the record matters."""
+        """J, the sum of both numbers; their units differ, so it depends on the unit of the record."""
         return self.lag + self.noise
 
 
 @dataclass(frozen=True, eq=False)
 class StepTrial:
-    """A motionless record, and the step that is added to it.
+    """A motionless record and a step that is added to it.
 
     Attributes
     ----------
     record : (N,) float array
-        Motionless readings, in unit, none missing; their mean is taken away.
+        Motionless readings in unit, none missing; their mean is subtracted.
     rate_hz : float
         Readings per second.
     sensor : {"accelerometer", "gyroscope"}
-        Which model filters it; see `imu_component`.
+        The sensor, which determines the filter's model; see `imu_component`.
     spectrum : {"amplitude", "power"}
-        What |X(f)| means: the square root of the Welch power density, which the printed optimum
-        needs, or that density itself.
+        Meaning of |X(f)|: the square root of the Welch power density, which gives the optimum that the paper prints, or
+        that density itself.
     step : float
         S, in unit.
     step_at_s : float
         t_s, in seconds.
     initial_covariance : (2, 2) float array or None
-        P0, about a state of zero; the paper has ones. None starts from the first readings.
+        P0 around a state of zero; the paper uses ones. None starts from the first readings.
 
     Raises
     ------
     RecordingError
-        If readings are missing, the record is shorter than a segment or ends before the step, or the
-        rate, step or spectrum is none.
+        If readings are missing, the record is shorter than a segment or ends before the step, or the rate, the step or
+        the spectrum is invalid.
     """
 
     record: Floats
@@ -121,34 +122,36 @@ class StepTrial:
     initial_covariance: Floats | None = None
 
     def __post_init__(self) -> None:
-        """Check what came."""
+        """Check the record, the step and the names."""
         if self.record.ndim != 1 or len(self.record) < SEGMENT or not np.isfinite(self.record).all():
-            raise RecordingError(f"A record of one channel is needed, (N,), {SEGMENT} readings or more, none missing.")
+            raise RecordingError(
+                f"The record must have one channel, (N,), with {SEGMENT} readings or more, none missing."
+            )
         if not (0 < self.rate_hz < np.inf and 0 < self.step < np.inf):
             raise RecordingError(f"rate_hz = {self.rate_hz} and step = {self.step}; both must be positive.")
         if not 0 <= self.step_at_s * self.rate_hz < len(self.record) - 1:
             lasts = len(self.record) / self.rate_hz
             raise RecordingError(
-                f"The step at {self.step_at_s:g} s is not in the record of {lasts:g} s; set step_at_s."
+                f"The step at {self.step_at_s:g} s is not within the record of {lasts:g} s; set step_at_s."
             )
         if self.spectrum not in ("amplitude", "power"):
             raise RecordingError(f"spectrum = {self.spectrum!r} is not known; use 'amplitude' or 'power'.")
         imu_component(self.sensor, 1.0)
 
     def model(self, noise_variance: float, process_variance: float) -> Model:
-        """Return the filter's model for R and Q, by an Euler step as in the paper."""
+        """Return the filter's model for R and Q, discretised by an Euler step as in the paper."""
         euler = imu_component(self.sensor, process_variance).to_model(1 / self.rate_hz, noise_variance, "euler")
         if self.initial_covariance is None:
             return euler
         return Model(euler.F, euler.H, euler.Q, euler.R, euler.G, np.zeros(2), self.initial_covariance)
 
     def cost(self, noise_variance: float, process_variance: float) -> Cost:
-        """Return what the filter of R and Q costs, both in unit^2; R = 0 needs an initial covariance.
+        """Return the cost of the filter with R and Q, both in unit^2; R = 0 needs an initial covariance.
 
         Notes
         -----
-        The filter is linear in its readings: its output for record and step together is the sum of those
-        for each. Nothing is approximated; the gain is the one that the recursion has at each reading.
+        The filter is linear in its readings, so its output for record plus step is the sum of its outputs for each.
+        Nothing is approximated: at each reading the gain is that of the recursion.
         """
         model = self.model(noise_variance, process_variance)
         calm, stepped = (_filtered(model, z) for z in (self._centred, self._step))
@@ -161,13 +164,13 @@ class StepTrial:
     def _noise(self, calm: Floats) -> float:
         """Return the integral of the spectrum of an output (N,)."""
         density = 2 * welch_power(calm, np.hanning(SEGMENT + 1)[:-1]) / self.rate_hz
-        density[[0, -1]] /= 2  # neither has a mirrored frequency
+        density[[0, -1]] /= 2  # 0 Hz and half the rate have no mirrored frequency
         size = np.sqrt(density) if self.spectrum == "amplitude" else density
         return float(np.trapezoid(size, dx=self.rate_hz / SEGMENT))
 
     @cached_property
     def _first(self) -> int:
-        """Row of the step."""
+        """The row of the step."""
         return int(np.ceil(self.step_at_s * self.rate_hz - 1e-9))
 
     @cached_property

@@ -1,1 +1,1 @@
-"""How far a tuning may be trusted: what it does not know, and how long errors last."""
+"""Estimate how far a tuning can be trusted: its uncertainty, and the correlation time of its errors."""

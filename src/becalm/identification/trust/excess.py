@@ -1,9 +1,9 @@
-"""How much smaller a smoother's error could be, told from how its innovations are coloured.
+"""Estimate how much smaller a smoother's error could be, from the colour of its innovations.
 
-The innovations' spectrum, beside a white one, is that of the readings beside the model's own. With
-what the model takes for noise, readings tell what is signal at each frequency, and so the error of
-this smoother, and of the best one for such readings (Wiener 1949). Innovations that are predictable
-where the smoother listens to nothing, or believes everything, cost nothing.
+The ratio of the innovations' spectrum to a white one is the ratio of the readings' spectrum to that of the model. With
+the model's noise, the readings show the signal at each frequency, and so the error of this smoother and of the best one
+for such readings (Wiener 1949). Predictable innovations cost nothing at frequencies where the smoother passes nothing
+or everything.
 """
 
 from __future__ import annotations
@@ -20,11 +20,14 @@ from becalm.identification.spectrum import line_power
 _ANGLES = np.pi * np.concatenate([np.geomspace(1e-7, 1e-2, 1500)[:-1], np.linspace(1e-2, 1.0, 3000)])
 
 Colour = Callable[[Floats], Floats]
-"""Takes angles (k,), radians a step; returns the power (k,) of normalised innovations there, 1 where all is right."""
+"""Function of angles (k,), radians per step, that returns the power (k,) of normalised innovations.
+
+The power is 1 for a correct model.
+"""
 
 
 def excess_error(tuning: Tuning, colour: Colour) -> float:
-    """Return by which share a smoother's rms error exceeds that of the best smoother for such readings.
+    """Return the share by which a smoother's RMS error exceeds that of the best smoother for such readings.
 
     Parameters
     ----------
@@ -35,11 +38,11 @@ def excess_error(tuning: Tuning, colour: Colour) -> float:
     """
     signal, noise = powers(tuning, _ANGLES)
     passed = signal / (signal + noise)
-    found = colour(_ANGLES) * (signal + noise)
-    still_noise = np.minimum(noise, found)
-    moved = found - still_noise
+    total = colour(_ANGLES) * (signal + noise)
+    still_noise = np.minimum(noise, total)
+    moved = total - still_noise
     own = (1 - passed) ** 2 * moved + passed**2 * still_noise
-    best = _mean(moved * (still_noise / found))
+    best = _mean(moved * (still_noise / total))
     return float(np.sqrt(_mean(own) / best)) - 1 if best > 0 else 0.0
 
 
@@ -57,5 +60,5 @@ def powers(tuning: Tuning, angle: Floats) -> tuple[Floats, Floats]:
 
 
 def _mean(power: Floats) -> float:
-    """Return the mean over all frequencies; what is slower than the slowest has its power."""
+    """Return the mean over all frequencies; below the lowest angle the power is constant."""
     return float((power[0] * _ANGLES[0] + np.trapezoid(power, _ANGLES)) / np.pi)

@@ -1,1 +1,1 @@
-"""What a person asks for: one dial, what noise left costs in lag, what a delay buys."""
+"""Tune a filter to a person's wish: one setting, the trade-off of noise against lag, and the gain of a delay."""

@@ -1,7 +1,7 @@
-"""The front of noise against lag: what every filter would leave and how late it would be, before any is run.
+"""Compute the trade-off curve of remaining noise against lag, before any filter runs.
 
-Predicted from the Riccati solution and the variance of a reading alone. Of the signal it knows nothing: what
-a filter does to that, its bandwidth and overshoot tell, and which order fits it, the likelihood.
+The curve is predicted from the Riccati solution and the variance of a reading alone. It does not know the signal:
+bandwidth and overshoot show what a filter does to it, and the likelihood shows which order fits it.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from becalm.identification.wishes.dial import Dial, Kind, ratio_for
 from becalm.identification.wishes.waiting import refuse_variance
 
 _CUTOFFS = np.geomspace(1e-4, 4.0, 48)  # radians a step
-_SAME = 1e-9  # relative: what differs by less is equal
+_SAME = 1e-9  # relative difference below which two numbers are equal
 
 
 @dataclass(frozen=True)
 class Point:
-    """One causal filter on the front.
+    """One causal filter on the trade-off curve.
 
     Attributes
     ----------
     order : int
-        Of the motion.
+        Order of the motion.
     ratio : float
         q/r, as in `Tuning.ratio`.
     noise_std : float
-        Standard deviation of the noise that is left, in unit.
+        Standard deviation of the remaining noise, in unit.
     noise_gain_db : float
-        Its power over that of a reading's noise, in dB, below 0.
+        Power of the remaining noise over that of a reading's noise, in dB, below 0.
     lag_s, step_50_s, step_90_s : float
-        How far the output trails, and a step at half and at nine tenths of its height; see `core.steady.response`.
+        Lag of the output, and delay of a step at 50 % and at 90 % of its height; see `core.steady.response`.
     bandwidth_hz, noise_bandwidth_hz : float
-        -3 dB, and noise-equivalent, one-sided.
+        -3 dB bandwidth, and noise-equivalent bandwidth, one-sided.
     overshoot_percent : float
-        Of a step.
+        Overshoot of a step.
     """
 
     order: int
@@ -59,16 +59,16 @@ class Point:
 
 @dataclass(frozen=True)
 class Front:
-    """All filters that were looked at.
+    """The filters of a trade-off curve.
 
     Attributes
     ----------
     noise_variance : float
-        Of a reading, in unit^2.
+        Noise variance of a reading, in unit^2.
     step_s : float
         Step in seconds.
     points : tuple of Point
-        By order, the slowest first.
+        The filters by order, the slowest first.
     """
 
     noise_variance: float
@@ -77,12 +77,12 @@ class Front:
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Orders that were looked at."""
+        """The orders on the curve."""
         return tuple(dict.fromkeys(point.order for point in self.points))
 
     @property
     def best(self) -> tuple[Point, ...]:
-        """The Pareto front, the quickest first: no other point is both quicker and quieter."""
+        """The Pareto front, fastest first: no other point is both faster and quieter."""
         kept: list[Point] = []
         for point in sorted(self.points, key=lambda point: (point.lag_s, point.noise_std)):
             if not kept or point.noise_std < kept[-1].noise_std:
@@ -92,16 +92,16 @@ class Front:
 
 @dataclass(frozen=True)
 class Pick:
-    """A point that was chosen, and why.
+    """The chosen point of a trade-off curve, and why it was chosen.
 
     Attributes
     ----------
     point : Point
         The chosen filter.
     why : str
-        In a sentence or two, with the other orders' figures.
+        The reason in a sentence or two, with the figures of the other orders.
     rivals : tuple of Point
-        What the other orders would give for the same wish.
+        The filters of the other orders for the same wish.
     """
 
     point: Point
@@ -112,27 +112,27 @@ class Pick:
 def noise_lag_front(
     noise_variance: float, step_s: float, orders: Sequence[int] = ORDERS, ratios: Sequence[float] | None = None
 ) -> Front:
-    """Predict what motions of several orders leave of the noise, and how late they are.
+    """Predict the remaining noise and the lag of filters of several orders.
 
     Parameters
     ----------
     noise_variance : float
-        r of a reading, in unit^2, as `tune_motion` finds it.
+        r, the noise variance of a reading, in unit^2, as `tune_motion` returns it.
     step_s : float
         Step in seconds.
     orders : sequence of int
-        1 to 5.
+        Orders of the motion, each 1 to 5.
     ratios : sequence of float, optional
-        q/r to look at; a *small* one smooths more. By default cut-offs from 1e-4 to 4 radians a step.
+        Values of q/r; a *small* one smooths more. The default are cut-offs from 1e-4 to 4 radians per step.
 
     Raises
     ------
     UsageError
-        If the variance or a ratio is not positive, or there is nothing to look at.
+        If the variance or a ratio is not positive, or there is no order or no ratio.
     """
     refuse_variance(noise_variance)
     if len(orders) == 0 or (ratios is not None and len(ratios) == 0):
-        raise UsageError("A front needs an order and a ratio to look at; leave them out to take the usual ones.")
+        raise UsageError("A trade-off curve needs an order and a ratio; leave them out to use the defaults.")
     wrong = [ratio for ratio in ratios or () if not 0 < ratio < np.inf]
     if wrong:
         raise UsageError(f"ratios holds {wrong[0]}; each q/r must be positive.")
@@ -151,18 +151,18 @@ def pick(
     bandwidth_hz: float | None = None,
     noise_gain_db: float | None = None,
 ) -> Pick:
-    """Choose the filter for one wish: exactly, not only among the points of the grid.
+    """Choose the filter that fulfils one wish exactly, not only among the points of the grid.
 
     Parameters
     ----------
     front : Front
-        Its orders are compared; give a front of one order to keep that.
+        The curve whose orders are compared; give a curve of one order to keep that order.
     max_lag_s : float, optional
-        The output trails neither a ramp nor a step, at half of its height, by more; the quietest wins.
+        Largest lag of the output behind a ramp, and behind a step at 50 % of its height; the quietest filter wins.
     bandwidth_hz : float, optional
-        The -3 dB bandwidth; the quietest wins.
+        The -3 dB bandwidth; the quietest filter wins.
     noise_gain_db : float, optional
-        Noise power after over before, below 0; the quickest wins.
+        Noise power after the filter over that before it, in dB, below 0; the fastest filter wins.
 
     Raises
     ------
@@ -176,35 +176,35 @@ def pick(
     }
     given = [Dial(kind, value) for kind, value in wishes.items() if value is not None]
     if len(given) != 1:
-        raise UsageError(f"{len(given)} wishes came; give one of max_lag_s, bandwidth_hz and noise_gain_db.")
+        raise UsageError(f"{len(given)} wishes came; give exactly one of max_lag_s, bandwidth_hz and noise_gain_db.")
     dial = given[0]
-    found, refused = [], []
+    points, refused = [], []
     for order in front.orders:
         try:
-            found.append(_point(order, ratio_for(order, dial, front.step_s), front.noise_variance, front.step_s))
+            points.append(_point(order, ratio_for(order, dial, front.step_s), front.noise_variance, front.step_s))
         except UsageError as cause:
             refused.append(str(cause))
-    if not found:
+    if not points:
         raise UsageError(" ".join(dict.fromkeys(refused)))
     quickest = dial.kind == "noise_gain_db"
-    ranked = sorted(found, key=lambda point: point.lag_s if quickest else point.noise_std)
+    ranked = sorted(points, key=lambda point: point.lag_s if quickest else point.noise_std)
     return Pick(ranked[0], _why(dial, ranked), tuple(ranked[1:]))
 
 
 def _point(order: int, ratio: float, noise_variance: float, step_s: float) -> Point:
-    told = describe(motion_filter(order, ratio).model, step_s)
-    step = told.step
+    response = describe(motion_filter(order, ratio).model, step_s)
+    step = response.step
     assert step is not None  # a motion passes 0 Hz
     return Point(
         order=order,
         ratio=ratio,
-        noise_std=float(np.sqrt(told.noise_gain * noise_variance)),
-        noise_gain_db=told.noise_gain_db,
-        lag_s=told.lag_s,
+        noise_std=float(np.sqrt(response.noise_gain * noise_variance)),
+        noise_gain_db=response.noise_gain_db,
+        lag_s=response.lag_s,
         step_50_s=step.delay_50_s,
         step_90_s=step.delay_90_s,
-        bandwidth_hz=told.bandwidth_hz,
-        noise_bandwidth_hz=told.noise_bandwidth_hz,
+        bandwidth_hz=response.bandwidth_hz,
+        noise_bandwidth_hz=response.noise_bandwidth_hz,
         overshoot_percent=step.overshoot_percent,
     )
 
@@ -212,9 +212,9 @@ def _point(order: int, ratio: float, noise_variance: float, step_s: float) -> Po
 def _why(dial: Dial, ranked: list[Point]) -> str:
     best, others = ranked[0], ranked[1:]
     won = "quickest" if dial.kind == "noise_gain_db" else "quietest"
-    said = f"With {dial.kind} = {dial.value:.6g}, order {best.order} is the {won}: {_figures(best)}."
+    reason = f"With {dial.kind} = {dial.value:.6g}, order {best.order} is the {won}: {_figures(best)}."
     rest = "; ".join(f"order {point.order}: {_figures(point)}" for point in others)
-    return f"{said} {rest[:1].upper()}{rest[1:]}." if rest else said
+    return f"{reason} {rest[:1].upper()}{rest[1:]}." if rest else reason
 
 
 def _figures(point: Point) -> str:

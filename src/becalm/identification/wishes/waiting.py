@@ -1,6 +1,6 @@
-"""What waiting for later readings gains: the curve from the filter over fixed lags to the smoother.
+"""Compute how much waiting for later readings gains: the curve from the filter over fixed lags to the smoother.
 
-Predicted from the Riccati solution and the variance of a reading alone, as the front is.
+It is predicted from the Riccati solution and the variance of a reading alone, as the trade-off curve is.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ from becalm.errors import ModelError, UsageError
 from becalm.identification.likelihood import Tuning
 
 _WAITS = np.append(0.0, np.geomspace(0.05, 6.0, 40))  # in units of 1 / cut-off
-_SHARES = (0.25, 0.5, 0.75)  # of the decibels that waiting gains
-_NEAR_DB = 0.1
+_SHARES = (0.25, 0.5, 0.75)  # of the gain in dB from filter to smoother
+_NEAR_DB = 0.1  # from the limit, at which the curve ends
 _LONGEST = 1 << 30  # readings
 
 
 @dataclass(frozen=True)
 class Wait:
-    """What is left if the output may wait for later readings.
+    """The remaining error if the output may wait for later readings.
 
     Attributes
     ----------
     wait_s : float
-        0 is the filter, inf the smoother.
+        Waiting time in seconds; 0 is the filter, inf the smoother.
     sigma : float
         Standard deviation of the error where the model holds, in unit.
     noise_std : float
-        Standard deviation of a reading's noise that is left, in unit.
+        Standard deviation of what remains of a reading's noise, in unit.
     gain_db : float
-        How much less error power than the filter leaves, in dB.
+        Reduction of the error power compared with the filter, in dB.
     """
 
     wait_s: float
@@ -57,13 +57,13 @@ def waiting_curve(
     order : int
         1 to 5.
     ratio : float
-        q/r, as in `Tuning.ratio`; a *small* one trusts the motion, and waiting takes longer to pay.
+        q/r, as in `Tuning.ratio`; a *small* one trusts the motion, and useful waits are longer.
     noise_variance : float
-        r of a reading, in unit^2; with a *small* one less is left of everything, and waiting pays as much.
+        r, the noise variance of a reading, in unit^2; a *small* one reduces all errors, and `gain_db` stays.
     step_s : float
         Step in seconds.
     waits : sequence of int, optional
-        Later readings that are waited for; by default to 6 / cut-off. The smoother comes last in any case.
+        Numbers of later readings to wait for; by default up to 6 / cut-off. The smoother always comes last.
 
     Raises
     ------
@@ -74,24 +74,24 @@ def waiting_curve(
     """
     step_s = checked_step(step_s)
     if not 0 < ratio < np.inf:
-        raise UsageError(f"ratio = {ratio} is no q/r; give a positive number, variance over variance.")
+        raise UsageError(f"ratio = {ratio} is not a q/r; give a positive number, variance over variance.")
     if any(not wait >= 0 for wait in waits or ()):
-        raise UsageError(f"waits = {waits} go back in time; give numbers of readings, no wait below 0.")
+        raise UsageError(f"waits = {waits} contains a negative wait; give numbers of readings, 0 or more.")
     refuse_variance(noise_variance)
-    found = motion_filter(order, ratio)
+    steady_filter = motion_filter(order, ratio)
     steps = np.unique(np.round(_WAITS / ratio_to_cutoff(order, ratio))) if waits is None else np.sort(np.asarray(waits))
-    alone = found.error_variance()
+    filter_error = steady_filter.error_variance()
     curve = []
     for wait in (*steps.tolist(), np.inf):
-        error, noise = found.error_variance(wait), found.noise_gain(wait)
+        error, noise = steady_filter.error_variance(wait), steady_filter.noise_gain(wait)
         sigma, left = np.sqrt(error * noise_variance), np.sqrt(noise * noise_variance)
-        curve.append(Wait(wait * step_s, float(sigma), float(left), decibels(alone / error)))
+        curve.append(Wait(wait * step_s, float(sigma), float(left), decibels(filter_error / error)))
     return tuple(curve)
 
 
 @dataclass(frozen=True)
 class Delay:
-    """What is left of the noise if the output comes so much later.
+    """The remaining noise if the output is delayed.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Delay:
     sigma : float
         Standard deviation of the error where the model holds, in unit.
     left_db : float
-        Its power over that of a reading's noise, in dB, below 0.
+        Power of the error over that of a reading's noise, in dB, below 0.
     """
 
     wait_s: float
@@ -109,51 +109,56 @@ class Delay:
 
 
 def delay_curve(tuning: Tuning, step_s: float) -> tuple[Delay, ...]:
-    """Return what a delay buys of a tuned filter, from none at all to where more would not gain 0.1 dB.
+    """Return what a delay gains for a tuned filter, from none up to where more would gain less than 0.1 dB.
 
-    Between them stand the least lags that gain a quarter, a half and three quarters of that.
+    In between are the smallest lags that gain a quarter, a half and three quarters of that.
 
     Parameters
     ----------
     tuning : Tuning
-        Motion, tones and coloured noise; what is no signal, coloured noise among it, counts as noise of a reading.
+        Motion, tones and coloured noise; coloured noise counts as noise of a reading.
     step_s : float
         Step in seconds.
 
     Returns
     -------
     tuple of Delay
-        The soonest first; the last one is the limit, that of the smoother within 0.1 dB.
+        The curve, shortest delay first; the last one is within 0.1 dB of the smoother.
 
     Raises
     ------
     ModelError
-        If the filter never settles, as without process noise, or the step is not positive.
+        If the filter has no steady state, as without process noise, or the step is not positive.
     """
     coloured = 0.0 if tuning.coloured is None else tuning.coloured.variance
     return delays_of(tuning.component, tuning.noise_variance, tuning.noise_variance + coloured, step_s)
 
 
 def delays_of(component: Component, noise_variance: float, noise: float, step_s: float) -> tuple[Delay, ...]:
-    """Return that curve of a component, as of one mode of several: `noise` is all that a reading's noise counts."""
+    """Return the delay curve of a component, such as that of one mode of several.
+
+    `noise` is the variance, in unit^2, of all that counts as a reading's noise.
+    """
     step_s = checked_step(step_s)
-    found = steady(component.to_model(1.0, noise_variance), component.signal_output[0])
-    if not found.error_variance() > 0:
+    steady_filter = steady(component.to_model(1.0, noise_variance), component.signal_output[0])
+    if not steady_filter.error_variance() > 0:
         raise ModelError(
-            "Without process noise the error shrinks for ever, so that no delay can be told; give q above 0."
+            "Without process noise the error shrinks for ever, so there is no delay curve; give q above 0."
         )
 
     def left_db(lag: float) -> float:
-        return decibels(found.error_variance(lag) / noise)
+        return decibels(steady_filter.error_variance(lag) / noise)
 
     first, limit = left_db(0), left_db(np.inf)
     wanted = [first + share * (limit - first) for share in _SHARES]
     lags = {0, *(_least_lag(left_db, level) for level in (*wanted, limit + _NEAR_DB) if level < first)}
-    return tuple(Delay(lag * step_s, float(np.sqrt(found.error_variance(lag))), left_db(lag)) for lag in sorted(lags))
+    return tuple(
+        Delay(lag * step_s, float(np.sqrt(steady_filter.error_variance(lag))), left_db(lag)) for lag in sorted(lags)
+    )
 
 
 def _least_lag(left_db: Callable[[float], float], wanted: float) -> int:
-    """Return the least lag at which no more than wanted is left; what is left never grows with it."""
+    """Return the smallest lag at which at most `wanted` remains; the remaining noise never grows with the lag."""
     high = 1
     while left_db(high) > wanted and high < _LONGEST:
         high *= 2
@@ -167,4 +172,4 @@ def _least_lag(left_db: Callable[[float], float], wanted: float) -> int:
 def refuse_variance(noise_variance: float) -> None:
     """Raise a UsageError if a number is not the variance of a reading."""
     if not 0 < noise_variance < np.inf:
-        raise UsageError(f"noise_variance = {noise_variance} is no variance; give a positive number in unit^2.")
+        raise UsageError(f"noise_variance = {noise_variance} is not a variance; give a positive number in unit^2.")
