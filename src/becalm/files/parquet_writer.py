@@ -67,7 +67,10 @@ def _new_writer(file: IO[bytes], table: pa.Table) -> Any:
 
 
 def _repeats(column: pa.ChunkedArray) -> bool:
-    """Return whether a dictionary makes a column shorter, judged by a sample: true of a constant sigma, not a signal."""
+    """Return whether a dictionary makes a column shorter, judged by a sample of its values.
+
+    It does so for a sigma in steady state, but not for a clean signal.
+    """
     if not pa.types.is_floating(column.type) or len(column) < _SAMPLED:
         return True
     sample = column.take(np.linspace(0, len(column) - 1, _SAMPLED).astype(np.int64)).to_numpy()
