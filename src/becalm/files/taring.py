@@ -95,7 +95,7 @@ def _temperature(one: Sensed, readings: RawTable, first: int, stop: int) -> floa
     degc = _stretch(readings, column, first, stop) * size.factor + size.offset
     finite = degc[np.isfinite(degc)]
     if not len(finite):
-        raise SensorError(f"its temperature column {column!r} has no readings there. Give another interval.")
+        raise SensorError(f"The temperature column {column!r} has no readings there. Give another interval.")
     return float(finite.mean())
 
 

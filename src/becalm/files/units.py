@@ -142,7 +142,7 @@ _UNIT_WORD = re.compile(
 
 
 def tidy_unit(text: str) -> str:
-    r"""Return the normalised spelling of a unit: `um\m` becomes `um/m`, `m/s2` and `m.s-2` become `m/s^2`, a dash ""."""
+    r"""Normalise the spelling of a unit: `um\m` becomes `um/m`, `m/s2` and `m.s-2` become `m/s^2`, and a dash ""."""
     unit = text.strip()
     while found := _ENCLOSED.match(unit):
         unit = found[1].strip()

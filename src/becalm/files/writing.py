@@ -191,7 +191,7 @@ class TableOutput:
         self._thread.join()
 
     def _work(self) -> None:
-        """Write chunks until None comes; after a failure, only empty the queue, so that `write` never blocks for ever."""
+        """Write chunks until None comes; after a failure, discard them, so that `write` does not block for ever."""
         while (table := self._queue.get()) is not None:
             self._attempt(lambda table=table: self._writer.write(table))  # type: ignore[misc]
         self._attempt(self._writer.close)
