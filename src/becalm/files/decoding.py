@@ -133,7 +133,7 @@ def told(path: Path) -> Iterator[None]:
     except IsADirectoryError:
         raise InputError(f"{path} is a directory; give the path of one file in it.") from None
     except PermissionError:
-        raise InputError(f"You may not read {path}; change its permissions (`chmod u+r`).") from None
+        raise InputError(f"{path} may not be read; change its permissions (`chmod u+r`).") from None
     except EOFError:
         raise InputError(f"{path} is a gzip file that ends too early; copy or download it again.") from None
     except (gzip.BadGzipFile, zlib.error) as cause:

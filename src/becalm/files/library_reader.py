@@ -81,7 +81,7 @@ class Foreign:
     def holds_nothing(self) -> InputError:
         """Return the error that says that the file has no rows that can be read, and why."""
         if self.cut:
-            return InputError(f"{self.path} is truncated, and no rows in it can be read; copy or download it again.")
+            return InputError(f"{self.path} is cut short, and no rows in it can be read; copy or download it again.")
         return InputError(f"{self.path} holds no channel with rows; two or more rows are needed.")
 
     def refuse_claim(self, wanted_bytes: int) -> None:

@@ -145,7 +145,7 @@ class ParquetRows:
                 ) from cause
             if self._is_cut():
                 raise InputError(
-                    f"{self._path} is truncated: the end of a Parquet file describes its columns, and without it the"
+                    f"{self._path} is cut short: the end of a Parquet file describes its columns, and without it the"
                     " file cannot be read; copy or write it again."
                 ) from cause
             raise InputError(f"{self._path} is a damaged Parquet file ({reason}); copy or write it again.") from cause

@@ -156,5 +156,5 @@ def format_to_write(path: Path) -> str:
         if name.endswith(ending):
             return ENDINGS[ending]
     if name.endswith(".mdf"):
-        raise OutputError(f"{path} has the ending of MDF version 3; becalm writes version 4: end the name in .mf4.")
+        raise OutputError(f"{path} has the ending of MDF version 3, but version 4 is written: end the name in .mf4.")
     raise OutputError(f"{path} has an unknown ending {path.suffix!r}; end the name in {_ENDINGS}.")
