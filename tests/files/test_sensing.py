@@ -156,7 +156,9 @@ def test_each_sensor_finds_its_time(tmp_path: Path) -> None:
     assert slow.head.column("pull").to_pylist() == [1000.0, 500.0]
 
 
-@pytest.mark.parametrize(("channel", "said"), [("other", "more than one time base"), ("none", "no time base of the file")])
+@pytest.mark.parametrize(
+    ("channel", "said"), [("other", "more than one time base"), ("none", "no time base of the file")]
+)
 def test_a_sensor_whose_time_is_not_clear_is_refused(channel: str, said: str, tmp_path: Path) -> None:
     text = CELL.replace("pull", channel)
     with pytest.raises(UsageError, match=f"--sensors names '{channel}', which {said}"):
@@ -171,7 +173,7 @@ MISTAKES = {
         "names 'push', which is not a column; the columns are 'time_s', 'pull', 'y'",
     ),
     "another unit": ('"pull"', '"pull (g)"', "pull (g)", r"--sensors expects 'pull \(g\)' in mV: 'g' is a unit of"),
-    "a name taken": ('"pull"', '"pull (V)"', "pull (V),pull (N)", r"makes 'pull \(V\)' 'pull \(N\)', and another"),
+    "a name taken": ('"pull"', '"pull (V)"', "pull (V),pull (N)", r"renames 'pull \(V\)' to 'pull \(N\)', but another"),
 }
 
 

@@ -72,7 +72,7 @@ def _match(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, 
     (table,) = holding
     columns = tuple(named_column(table, name, SENSORS_OPTION) for name in record.channels)
     sizes = tuple(_size(table, column, record.raw_unit) for column in columns)
-    return table, Sensed(record, columns, sizes, tuple(_named(table, column, record.unit) for column in columns))
+    return table, Sensed(record, columns, sizes, tuple(_new_name(table, column, record.unit) for column in columns))
 
 
 def _refuse_twice(sensed: Sequence[Sensed]) -> None:
@@ -116,7 +116,7 @@ def _conversion(column: str, unit: str, wanted: str) -> Conversion:
         raise UsageError(f"--sensors expects {column!r} in {wanted}: {cause}") from cause
 
 
-def _named(table: RawTable, column: str, unit: str) -> str:
+def _new_name(table: RawTable, column: str, unit: str) -> str:
     bare, in_header = parse_header(column)
     renamed = f"{bare} ({unit})" if in_header else column
     if renamed != column and renamed in table.names:

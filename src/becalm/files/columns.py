@@ -70,7 +70,7 @@ class ColumnRows:
         self.schema: pa.Schema = pa.schema([_field(name, column) for name, column in columns.items()], metadata or None)
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Read the named columns from row `start` on, in blocks of up to `most_rows`."""
+        """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
         schema = pa.schema([self.schema.field(name) for name in names], self.schema.metadata)
         for first in range(start, self.count, most_rows):
             last = min(first + most_rows, self.count)

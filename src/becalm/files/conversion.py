@@ -71,10 +71,10 @@ def conversion(unit_from: str, unit_to: str) -> Conversion:
     if not fitting:
         raise UsageError(_incompatible((one, other), *tried[0]))
     _refuse_unlike((one, other), *fitting[0])
-    return _between(*fitting[0])
+    return _conversion_between(*fitting[0])
 
 
-def _between(one: Unit, other: Unit) -> Conversion:
+def _conversion_between(one: Unit, other: Unit) -> Conversion:
     registry, steps = _registry(), (_step_of(one), _step_of(other))
     offset = 0 if steps == (one, other) else registry.convert(0, one, other)
     return Conversion(float(registry.convert(1, *steps)), float(offset))
@@ -128,14 +128,14 @@ def _quantities(unit: Unit) -> tuple[frozenset[str], frozenset[str]]:
     registry = _registry()
     items: Any = registry.Quantity(1, unit).unit_items()
     parts = [(registry.Unit(name), power) for name, power in items]
-    roots = frozenset(_named(part) for part, power in parts if power % 1)
+    roots = frozenset(_quantity_name(part) for part, power in parts if power % 1)
     rest = [(part, power) for part, power in parts if not power % 1]
     whole = prod((part**power for part, power in rest), start=registry.Unit(""))
-    kinds = frozenset(_named(part) for part, _ in rest if not part.dimensionless)
+    kinds = frozenset(_quantity_name(part) for part, _ in rest if not part.dimensionless)
     return roots, kinds if whole.dimensionless else frozenset()
 
 
-def _named(unit: Unit) -> str:
+def _quantity_name(unit: Unit) -> str:
     """Return the name of the quantity that a unit measures."""
     for name, example in QUANTITIES.items():
         if _registry().Unit(example).dimensionality == unit.dimensionality:
@@ -146,7 +146,7 @@ def _named(unit: Unit) -> str:
 
 
 def _incompatible(written: tuple[str, str], one: Unit, other: Unit) -> str:
-    kinds = _named(one), _named(other)
+    kinds = _quantity_name(one), _quantity_name(other)
     example = f", as {QUANTITIES[kinds[0]].replace('g_n', 'g')!r}" if kinds[0] in QUANTITIES else ""
     hint = ""
     if "mass" in kinds and "force" in kinds:

@@ -60,12 +60,12 @@ class OpenSource:
         self._stamps: Stamps | None = None
         self._time = TimeLayout((), "counted rows")
         try:
-            self._understand(raw, options)
+            self._interpret(raw, options)
         except BaseException:
             self.close()
             raise
 
-    def _understand(self, raw: RawTable, options: ReadOptions) -> None:
+    def _interpret(self, raw: RawTable, options: ReadOptions) -> None:
         if raw.count == 0:
             raise InputError("It has columns but no rows; two or more rows are needed.")
         times = row_times(raw, options)

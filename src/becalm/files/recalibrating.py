@@ -95,8 +95,8 @@ def recalibrated(
         raise UsageError(f"The sensor of {', '.join(odd.channels)} is in one of --from and --to only; both need it.")
     of_tables: list[list[Recalibrated]] = [[] for _ in tables]
     for one in old:
-        place = _place(tables, one)
-        of_tables[place].append(_of_channel(tables[place], recipe, one, by_channels[one.channels]))
+        place = _table_number(tables, one)
+        of_tables[place].append(_recalibrate_channel(tables[place], recipe, one, by_channels[one.channels]))
     return tuple(map(tuple, of_tables))
 
 
@@ -112,7 +112,7 @@ def recalibrated_blocks(table: RawTable, channels: Sequence[Recalibrated]) -> It
         yield block
 
 
-def _place(tables: Sequence[RawTable], record: SensorRecord) -> int:
+def _table_number(tables: Sequence[RawTable], record: SensorRecord) -> int:
     """Return the number of the table that has a sensor's channel; 0 if none has it, so that a later step raises."""
     holding = [place for place, table in enumerate(tables) if holds(table, record.channels[0])]
     if len(holding) > 1:
@@ -120,7 +120,7 @@ def _place(tables: Sequence[RawTable], record: SensorRecord) -> int:
     return holding[0] if holding else 0
 
 
-def _of_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new: SensorRecord) -> Recalibrated:
+def _recalibrate_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new: SensorRecord) -> Recalibrated:
     _refuse_other(old, new)
     column = named_column(table, parse_header(old.channels[0])[0], _FROM)
     channel = next((one for one in recipe.channel if one.name == column), None)

@@ -61,7 +61,7 @@ def choose_channels(
         If a numeric column has a cell that is not a number, or there is no channel.
     """
     times = (*time, *other_times)
-    wanted = None if asked is None else _resolved(raw, asked, time, asker)
+    wanted = None if asked is None else _requested_columns(raw, asked, time, asker)
     passed = _why_passed(raw, times) if wanted is None else {}
     columns = []
     for name in raw.names:
@@ -107,7 +107,7 @@ def missing_in(raw: RawTable) -> list[int]:
     return counts
 
 
-def _resolved(raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: Asker) -> tuple[str, ...]:
+def _requested_columns(raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: Asker) -> tuple[str, ...]:
     wanted = tuple(dict.fromkeys(named_column(raw, name, asker) for name in asked))
     if not wanted:
         raise UsageError(f"--channels is empty; name some of {', '.join(map(repr, raw.names[:20]))}.")
@@ -166,14 +166,14 @@ def _why_not_numbers(raw: RawTable, name: str, times: Sequence[str]) -> str:
         if raw.format == "csv" and not kind_of_column(raw.head.column(name)):
             bad = find_bad_cells(raw, name)
             if bad.few:
-                raise bad_cell(raw, name, bad, _or_without(raw, name, times))
+                raise bad_cell(raw, name, bad, _exclusion_hint(raw, name, times))
         return "text"
     if pa.types.is_nested(kind):
         return "nested"
     return "dates or times" if pa.types.is_temporal(kind) else f"not numbers ({kind})"
 
 
-def _or_without(raw: RawTable, name: str, times: Sequence[str]) -> str:
+def _exclusion_hint(raw: RawTable, name: str, times: Sequence[str]) -> str:
     """Return a phrase that says how to leave a column out; "" if there are no other columns of numbers."""
     others = [n for n in raw.names if n not in (name, *times) and kind_of_column(raw.head.column(n)) == NUMBERS]
     return f", or leave the column out by naming the others: --channels {','.join(others[:3])!r}" if others else ""
@@ -200,7 +200,7 @@ def refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:
     if is_text(kind):
         bad = find_bad_cells(raw, name)
         if bad.cells:
-            raise bad_cell(raw, name, bad, _or_without(raw, name, times))
+            raise bad_cell(raw, name, bad, _exclusion_hint(raw, name, times))
     elif not (pa.types.is_boolean(kind) or pa.types.is_null(kind) or kind_of_column(raw.head.column(name)) == NUMBERS):
         raise InputError(f"Column {name!r} holds {kind}, not numbers; name others with --channels.")
 

@@ -84,7 +84,7 @@ class KnownSource:
             If the file is damaged, or changes while it is read.
         """
         row = first
-        for table in rebatched(self._until(first, stop, rows), rows):
+        for table in rebatched(self._blocks_until(first, stop, rows), rows):
             yield Chunk(row, table, self.elapsed(row, table.num_rows), self._known.names, self._raw.decimal)
             row += table.num_rows
 
@@ -108,7 +108,7 @@ class KnownSource:
         """Close the file."""
         self._raw.rows.close()
 
-    def _until(self, first: int, stop: int, rows: int) -> Iterator[pa.Table]:
+    def _blocks_until(self, first: int, stop: int, rows: int) -> Iterator[pa.Table]:
         left = stop - first
         for block in self._raw.blocks(self._raw.names, first, most_rows=rows):
             yield block.slice(0, left)

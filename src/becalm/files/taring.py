@@ -68,7 +68,7 @@ def _tared(one: Sensed, readings: RawTable, times: RowTimes) -> Sensed:
         first, stop = rows_between(times, start_s, stop_s)
         if stop - first > MOST_READINGS:
             raise SensorError(f"The interval has {stop - first} rows; at most {MOST_READINGS} are used. Shorten it.")
-        value, std, count = zero_of(_stretch(readings, one.names[0], first, stop))
+        value, std, count = zero_of(_read_rows(readings, one.names[0], first, stop))
         tare = Tare(
             start_s,
             stop_s,
@@ -92,14 +92,14 @@ def _temperature(one: Sensed, readings: RawTable, first: int, stop: int) -> floa
     if one.thermometer is None:
         return one.record.temperature.constant_degc
     column, size = one.thermometer
-    degc = _stretch(readings, column, first, stop) * size.factor + size.offset
+    degc = _read_rows(readings, column, first, stop) * size.factor + size.offset
     finite = degc[np.isfinite(degc)]
     if not len(finite):
         raise SensorError(f"The temperature column {column!r} has no readings there. Give another interval.")
     return float(finite.mean())
 
 
-def _stretch(table: RawTable, name: str, first: int, stop: int) -> Floats:
+def _read_rows(table: RawTable, name: str, first: int, stop: int) -> Floats:
     """Read the rows from `first` up to `stop` of a column as float64."""
     parts, left = [np.empty(0)], stop - first
     for block in table.blocks([name], first):

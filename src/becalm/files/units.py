@@ -152,7 +152,7 @@ def tidy_unit(text: str) -> str:
 
 def parse_header(header: str) -> tuple[str, str]:
     """Return the name of a column without its unit, and the unit, "" if there is none."""
-    name, unit = _parted(header)
+    name, unit = _split_header(header)
     return name, on_sensor(name, unit)
 
 
@@ -163,17 +163,17 @@ def on_sensor(name: str, unit: str) -> str:
     return unit
 
 
-def _parted(header: str) -> tuple[str, str]:
+def _split_header(header: str) -> tuple[str, str]:
     if _INDEXED.search(header):
         return header.strip(), ""
     found = _BRACKETED.match(header)
     if found and ":" in (found["round"] or ""):  # a remark: (S/N: 123)
-        return _parted(found["name"])
+        return _split_header(found["name"])
     if found and found["name"].strip(" /"):
         unit = next(text for text in (found["round"], found["square"], found["angle"]) if text is not None)
         if found["round"] is None or is_unit(tidy_unit(unit)):
             return found["name"].rstrip(" /").strip(), tidy_unit(unit)
-        name, inner = _parted(found["name"])  # V(out), acc (g) (raw)
+        name, inner = _split_header(found["name"])  # V(out), acc (g) (raw)
         return (f"{name} ({unit})", inner) if inner else (header.strip(), "")
     for pattern in (_AFTER_COMMA, _AFTER_IN, _SIGN):
         found = pattern.match(header)

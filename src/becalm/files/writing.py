@@ -155,7 +155,7 @@ class TableOutput:
         self._metadata = {key.encode(): value.encode() for key, value in (metadata or {}).items()}
         self._queue: Queue[pa.Table | None] = Queue(_QUEUED_CHUNKS)
         self._failure: BaseException | None = None
-        self._unwanted = False
+        self._abandoned = False
         self._thread = Thread(target=self._work, name="becalm-writer", daemon=True)
         self._thread.start()
 
@@ -186,7 +186,7 @@ class TableOutput:
 
     def abandon(self) -> None:
         """Stop as soon as possible; queued chunks are not written."""
-        self._unwanted = True
+        self._abandoned = True
         self._queue.put(None)
         self._thread.join()
 
@@ -195,11 +195,11 @@ class TableOutput:
         while (table := self._queue.get()) is not None:
             self._attempt(lambda table=table: self._writer.write(table))  # type: ignore[misc]
         self._attempt(self._writer.close)
-        if self._failure is not None or self._unwanted:
+        if self._failure is not None or self._abandoned:
             self._writer.drop()
 
     def _attempt(self, step: Callable[[], None]) -> None:
-        if self._failure is not None or self._unwanted:
+        if self._failure is not None or self._abandoned:
             return
         try:
             with sentences(self._path):

@@ -99,10 +99,10 @@ def ragged(path: Path, body: Body, dialect: Dialect, cause: str) -> InputError:
     """
     stray = _first_stray(body(), dialect)
     width = len(dialect.kinds)
-    for row in _rows(body() if stray is None else _up_to(body(), stray.at + 1), dialect.separator):
+    for row in _rows(body() if stray is None else _first_bytes(body(), stray.at + 1), dialect.separator):
         line = dialect.first_line + 1 + row.line
         if stray and row.end > stray.at:
-            return _stray_quote(path, row.number, line + _line_ends(row.text), stray)
+            return _stray_quote_error(path, row.number, line + _line_ends(row.text), stray)
         if (cells := _cells(row.text, dialect.separator)) != width:
             return InputError(
                 f"Row {row.number} (line {line}) of {path} has {cells} cell{'s' * (cells != 1)} where {width} are"
@@ -111,7 +111,7 @@ def ragged(path: Path, body: Body, dialect: Dialect, cause: str) -> InputError:
     return InputError(f"{path} cannot be read as a table: {' '.join(cause.split())[:200]}. Save it again as plain CSV.")
 
 
-def _stray_quote(path: Path, number: int, line: int, stray: _Stray) -> InputError:
+def _stray_quote_error(path: Path, number: int, line: int, stray: _Stray) -> InputError:
     return InputError(
         f"Row {number} (line {line}) of {path} opens a quoted cell that {stray.harm}: {_shown(stray.line)}."
         " Remove that quote, or close the cell with another; a cell that is meant to hold all this must be on one line."
@@ -146,7 +146,7 @@ def _cells(row: bytes, separator: str) -> int:
     return _patterns(separator).quoted.sub(b"", row).count(_delimiter(separator)) + 1
 
 
-def _up_to(blocks: Iterable[bytes], size: int) -> Iterator[bytes]:
+def _first_bytes(blocks: Iterable[bytes], size: int) -> Iterator[bytes]:
     """Yield the blocks up to a total of `size` bytes."""
     for block in blocks:
         yield block[:size]

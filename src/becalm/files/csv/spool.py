@@ -145,7 +145,7 @@ class _Spooling:
         converted = SpooledRows(pa.schema(fields))
         try:
             for block in rows.blocks(self._names, max(1, rows.count)):
-                arrays = [_as(block.column(name), decimal, types.get(name)) for name in self._names]
+                arrays = [_converted(block.column(name), decimal, types.get(name)) for name in self._names]
                 converted.add(pa.table(arrays, converted.schema))
         except BaseException:
             converted.close()
@@ -154,7 +154,7 @@ class _Spooling:
         return converted
 
 
-def _as(column: pa.ChunkedArray, decimal: str, kind: pa.DataType | None) -> Any:
+def _converted(column: pa.ChunkedArray, decimal: str, kind: pa.DataType | None) -> Any:
     return column if kind is None else numbers_of(column, decimal, kind)
 
 

@@ -147,19 +147,19 @@ def refuse_different(path: Path, table: RawTable, other: Path, first: RawTable) 
         If they differ.
     """
     if lacks := [name for name in first.names if name not in table.names]:
-        raise _different(path, f"lacks the column {lacks[0]!r} that {other} has")
+        raise _difference_error(path, f"lacks the column {lacks[0]!r} that {other} has")
     if more := [name for name in table.names if name not in first.names]:
-        raise _different(path, f"has a column {more[0]!r} that {other} lacks")
+        raise _difference_error(path, f"has a column {more[0]!r} that {other} lacks")
     for name in first.names:
         own, its = table.type_of(name), first.type_of(name)
         if own != its:
-            raise _different(path, f"holds {name!r} as {own}, and {other} as {its}")
+            raise _difference_error(path, f"holds {name!r} as {own}, and {other} as {its}")
         unit, wanted = table.units.get(name, ""), first.units.get(name, "")
         if unit != wanted:
-            raise _different(path, f"has {name!r} in {unit or 'no unit'}, and {other} in {wanted or 'no unit'}")
+            raise _difference_error(path, f"has {name!r} in {unit or 'no unit'}, and {other} in {wanted or 'no unit'}")
 
 
-def _different(path: Path, how: str) -> InputError:
+def _difference_error(path: Path, how: str) -> InputError:
     return InputError(
         f"{path} {how}; the files of a folder are read as one recording, so all need the same columns. Write it again"
         " like the others, or give the path of one file."

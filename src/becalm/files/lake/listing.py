@@ -59,7 +59,7 @@ def parquet_files(folder: Path) -> Listing:
     found = list(_walk(folder, log, under))
     files = sorted((one.path for one in found if one.counts), key=lambda path: natural(path.relative_to(folder)))
     if not files:
-        raise _nothing(folder, [one for one in found if one.log is not None])
+        raise _no_files_error(folder, [one for one in found if one.log is not None])
     logs = {one.log: () if one.log is not log else under for one in found if one.log is not None}
     return Listing(tuple(files), tuple(note for one in logs.items() for note in _notes(*one, found)))
 
@@ -82,7 +82,7 @@ def natural(path: Path) -> list[list[str | int]]:
     ]
 
 
-def _nothing(folder: Path, unnamed: list[_ParquetFile]) -> InputError:
+def _no_files_error(folder: Path, unnamed: list[_ParquetFile]) -> InputError:
     if unnamed and (log := unnamed[0].log):
         return InputError(
             f"{folder} holds no Parquet file that the log of {log.root} names: its files were never finished, or were"

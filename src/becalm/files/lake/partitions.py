@@ -44,8 +44,8 @@ def refuse_several(folder: Path, files: Iterable[Path]) -> None:
     one = next(sensor for sensor in sensors if sensor)
     raise InputError(
         f"{folder} holds several sensors: {names[0]}, {names[1]}{more}; name one: becalm clean"
-        f" {quote(str(folder / _up_to(one[-1], sensors[one])))} -o OUT.parquet, or all of them with: becalm fleet clean"
-        f" {quote(str(folder))} -o OUT"
+        f" {quote(str(folder / _path_up_to(one[-1], sensors[one])))} -o OUT.parquet, or all of them with: becalm fleet"
+        f" clean {quote(str(folder))} -o OUT"
     )
 
 
@@ -59,5 +59,5 @@ def tells_time(part: str) -> bool:
     return _TIME.fullmatch(_HUMP.sub("_", part.partition("=")[0]).lower()) is not None
 
 
-def _up_to(last: str, place: Path) -> Path:
+def _path_up_to(last: str, place: Path) -> Path:
     return Path(*place.parts[: place.parts.index(last) + 1])

@@ -61,9 +61,9 @@ def find_header(above: Sequence[str], start: int, separator: str, kinds: tuple[s
     width = len(kinds)
     filled = [number for number in range(start, len(above)) if above[number].strip()]
     plain = [number for number in filled if not above[number].strip().startswith(_COMMENT)]
-    rows = [_filled(_cells(above[number], separator, width), kinds) for number in plain]
+    rows = [_with_blank_names(_cells(above[number], separator, width), kinds) for number in plain]
     if not rows or (width > 1 and len(rows[-1]) < 2 and rows[-1] != [""]):
-        rows = _commented(above, filled, separator, width)
+        rows = _names_in_comment(above, filled, separator, width)
     if not rows:
         return Header(("",) * width, ("",) * width, 0, len(filled) + start, 0)
     if logger := logger_header([_cells(above[number], separator, width) for number in plain] or rows, width):
@@ -96,7 +96,7 @@ def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int, together: i
     if len(rows) > 1 and _are_units(rows[-1]) and len(rows[-1]) == len(rows[-2]) == width:
         units = [tidy_unit(cell) for cell in rows.pop()]
         used += 1
-    elif len(rows) > 1 and _are_above(rows[-2], rows[-1], width):
+    elif len(rows) > 1 and _are_units_above(rows[-2], rows[-1], width):
         units = [tidy_unit(cell) for cell in rows.pop(-2)]
         used += 1
     names = rows[-1]
@@ -121,13 +121,13 @@ def _cells(line: str, separator: str, width: int) -> list[str]:
     return cells
 
 
-def _filled(cells: list[str], kinds: Sequence[str]) -> list[str]:
+def _with_blank_names(cells: list[str], kinds: Sequence[str]) -> list[str]:
     """Add blank names for empty columns at the right, which trailing separators create."""
     empty = all(kind == GONE for kind in kinds[len(cells) :])
     return _padded(cells, len(kinds)) if len(cells) > 1 and empty else cells
 
 
-def _commented(above: Sequence[str], filled: Sequence[int], separator: str, width: int) -> list[list[str]]:
+def _names_in_comment(above: Sequence[str], filled: Sequence[int], separator: str, width: int) -> list[list[str]]:
     """Return the names in a comment right above the data, as numpy writes them after a `#`."""
     if not filled:
         return []
@@ -144,7 +144,7 @@ def _are_units(row: Sequence[str]) -> bool:
     return bool(filled) and any(cell not in ("-", "--") for cell in filled) and all(map(looks_like_unit, filled))
 
 
-def _are_above(upper: Sequence[str], names: Sequence[str], width: int) -> bool:
+def _are_units_above(upper: Sequence[str], names: Sequence[str], width: int) -> bool:
     """Return whether a row of units is above a row of names, and the names are all different."""
     return len(upper) == len(names) == width == len(set(names)) and _are_units(upper) and not _are_units(names)
 

@@ -82,13 +82,13 @@ def rows_between(times: RowTimes, start_s: float, stop_s: float) -> tuple[int, i
         rate_hz = times.rate_hz or 1.0
         first, stop, lasts_s = ceil(start_s * rate_hz), ceil(stop_s * rate_hz), count / rate_hz
     else:
-        first, stop, lasts_s = _stamped(times.stamps, start_s, stop_s)
+        first, stop, lasts_s = _rows_before(times.stamps, start_s, stop_s)
     if stop > count or lasts_s < stop_s:
         raise SensorError(f"The rows end after {lasts_s:.6g} s. Give an earlier interval.")
     return first, stop
 
 
-def _stamped(stamps: Stamps, start_s: float, stop_s: float) -> tuple[int, int, float]:
+def _rows_before(stamps: Stamps, start_s: float, stop_s: float) -> tuple[int, int, float]:
     """Return the numbers of rows before two times in seconds, and the duration of all rows with one step at the end."""
     begin, last_s, before = np.nan, 0.0, [0, 0]
     for block in stamps.blocks():

@@ -96,12 +96,12 @@ def _reader(raw: RawTable, name: str, kind: str) -> clock.ClockReader:
 
 def _date_and_time(raw: RawTable, date: str, time: str) -> Iterator[clock.Instants]:
     dates, times = _reader(raw, date, clock.DATE).blocks(), _reader(raw, time, clock.TIME_OF_DAY).blocks()
-    for day, of_day in _in_step(dates, times):
+    for day, of_day in _aligned_blocks(dates, times):
         ns, missing = day.ns + of_day.ns % clock.DAY_NS, day.missing | of_day.missing
         yield clock.Instants(clock.DATE_TIME, ns, missing, of_day.zoned)
 
 
-def _in_step(
+def _aligned_blocks(
     first: Iterator[clock.Instants], second: Iterator[clock.Instants]
 ) -> Iterator[tuple[clock.Instants, clock.Instants]]:
     """Yield pairs of blocks of two columns with equal numbers of rows."""
