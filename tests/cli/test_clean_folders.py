@@ -64,7 +64,7 @@ def test_several_sensors_and_no_parquet_are_told_in_a_sentence(lake: Path, run: 
     (lake / "date=2").rename(lake / "sensor=2")
     ran = run("clean", lake, "-o", "calm.parquet")
     assert ran.returncode == 3
-    assert f"{lake} holds several: sensor=1, sensor=2; name one: becalm clean {lake}/sensor=1 -o" in ran.stderr
+    assert f"{lake} holds several sensors: sensor=1, sensor=2; name one: becalm clean {lake}/sensor=1 -o" in ran.stderr
     (tmp_path / "empty").mkdir()
     ran = run("inspect", tmp_path / "empty")
     assert ran.returncode == 3

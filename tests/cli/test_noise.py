@@ -174,7 +174,7 @@ def test_a_long_file_is_read_from_the_first_row_and_said(
     told = json.loads(shown.out)
     assert (told["rows"], told["rows_looked_at"]) == (9000, 6000)
     assert told["channels"][0]["noise_std"] == pytest.approx(1, rel=0.05)
-    assert "Only the first 6000 of 9000 rows were looked at." in shown.err
+    assert "Only the first 6000 of 9000 rows were used." in shown.err
 
 
 @pytest.mark.parametrize(("width", "rows"), [(1, 1 << 22), (64, 1 << 20), (1 << 20, 1 << 16)])

@@ -109,7 +109,7 @@ TRIAXIAL = '[[sensor]]\nkind = "triaxial"\nchannels = ["a", "b", "c"]\nraw_unit 
 TRIAXIAL += "sensitivity_mv = [1, 1, 1]\n"
 MISTAKES = {
     "not linear": (BRIDGE, BRIDGE, "is not linear in its readings. Clean the readings again"),
-    "axes": (TRIAXIAL, TRIAXIAL, "hear of each other"),
+    "axes": (TRIAXIAL, TRIAXIAL, "are calibrated together"),
     "another sensor": (OLD, OLD.replace('"a"', '"b"'), "The sensor of a is in one of --from and --to only"),
     "other units": (OLD, NEW.replace('"V"', '"mV"'), "write both in the same units"),
     "full scale": (OLD, NEW + "lowest_reading = -5\nhighest_reading = 5\n", "has another full scale"),
@@ -145,7 +145,7 @@ def test_a_unit_that_only_the_recipe_tells_is_seen(clean: Path, run: Run, tmp_pa
     assert (tmp_path / "mg.csv").read_text(encoding="utf-8").startswith("time_s,a,a_sigma,")
     ran = run("recalibrate", "mg.csv", "-o", "mended.csv", "--from", "old.toml", "--to", "new.toml")
     assert ran.returncode == 2
-    assert "'a' is in m/s^2, and --from turns its readings into g" in ran.stderr
+    assert "'a' is in m/s^2, but --from converts its readings to g" in ran.stderr
     assert not (tmp_path / "mended.csv").exists()
 
 

@@ -53,7 +53,7 @@ def test_clean_writes_what_was_measured_with_what_the_sheet_leaves_uncertain(
 ) -> None:
     ran = run("clean", log, "-o", "out.csv", "--sensors", "s.toml")
     assert ran.returncode in (0, 4), ran.stderr
-    assert "'pull (V)' is turned from mV into N by the sensor's sheet." in ran.stderr
+    assert "'pull (V)' is converted from mV to N by the sensor's data sheet." in ran.stderr
     assert "The sensor of pull (serial 4711) was due for calibration on 2020-03-01;" in ran.stderr
     assert (tmp_path / "out.csv").read_text().startswith("time_s,pull (N),pull (N)_sigma,other,")
     recipe = tomllib.loads((tmp_path / "out.csv.recipe.toml").read_text())
@@ -100,7 +100,7 @@ def test_the_other_commands_take_sensors(log: Path, run: Run) -> None:
 
 MISTAKES = {
     "no file": (None, "The sensor file s.toml cannot be read: No such file"),
-    "no channel": (CELL.replace('"pull"', '"push"'), "--sensors names 'push', which is not a column; there are"),
+    "no channel": (CELL.replace('"pull"', '"push"'), "--sensors names 'push', which is not a column; the columns are"),
     "a unit": (CELL.replace('"mV"', '"mV/V"'), "--sensors expects 'pull (V)' in mV/V"),
     "no TOML": ("[[sensor", "is not TOML"),
 }

@@ -49,7 +49,7 @@ def columns(path: Path) -> Floats:
 def test_a_zero_is_told_kept_and_gives_the_same_bytes_again(log: Path, run: Run, tmp_path: Path) -> None:
     first = run("clean", log, "-o", "out.csv", "--sensors", "s.toml")
     assert first.returncode in (0, 4), first.stderr
-    assert "the zero of 'pull (mV)' was taken from 0 s to 2 s: 0.7" in first.stderr
+    assert "the zero of 'pull (mV)' was measured from 0 s to 2 s: 0.7" in first.stderr
     assert "resonance" not in first.stderr  # the filter passes less than its flat band
     (pull,) = tomllib.loads((tmp_path / "out.csv.recipe.toml").read_text())["channel"]
     tare = pull["calibration"]["tare"]
@@ -86,13 +86,13 @@ def test_it_is_recalibrated_with_the_zero_that_was_taken(log: Path, run: Run, tm
 
 
 OTHERS = {
-    "another stretch": (WRONG, CELL.replace("0s:2s", "1s:2s"), "takes the zero of 'pull' from another stretch"),
-    "no zero before": (WRONG.replace('tare = "0s:2s"\n', ""), CELL, "takes the zero of 'pull' from another stretch"),
-    "another file": (WRONG.replace("0s:2s", "1s:2s"), CELL.replace("0s:2s", "1s:2s"), "do not take the same zero"),
+    "another stretch": (WRONG, CELL.replace("0s:2s", "1s:2s"), "measures the zero of 'pull' in another interval"),
+    "no zero before": (WRONG.replace('tare = "0s:2s"\n', ""), CELL, "measures the zero of 'pull' in another interval"),
+    "another file": (WRONG.replace("0s:2s", "1s:2s"), CELL.replace("0s:2s", "1s:2s"), "do not have the same zero"),
     "none told": (
         WRONG.replace('tare = "0s:2s"\n', ""),
         CELL.replace('tare = "0s:2s"\n', ""),
-        "not take the same zero",
+        "not have the same zero",
     ),
 }
 
@@ -113,7 +113,7 @@ def test_a_stretch_that_is_not_quiet_is_refused_and_nothing_written(log: Path, r
     (tmp_path / "s.toml").write_text(CELL.replace("0s:2s", "2s:6s"))
     ran = run("clean", log, "-o", "out.csv", "--sensors", "s.toml")
     assert ran.returncode == 2
-    assert "The zero of 'pull (mV)' cannot be taken from 2 s to 6 s" in ran.stderr
+    assert "The zero of 'pull (mV)' cannot be measured from 2 s to 6 s" in ran.stderr
     assert "Give a stretch" in ran.stderr
     assert "Traceback" not in ran.stderr
     assert not list(tmp_path.glob("out*"))

@@ -37,7 +37,7 @@ def test_a_channel_is_cleaned_in_the_unit_asked_for(logs: tuple[Path, Path], run
     told = {channel["name"]: channel["unit"] for channel in json.loads(ran.stdout)["channels"]}
     assert told == {"a x (m/s^2)": "m/s^2", "bridge": "mV/V"}
     assert "--unit: 'a x (g)' is converted from g to m/s^2 (times 9.80665)." in ran.stderr
-    assert "the file does not tell the unit of 'bridge'; it is taken to be mV/V." in ran.stderr
+    assert "the file has no unit for 'bridge'; mV/V is assumed." in ran.stderr
     plain = run("clean", logs[0], "-o", "plain.csv")
     assert plain.returncode == ran.returncode
     for column in (1, 2):  # signal and sigma

@@ -125,7 +125,7 @@ def test_leaving_a_bad_cell_out_never_names_the_time(column: int, tmp_path: Path
     path.write_text(
         "\n".join(",".join(line[: column + 1]) if column == 1 else line[0] + "," + line[2] for line in cells)
     )
-    with pytest.raises(InputError, match=r"which is not a number\. Mend the cell\."):
+    with pytest.raises(InputError, match=r"which is not a number\. Correct the cell\."):
         read(path)
 
 
@@ -147,7 +147,7 @@ def test_a_bad_cell_in_the_time_is_named(row: int, time: str | None, tmp_path: P
 def test_options_that_do_not_fit_are_refused_with_what_there_is(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(GOOD)
-    with pytest.raises(UsageError, match="there are 'time_s', 'a', 'b'"):
+    with pytest.raises(UsageError, match="the columns are 'time_s', 'a', 'b'"):
         read(path, channels=["c"])
     with pytest.raises(UsageError, match="--time names 'clock'"):
         read(path, time="clock")

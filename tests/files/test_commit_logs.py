@@ -35,7 +35,7 @@ def test_an_orphan_of_a_killed_job_is_not_read(given: str, tmp_path: Path) -> No
     source = read_source(folder)
     assert source.table.select(["time_s", "words"]) == evenly().slice(0, 200).select(["time_s", "words"])
     (note,) = source.layout.notes
-    assert f"One file that the log of {tmp_path / 'out'} does not name, as part-3é%20.parquet, left out" in note
+    assert f"One file is left out that the log of {tmp_path / 'out'} does not name, such as part-3é%20.parquet:" in note
     assert len(becalm.read(folder / "date=2" if given else folder / "sensor=a b/date=2")) == 100
     with pytest.raises(InputError, match=r"holds no Parquet file that the log of \S*/out names"):
         becalm.read(tmp_path / "out" / "sensor=a b" / "date=3")
@@ -87,7 +87,7 @@ def test_files_that_are_named_and_not_there_are_told(tmp_path: Path) -> None:
     source = read_source(root)
     assert source.layout.gaps == 1
     (note,) = source.layout.notes
-    assert note.startswith(f"2 files that the log of {root} names, as {NAMES[1]}, not there: the rows")
+    assert note.startswith(f"2 files are missing that the log of {root} names, such as {NAMES[1]}: the rows")
     (note,) = read_source(root / "sensor=a b").layout.notes
     assert note.startswith(f"One file that the log of {root} names, as {NAMES[1]}, not there")
 

@@ -169,7 +169,7 @@ def test_thousandths_behind_a_semicolon_are_fractions(tmp_path: Path) -> None:
 AMBIGUOUS = {
     "one or two columns": ("1,234\n5,678\n9,101\n", "one column with decimal commas"),
     "decimal commas between commas": ("time_s,a\n0,10,1,5\n0,20,1,6\n0,30,1,7\n", "decimal commas"),
-    "both decimal signs": ("time_s;a\n0.1;1,5\n0.2;1,6\n0.3;1,7\n", "same decimal sign"),
+    "both decimal signs": ("time_s;a\n0.1;1,5\n0.2;1,6\n0.3;1,7\n", "same decimal separator"),
     "too few names": ("time_s,a\n0.1,1,5\n0.2,1,6\n0.3,1,7\n", "2 names"),
 }
 

@@ -191,7 +191,7 @@ def test_files_without_rows_are_left_out(tmp_path: Path) -> None:
     ],
 )
 def test_several_sensors_are_refused(names: list[str], said: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=f"lake holds several: {said}"):
+    with pytest.raises(InputError, match=f"lake holds several sensors: {said}"):
         becalm.read(cut(evenly(), [100], names, tmp_path / "lake"))
 
 

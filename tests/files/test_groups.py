@@ -79,7 +79,7 @@ def test_what_was_said_chooses_a_table(options: ReadOptions, group: str) -> None
     [
         (ReadOptions(), InputError, r"'fast' \(300 rows of fast/ax, ay\).*--group"),
         (ReadOptions(group="other"), UsageError, "'other'.*'fast'"),
-        (ReadOptions(channels=("ay", "flag")), UsageError, "times of their own"),
+        (ReadOptions(channels=("ay", "flag")), UsageError, "do not share one time"),
         (ReadOptions(channels=("az",)), UsageError, "'az'.*'slow'"),
     ],
 )

@@ -56,7 +56,7 @@ def test_what_the_file_does_not_tell_is_told(log: Path) -> None:
     source = read_source(log, in_units(force="V"))
     assert source.recording.units == ("g", "V")
     np.testing.assert_array_equal(source.recording.channel("force"), [10, 12, 11, 13])
-    assert source.layout.notes == ("--unit: the file does not tell the unit of 'force'; it is taken to be V.",)
+    assert source.layout.notes == ("--unit: the file has no unit for 'force'; V is assumed.",)
 
 
 def test_the_unit_it_has_changes_nothing(log: Path) -> None:
@@ -136,7 +136,7 @@ def test_only_channels_that_are_wanted_need_a_recipe_s_unit(log: Path) -> None:
 
 
 MISTAKES = {
-    "no such column": (in_units(forces="N"), "--unit names 'forces', which is not a column; there are 'time_s'"),
+    "no such column": (in_units(forces="N"), "--unit names 'forces', which is not a column; the columns are 'time_s'"),
     "another quantity": (ReadOptions(units={"Accelerometer X": "V"}), "wants 'Accelerometer X \\(g\\)' in V: 'g' is"),
     "the time": (in_units(time_s="ms"), "--unit names 'time_s', which is a time"),
     "twice": (ReadOptions(units={"Accelerometer X": "mg", "Accelerometer X (g)": "mg"}), "twice; give it one unit"),
@@ -156,7 +156,7 @@ def test_mistakes_are_sentences(log: Path, mistake: str) -> None:
 def test_text_and_taken_names_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "odd.csv"
     path.write_text("time_s,a (g),a (mg),b (V)\n0,1,2,x\n1,1.5,2,y\n2,1,3,z\n", encoding="utf-8")
-    with pytest.raises(UsageError, match="makes 'a \\(g\\)' 'a \\(mg\\)', and another column is called so"):
+    with pytest.raises(UsageError, match="renames 'a \\(g\\)' to 'a \\(mg\\)', but another column has that name"):
         open_source(path, ReadOptions(units={"a (g)": "mg"}))
     with pytest.raises(UsageError, match="wants 'b \\(V\\)' in mV, but not all of its cells are numbers"):
         open_source(path, ReadOptions(units={"b": "mV"}))

@@ -277,5 +277,5 @@ def test_without_asammdf_a_sentence_says_what_brings_it(tmp_path: Path, monkeypa
 
 
 def test_version_3_is_refused() -> None:
-    with pytest.raises(OutputError, match=r"version 4 is written: end the name in \.mf4"):
+    with pytest.raises(OutputError, match=r"but version 4 is written: end the name in \.mf4"):
         format_to_write(Path("a.mdf"))

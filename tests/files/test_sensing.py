@@ -86,8 +86,8 @@ def test_axes_in_other_sizes_of_volts_become_accelerations_together(log: Path) -
     assert source.layout.columns[3].missing == 1
     assert source.table.schema.field("y").metadata == {b"unit": b"m/s^2"}
     assert source.table.column("note").to_pylist() == ["a", "b", "c"]
-    said = "--sensors: 'x (mV)', 'y', 'z' are turned from V into m/s^2 by the sensor's sheet."
-    taken = "--sensors: the file does not tell the unit of 'y', 'z'; it is taken to be V."
+    said = "--sensors: 'x (mV)', 'y', 'z' are converted from V to m/s^2 by the sensor's data sheet."
+    taken = "--sensors: the file has no unit for 'y', 'z'; V is assumed."
     assert source.layout.notes == (said, taken)
 
 
@@ -156,7 +156,9 @@ def test_each_sensor_finds_its_time(tmp_path: Path) -> None:
     assert slow.head.column("pull").to_pylist() == [1000.0, 500.0]
 
 
-@pytest.mark.parametrize(("channel", "said"), [("other", "more than one time"), ("none", "no time of the file")])
+@pytest.mark.parametrize(
+    ("channel", "said"), [("other", "more than one time base"), ("none", "no time base of the file")]
+)
 def test_a_sensor_whose_time_is_not_clear_is_refused(channel: str, said: str, tmp_path: Path) -> None:
     text = CELL.replace("pull", channel)
     with pytest.raises(UsageError, match=f"--sensors names '{channel}', which {said}"):
@@ -168,10 +170,10 @@ MISTAKES = {
         '"pull"',
         '"push"',
         "pull,y",
-        "names 'push', which is not a column; there are 'time_s', 'pull', 'y'",
+        "names 'push', which is not a column; the columns are 'time_s', 'pull', 'y'",
     ),
     "another unit": ('"pull"', '"pull (g)"', "pull (g)", r"--sensors expects 'pull \(g\)' in mV: 'g' is a unit of"),
-    "a name taken": ('"pull"', '"pull (V)"', "pull (V),pull (N)", r"makes 'pull \(V\)' 'pull \(N\)', and another"),
+    "a name taken": ('"pull"', '"pull (V)"', "pull (V),pull (N)", r"renames 'pull \(V\)' to 'pull \(N\)', but another"),
 }
 
 
@@ -186,7 +188,7 @@ def test_a_column_that_is_not_of_numbers_is_refused(cells: str, tmp_path: Path) 
 
 def test_a_share_of_a_temperature_is_none_of_another_scale(log: Path) -> None:
     text = TRIAXIAL.replace('"m/s^2"', '"degC"')
-    with pytest.raises(UsageError, match="which is another share on another scale of temperature"):
+    with pytest.raises(UsageError, match="which differs on another temperature scale"):
         open_source(log, ReadOptions(sensors=sensors(log.parent, text), units={"x": "K"}))
 
 

@@ -103,8 +103,8 @@ def test_a_warm_bridge_tells_the_strain_of_its_resistors(kind: str, first: str, 
     assert (tare.readings, tare.raw_unit, tare.start_s, tare.stop_s) == (200, "mV/V", 0.0, 2.0)
     assert tare.temperature_degc == pytest.approx(40.0)
     assert offset_std == pytest.approx(noise_um / np.sqrt(200), rel=0.2)
-    assert any("the zero of 'root' was taken from 0 s to 2 s" in note and "at 40 degC" in note for note in notes)
-    untold = [note for note in notes if "does not tell the unit of 'T1'; it is taken to be degC" in note]
+    assert any("the zero of 'root' was measured from 0 s to 2 s" in note and "at 40 degC" in note for note in notes)
+    untold = [note for note in notes if "the file has no unit for 'T1'; degC is assumed" in note]
     assert len(untold) == (kind == "no unit")
 
 
@@ -192,13 +192,13 @@ def test_what_no_sensor_gives_is_not_in_the_zero(wild: float, tmp_path: Path) ->
     assert tare.reading == pytest.approx(np.delete(NOISY, 150)[100:299].mean(), abs=1e-6)
 
 
-QUIET = "The zero of 'pull' cannot be taken from 1 s to 3 s, as its tare says: "
+QUIET = "The zero of 'pull' cannot be measured from 1 s to 3 s, as its tare says: "
 REFUSED = {
     "a drift": (NOISY + 0.01 * T, QUIET + "The stretch is not quiet: it drifts by"),
     "a knock": (NOISY + np.where(np.abs(T - 2) < 0.1, np.sin(200 * T), 0.0), QUIET + "The stretch is not quiet"),
     "nothing there": (np.where((T > 0.5) & (T < 3.5), np.nan, NOISY), QUIET + "The stretch has 0 readings"),
     "no noise": (np.full(ROWS, 0.5), QUIET + "All 200 readings of the stretch are 0.5 mV.*give zero_uncertainty, in N"),
-    "a short log": (NOISY[:250], QUIET + "The rows end after 2.5 s. Give an earlier stretch"),
+    "a short log": (NOISY[:250], QUIET + "The rows end after 2.5 s. Give an earlier interval"),
 }
 
 
@@ -218,7 +218,7 @@ def test_readings_that_do_not_vary_have_the_uncertainty_that_was_said(tmp_path: 
 MISTAKES = {
     "no thermometer": ("T2 (degC)", BRIDGE, "names 'T1', which is not a column"),
     "no temperature": ("T1 (V)", BRIDGE, r"expects 'T1 \(V\)' in degC"),
-    "a thermometer's zero": ("T1", BRIDGE + THERMOMETER + 'tare = "0:1"\n', "tells a temperature, whose zero"),
+    "a thermometer's zero": ("T1", BRIDGE + THERMOMETER + 'tare = "0:1"\n', "is a temperature, whose zero"),
 }
 
 

@@ -125,7 +125,7 @@ def test_stamps_stay_as_written_where_a_person_says_so(tmp_path: Path) -> None:
     source = read_back(tmp_path, "time_s", seconds(stamps), as_written=True)
     assert source.layout.notes == ()
     np.testing.assert_allclose(source.recording.times_s, stamps, atol=1e-9)
-    with pytest.raises(UsageError, match="ask for one of them"):
+    with pytest.raises(UsageError, match="give one of them"):
         read_back(tmp_path, "time_s", seconds(stamps), rate_hz=200.0, as_written=True)
     np.testing.assert_allclose(read(tmp_path / "log.csv", as_written=True).times_s, stamps, atol=1e-9)
 

@@ -95,7 +95,7 @@ def test_a_column_in_whose_place_an_uncertainty_is_written_is_named(lake: Lake, 
             outcome.sensor == "sensor=1"
         )
     lake.recipe.write_text(recipe_of("a", "a_sigma").to_toml(), encoding="utf-8")
-    assert "'a_sigma' is called as the uncertainty of 'a'" in reasons(cleaned(lake, asked))[1]
+    assert "'a_sigma' has the name under which the uncertainty of 'a' is written" in reasons(cleaned(lake, asked))[1]
 
 
 @pytest.mark.parametrize("killed_at", ["renames", "older", "mark"])

@@ -156,7 +156,7 @@ def test_files_that_cannot_be_read_stop_nobody_and_say_why(lake: Path) -> None:
     found = read(shape, rubbish, text, other, lists, gone, lake / "sensor=1" / "a.parquet")
     assert len(found["1"][0].time_s) == COUNT
     assert all(len(block.time_s) == 0 for sensor in "23456" for block in found[sensor])
-    assert "is no Parquet file" in says(found["2"])[0]
+    assert "is not a Parquet file" in says(found["2"])[0]
     assert "has string in its column 'a', where others have numbers" in says(found["3"])[0]
     assert "needs 'time' and one of 'a', 'b', and has 'when', 'a'" in says(found["4"])[0]
     assert "has array<double> in its column 'time', where others have numbers" in says(found["5"])[0]
@@ -168,7 +168,7 @@ def test_a_lake_s_shape_is_that_of_a_file_that_can_be_read(tmp_path: Path) -> No
         lake_shape(str(tmp_path), PLAN)
     written(tmp_path / "_temporary" / "a.parquet", time=[1], z=[1])
     (tmp_path / "bad.parquet").write_bytes(b"rubbish")
-    with pytest.raises(InputError, match=r"bad\.parquet is no Parquet file"):
+    with pytest.raises(InputError, match=r"bad\.parquet is not a Parquet file"):
         lake_shape(str(tmp_path), PLAN)
     written(tmp_path / "sensor=1" / "b.parquet", time=[[1.0, 2.0]], b=[[3.0, 4.0]])
     shape = lake_shape(str(tmp_path), PLAN)

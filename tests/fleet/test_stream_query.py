@@ -103,7 +103,7 @@ def test_rubbish_stops_nobody(stage: Stage) -> None:
     assert_same_bits(said_in(told_in(stage.out, "good")), by_stream(rows_of(200)))
     events = told_in(stage.out, "bad", "events")
     assert set(events["event"].to_pylist()) == {"garbled", "repeated"}
-    assert any("1.parquet is no Parquet file" in says for says in events["says"].to_pylist())
+    assert any("1.parquet is not a Parquet file" in says for says in events["says"].to_pylist())
 
 
 @pytest.mark.parametrize("zone", ["UTC", "Asia/Kolkata"])

@@ -1,4 +1,4 @@
-"""Files: recordings in, recordings out; of the formats of loggers, found by content and by ending."""
+"""Read and write recordings. The content of a file decides which reader takes it, the ending of a name which writer."""
 
 from becalm.files.atomic_file import replace_file
 from becalm.files.chunk import Chunk

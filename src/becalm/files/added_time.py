@@ -1,4 +1,4 @@
-"""Files whose rows have no time in numbers of their own, written where a time base is expected."""
+"""Add a column of time in seconds to the rows of a file that has no numeric time column."""
 
 from __future__ import annotations
 
@@ -13,21 +13,26 @@ from becalm.files.timing.time_column import is_time_name
 
 
 def with_time(source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
-    """Return what writes the rows of a file with their time in seconds first, where no column tells it in numbers.
+    """Return a writer that puts a column of time in seconds first, unless the file has a numeric time column.
 
-    Dates and times of day are text to other programs, and a rate that was said stands in no column.
+    Other programs read dates and times of day as text, and a rate from the command line is not in any column.
 
     Parameters
     ----------
     source : OpenSource
-        The file, whose rows come in order.
+        The file. Its rows must be written in order.
     write : callable
-        Takes the next rows.
+        Writes the next rows, a pyarrow table.
+
+    Returns
+    -------
+    callable
+        `write` itself if the file has a numeric time column; else a function that adds the time and calls `write`.
     """
-    if TIME in source.schema.names or any(_tells_time(field) for field in source.schema):
+    if TIME in source.schema.names or any(_is_numeric_time(field) for field in source.schema):
         return write
     row, steps = 0, 0.0
-    told = {key: text for key, text in ((START, source.start),) if text}
+    start = {START: source.start} if source.start else {}
 
     def write_timed(table: pa.Table) -> None:
         nonlocal row, steps
@@ -35,7 +40,7 @@ def with_time(source: OpenSource, write: Callable[[pa.Table], None]) -> Callable
         if len(elapsed):
             row, steps = row + table.num_rows, float(elapsed[-1])
         timed = table.add_column(0, _FIELD, pa.array(elapsed * source.clock.step_s))
-        write(timed.replace_schema_metadata({**(table.schema.metadata or {}), **told}))
+        write(timed.replace_schema_metadata({**(table.schema.metadata or {}), **start}))
 
     return write_timed
 
@@ -43,5 +48,5 @@ def with_time(source: OpenSource, write: Callable[[pa.Table], None]) -> Callable
 _FIELD = pa.field(TIME, pa.float64(), metadata={b"unit": b"s"})
 
 
-def _tells_time(field: pa.Field) -> bool:
+def _is_numeric_time(field: pa.Field) -> bool:
     return is_time_name(field.name) and (pa.types.is_integer(field.type) or pa.types.is_floating(field.type))

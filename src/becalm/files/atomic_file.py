@@ -17,9 +17,9 @@ from becalm.errors import OutputError
 from becalm.files.temporary_files import in_waiting
 
 UNNAMED = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
-"""Names of files that have none of their own yet."""
+"""A pattern that matches the temporary names of files that are being written."""
 
-_LONGEST_SHOWN = 60  # letters of a name
+_LONGEST_SHOWN = 60  # characters of a file name in a message
 
 
 def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
@@ -28,7 +28,7 @@ def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
     Raises
     ------
     OutputError
-        If that fails; the temporary file is removed.
+        If writing or renaming fails; the temporary file is removed.
     """
     with replacing(path) as file, sentences(path):
         fill(file)
@@ -36,12 +36,12 @@ def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """Give a file to fill that takes the place of `path` at the end, if nothing was raised until then.
+    """Yield an open temporary file; at the end, rename it to `path` unless an exception was raised.
 
     Raises
     ------
     OutputError
-        If it cannot be made or finished; the temporary file is removed.
+        If the file cannot be created, written or renamed; the temporary file is removed.
     """
     target = path.resolve()
     temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(4)}.part")
@@ -55,7 +55,7 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
                 os.fsync(file.fileno())
                 file.close()
         finally:
-            with suppress(OSError):  # what is left to write has no place, and is not wanted
+            with suppress(OSError):  # after a failure the file is removed, so an error on closing does not matter
                 file.close()
         with sentences(path):
             temporary.replace(target)
@@ -63,12 +63,12 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
 
 
 def refuse_folder(path: Path) -> None:
-    """Refuse a path that is a folder, or that no file can have.
+    """Refuse an output path that is a directory or not a valid file name.
 
     Raises
     ------
     OutputError
-        If it is such a path.
+        If the path is a directory, or the system does not accept it.
     """
     with sentences(path):
         if path.is_dir():
@@ -77,12 +77,12 @@ def refuse_folder(path: Path) -> None:
 
 @contextmanager
 def sentences(path: Path) -> Iterator[None]:
-    """Say in a sentence why `path` cannot be written.
+    """Turn errors of the system and of pyarrow into an OutputError that explains why `path` cannot be written.
 
     Raises
     ------
     OutputError
-        In the place of what the system or the table library raises.
+        Instead of an `OSError` or a `pyarrow.ArrowException`.
     """
     try:
         yield
@@ -93,13 +93,13 @@ def sentences(path: Path) -> Iterator[None]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the new name last through a power cut, where the system can."""
+    """Write a folder's entries to disk, so that a renamed file survives a power cut; POSIX systems only."""
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
-    except OSError:  # some network folders cannot; the file itself is safe
+    except OSError:  # some network folders do not support it; the file's content is on disk already
         return
     finally:
         os.close(handle)

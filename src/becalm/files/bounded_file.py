@@ -1,4 +1,4 @@
-"""A file object for libraries that trust the sizes a file claims: it reads no more than there is."""
+"""A file object that limits what a library can read when a damaged file states sizes that are too large."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import io
 import os
 from typing import BinaryIO
 
-_AGAIN = 64  # as often as its own size may a file be read: libraries go back to look for the next whole part
+_MOST_PASSES = 64  # a library may read up to so many times the file's size: it goes back to find the next intact part
 _ALWAYS = 1 << 24  # bytes that may be read whatever the size
-_CALL = 64  # bytes that a reading of nothing counts as
+_CALL = 64  # bytes that each call of `read` counts in addition, so that empty reads cannot go on for ever
 
 
 class WatchedFile:
-    """Gives at most what is there, ends if it is read over and over, and knows if something was cut off.
+    """A binary file that never reads past its end, limits the total number of bytes read, and detects truncation.
 
     Parameters
     ----------
@@ -22,28 +22,28 @@ class WatchedFile:
     Attributes
     ----------
     size : int
-        In bytes; what is made smaller ends there.
+        Bytes that can be read; assign a smaller number to end the file earlier.
     cut : bool
-        Whether a reading came to the end of the file before it had all it asked for.
+        Whether a call of `read` reached the end of the file and returned fewer bytes than requested.
     """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self.size = file.seek(0, os.SEEK_END)
         file.seek(0)
-        self._left = _AGAIN * self.size + _ALWAYS
+        self._left = _MOST_PASSES * self.size + _ALWAYS
         self.cut = False
 
     def read(self, count: int = -1) -> bytes:
-        """Read up to `count` bytes, all by default."""
-        there = max(0, self.size - self._file.tell())
-        data = self._file.read(there if count < 0 else min(count, there)) if self._left > 0 else b""
+        """Read up to `count` bytes, all by default; return b"" once the total limit is used up."""
+        available = max(0, self.size - self._file.tell())
+        data = self._file.read(available if count < 0 else min(count, available)) if self._left > 0 else b""
         self._left -= len(data) + _CALL
         self.cut = self.cut or 0 < len(data) < count
         return data
 
     def seek(self, place: int, whence: int = os.SEEK_SET) -> int:
-        """Go elsewhere; a place before the start is the end, so that reading ends."""
+        """Move to a position in bytes; a position outside the file becomes the end, so that reading stops."""
         if whence == os.SEEK_CUR:
             place += self._file.tell()
         elif whence == os.SEEK_END:
@@ -51,14 +51,14 @@ class WatchedFile:
         return self._file.seek(place if 0 <= place <= self.size else self.size)
 
     def tell(self) -> int:
-        """Return the place."""
+        """Return the position in bytes."""
         return self._file.tell()
 
     def close(self) -> None:
-        """Close it."""
+        """Close the file."""
         self._file.close()
 
 
 def watched(data: bytes) -> WatchedFile:
-    """Watch bytes in memory."""
+    """Return a WatchedFile that reads bytes in memory."""
     return WatchedFile(io.BytesIO(data))

@@ -1,4 +1,4 @@
-"""Rows of a file with some columns converted by their sensors' calibrations."""
+"""Convert columns of a file by the calibrations of their sensors while its rows are read."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from becalm.sensors.tare import Tare
 
 
 class Thermometer(NamedTuple):
-    """A column that tells a sensor's temperature.
+    """The column that holds a sensor's temperature.
 
     Attributes
     ----------
     column : str
-        As it is called once its own sensor, if it has one, turned it into its unit.
+        Its name after conversion by its own sensor, if it has one.
     size : Conversion
-        From its unit to degC.
+        From the column's unit to degC.
     """
 
     column: str
@@ -31,22 +31,22 @@ class Thermometer(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """A sensor and the columns that it fed.
+    """A sensor and the columns of a file that hold its raw readings.
 
     Attributes
     ----------
     record : SensorRecord
-        What its sheet says.
+        The sensor's calibration.
     columns : tuple of str
-        In the file, in the order of the record's channels.
+        Names in the file, in the order of the record's channels.
     sizes : tuple of Conversion
-        From the units of the file to the one that the record expects.
+        From the unit of each column to the raw unit of the record.
     names : tuple of str
-        What the columns are called afterwards.
+        Names of the converted columns.
     thermometer : Thermometer or None
-        Where the record has a channel of temperature.
+        The temperature column, if the record has a temperature channel.
     tare : Tare or None
-        The zero that was taken, and is in the record.
+        The zero that was measured in the file; it is already part of the record.
     """
 
     record: SensorRecord
@@ -58,24 +58,24 @@ class Sensed(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done, as sentences."""
+        """Sentences for the user that describe the conversion and the measured zero."""
         named = ", ".join(map(repr, self.columns))
-        turned = (
-            f"--sensors: {named} {'is' if len(self.columns) == 1 else 'are'} turned from {self.record.raw_unit}"
-            f" into {self.record.unit} by the sensor's sheet{self._corrected()}."
+        converted = (
+            f"--sensors: {named} {'is' if len(self.columns) == 1 else 'are'} converted from {self.record.raw_unit}"
+            f" to {self.record.unit} by the sensor's data sheet{self._temperature_note()}."
         )
         if self.tare is None:
-            return (turned,)
+            return (converted,)
         start_s, stop_s, reading, _, raw_unit, readings, degc = self.tare
-        warm = "" if degc is None else f", at {degc:.4g} degC"
+        temperature = "" if degc is None else f", at {degc:.4g} degC"
         return (
-            turned,
-            f"--sensors: the zero of {named} was taken from {start_s:g} s to {stop_s:g} s: {reading:.6g} {raw_unit},"
-            f" the mean of {readings} readings{warm}; it is uncertain by {self.record.zero_uncertainty:.3g}"
+            converted,
+            f"--sensors: the zero of {named} was measured from {start_s:g} s to {stop_s:g} s: {reading:.6g} {raw_unit},"
+            f" the mean of {readings} readings{temperature}; its uncertainty is {self.record.zero_uncertainty:.3g}"
             f" {self.record.unit} (k = 2).",
         )
 
-    def _corrected(self) -> str:
+    def _temperature_note(self) -> str:
         temperature = self.record.temperature
         if temperature is None:
             return ""
@@ -84,16 +84,16 @@ class Sensed(NamedTuple):
 
 
 class SensedRows:
-    """Rows of which some columns are in what sensors measured.
+    """Rows of a file whose sensor columns are converted to measured quantities.
 
     Parameters
     ----------
     rows : TableRows
-        As they are in the file; closed with these.
+        The rows as they are in the file; `close` closes them.
     sensed : sequence of Sensed
-        Of different columns.
+        The sensors; no two share a column.
     decimal : str
-        The decimal sign of numbers in text.
+        The decimal separator of numbers in text.
     """
 
     def __init__(self, rows: TableRows, sensed: Sequence[Sensed], decimal: str) -> None:
@@ -107,15 +107,15 @@ class SensedRows:
         self.schema: pa.Schema = pa.schema(fields, metadata=rows.schema.metadata)
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Give the named columns from row `start` on, in blocks of up to `most_rows`."""
+        """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
         wanted = list(dict.fromkeys(each for name in names for each in self._with_thermometer(name)))
         needed = dict.fromkeys(own for name in wanted for own in self._columns_of(name))
         for block in self._rows.blocks(list(needed), most_rows, start):
-            told: dict[str, Floats] = {}
+            converted: dict[str, Floats] = {}
             for name in wanted:
-                if name in self._by_name and name not in told:
-                    told |= self._told(self._by_name[name], block, told)
-            columns = [pa.array(told[name]) if name in told else block.column(name) for name in names]
+                if name in self._by_name and name not in converted:
+                    converted |= self._convert(self._by_name[name], block, converted)
+            columns = [pa.array(converted[name]) if name in converted else block.column(name) for name in names]
             fields = [self.schema.field(name) for name in names]
             yield pa.table(columns, schema=pa.schema(fields, metadata=block.schema.metadata))
 
@@ -124,24 +124,25 @@ class SensedRows:
         self._rows.close()
 
     def _with_thermometer(self, name: str) -> tuple[str, ...]:
-        """Return a column, after the one that tells its temperature."""
+        """Return a column's name, preceded by the name of its temperature column if it has one."""
         one = self._by_name.get(name)
         return (name,) if one is None or one.thermometer is None else (one.thermometer.column, name)
 
     def _columns_of(self, name: str) -> tuple[str, ...]:
         return self._by_name[name].columns if name in self._by_name else (name,)
 
-    def _told(self, one: Sensed, block: pa.Table, told: dict[str, Floats]) -> dict[str, Floats]:
+    def _convert(self, one: Sensed, block: pa.Table, converted: dict[str, Floats]) -> dict[str, Floats]:
+        """Return the measured values of one sensor's columns, by their new names; `converted` are those done before."""
         readings = [
             self._values(block, own) * size.factor + size.offset
             for own, size in zip(one.columns, one.sizes, strict=True)
         ]
         if one.thermometer is not None:
             name, size = one.thermometer
-            values = told[name] if name in told else self._values(block, name)
+            values = converted[name] if name in converted else self._values(block, name)
             readings.append(values * size.factor + size.offset)
-        found = applied(one.record, dict(zip(one.record.needed, readings, strict=True)))
-        return dict(zip(one.names, found.values(), strict=True))
+        measured = applied(one.record, dict(zip(one.record.needed, readings, strict=True)))
+        return dict(zip(one.names, measured.values(), strict=True))
 
     def _values(self, block: pa.Table, name: str) -> Floats:
         return values_of(block.column(name), self._decimal)

@@ -1,4 +1,4 @@
-"""A source with columns converted from volts by their sensors' calibrations."""
+"""Match sensors with the columns of a file, and convert those columns by the sensors' calibrations."""
 
 from __future__ import annotations
 
@@ -22,62 +22,63 @@ DEGC = "degC"
 
 
 def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
-    """Turn columns into what their sensors measured.
+    """Convert the columns of a file to what their sensors measured.
 
     Parameters
     ----------
     tables : sequence of RawTable
-        A file.
+        The tables of a file.
     options : ReadOptions
-        With the sensors; each must find its columns in one of the tables, in a unit that it can use.
+        Its `sensors` are used. All columns of a sensor must be in the same table, in units that convert to the raw
+        unit of the sensor.
 
     Returns
     -------
     tuple of RawTable
-        With what was done among their notes.
+        The tables with converted columns; notes describe the conversions.
     ReadOptions
-        The same, but for channels that are called otherwise now.
+        The options, with the new names of channels that were renamed.
 
     Raises
     ------
     UsageError
-        If a column is not there, named by two sensors, or in a unit that is no other size of the one that the sensor
-        expects.
+        If a column is missing, is named by two sensors, or has a unit that cannot be converted to the sensor's.
     InputError
-        If a column holds no numbers.
+        If a column does not hold numbers.
     SensorError
-        If a stretch from which a zero is to be taken is not quiet.
+        If a zero cannot be measured because the sensor is not at rest in the given interval.
     """
-    found = [_found(tables, record) for record in options.sensors]
+    matches = [_match(tables, record) for record in options.sensors]
     for table in tables:
-        _refuse_twice([one for holder, one in found if holder is table])
-    carried = tuple(_carried(table, [one for holder, one in found if holder is table], options) for table in tables)
+        _refuse_twice([one for holder, one in matches if holder is table])
+    converted = tuple(_convert(table, [one for holder, one in matches if holder is table], options) for table in tables)
     if options.channels is None:
-        return carried, options
-    renamed = {own: name for _, one in found for own, name in zip(one.columns, one.names, strict=True)}
-    return carried, replace(options, channels=tuple(renamed.get(name, name) for name in options.channels))
+        return converted, options
+    renamed = {own: name for _, one in matches for own, name in zip(one.columns, one.names, strict=True)}
+    return converted, replace(options, channels=tuple(renamed.get(name, name) for name in options.channels))
 
 
-def _found(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, Sensed]:
+def _match(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, Sensed]:
+    """Return the table that holds the columns of a sensor, and the sensor with the names of these columns."""
     holding = [table for table in tables if all(holds(table, name) for name in record.needed)]
     if len(tables) == 1:
-        holding = list(tables)  # whoever looks for the column says which there are
+        holding = list(tables)  # if the column is missing, `named_column` raises and lists the columns of the file
     if len(holding) != 1:
         named, where = ", ".join(map(repr, record.needed)), listed(tables)
         raise UsageError(
-            f"--sensors names {named}, which {'no' if not holding else 'more than one'} time of the file"
+            f"--sensors names {named}, which {'no' if not holding else 'more than one'} time base of the file"
             f" has together; it holds {where}."
         )
     (table,) = holding
     columns = tuple(named_column(table, name, SENSORS_OPTION) for name in record.channels)
     sizes = tuple(_size(table, column, record.raw_unit) for column in columns)
-    return table, Sensed(record, columns, sizes, tuple(_named(table, column, record.unit) for column in columns))
+    return table, Sensed(record, columns, sizes, tuple(_new_name(table, column, record.unit) for column in columns))
 
 
-def _refuse_twice(found: Sequence[Sensed]) -> None:
-    """Refuse a column that two sensors turn, by whichever of its names, and two that would be called alike."""
-    columns = [column for one in found for column in one.columns]
-    names = [name for one in found for name in one.names]
+def _refuse_twice(sensed: Sequence[Sensed]) -> None:
+    """Refuse a column that belongs to two sensors, and two columns that would get the same new name."""
+    columns = [column for one in sensed for column in one.columns]
+    names = [name for one in sensed for name in one.names]
     for at, (column, name) in enumerate(zip(columns, names, strict=True)):
         if column in columns[:at]:
             raise UsageError(f"--sensors names {column!r} twice; a channel has one sensor.")
@@ -87,7 +88,7 @@ def _refuse_twice(found: Sequence[Sensed]) -> None:
 
 
 def _with_thermometer(table: RawTable, one: Sensed, others: Sequence[Sensed]) -> Sensed:
-    """Find the column that tells a sensor's temperature, which may have a sensor of its own."""
+    """Return a sensor with its temperature column, if it needs one; that column may have a sensor of its own."""
     channel = None if one.record.temperature is None else one.record.temperature.channel
     if channel is None:
         return one
@@ -95,7 +96,7 @@ def _with_thermometer(table: RawTable, one: Sensed, others: Sequence[Sensed]) ->
     for other in others:
         if column in other.columns:
             if other.record.tare_s is not None:
-                raise UsageError(f"--sensors: {column!r} tells a temperature, whose zero is no load's; leave tare out.")
+                raise UsageError(f"--sensors: {column!r} is a temperature, whose zero cannot be tared; leave tare out.")
             named = other.names[other.columns.index(column)]
             return one._replace(thermometer=Thermometer(named, _conversion(column, other.record.unit, DEGC)))
     return one._replace(thermometer=Thermometer(column, _size(table, column, DEGC)))
@@ -106,48 +107,48 @@ def _size(table: RawTable, column: str, raw_unit: str) -> Conversion:
     return _conversion(column, unit_of(table, column) or raw_unit, raw_unit)
 
 
-def _conversion(column: str, told: str, wanted: str) -> Conversion:
-    if told == wanted:
+def _conversion(column: str, unit: str, wanted: str) -> Conversion:
+    if unit == wanted:
         return Conversion()
     try:
-        return conversion(told, wanted)
+        return conversion(unit, wanted)
     except UsageError as cause:
         raise UsageError(f"--sensors expects {column!r} in {wanted}: {cause}") from cause
 
 
-def _named(table: RawTable, column: str, unit: str) -> str:
+def _new_name(table: RawTable, column: str, unit: str) -> str:
     bare, in_header = parse_header(column)
     renamed = f"{bare} ({unit})" if in_header else column
     if renamed != column and renamed in table.names:
-        raise UsageError(f"--sensors makes {column!r} {renamed!r}, and another column is called so; rename one.")
+        raise UsageError(f"--sensors renames {column!r} to {renamed!r}, but another column has that name; rename one.")
     return renamed
 
 
-def _carried(table: RawTable, found: Sequence[Sensed], options: ReadOptions) -> RawTable:
-    if not found:
+def _convert(table: RawTable, matches: Sequence[Sensed], options: ReadOptions) -> RawTable:
+    if not matches:
         return table
-    sensed = with_tares(table, [_with_thermometer(table, one, found) for one in found], options)
+    sensed = with_tares(table, [_with_thermometer(table, one, matches) for one in matches], options)
     own = {name for one in sensed for name in one.columns}
     units = {name: unit for name, unit in table.units.items() if name not in own}
     units |= {name: one.record.unit for one in sensed for name in one.names}
     rows = SensedRows(table.rows, sensed, table.decimal)
-    notes = (*table.notes, *(note for one in sensed for note in (*one.notes, *_taken_for(table, one, own))))
-    uncertain = {
+    notes = (*table.notes, *(note for one in sensed for note in (*one.notes, *_assumed_units(table, one, own))))
+    calibrations = {
         name: Calibration(share, one.record.offset_std, one.tare, one.record.sheet.resonance)
         for one in sensed
         for name, share in zip(one.names, one.record.relative_stds, strict=True)
     }
-    return replace(table, rows=rows, units=units, notes=notes, calibrations=uncertain)
+    return replace(table, rows=rows, units=units, notes=notes, calibrations=calibrations)
 
 
-def _taken_for(table: RawTable, one: Sensed, sensed: Container[str]) -> tuple[str, ...]:
-    """Say of columns whose unit the file does not tell what they are taken to be in."""
-    read = [(one.columns, one.record.raw_unit)]
+def _assumed_units(table: RawTable, one: Sensed, sensed: Container[str]) -> tuple[str, ...]:
+    """Return a note for columns without a unit in the file, with the unit that is assumed."""
+    columns = [(one.columns, one.record.raw_unit)]
     if one.thermometer is not None and one.thermometer.column in table.names and one.thermometer.column not in sensed:
-        read.append(((one.thermometer.column,), DEGC))
-    untold = [([name for name in names if not unit_of(table, name)], unit) for names, unit in read]
+        columns.append(((one.thermometer.column,), DEGC))
+    without_unit = [([name for name in names if not unit_of(table, name)], unit) for names, unit in columns]
     return tuple(
-        f"--sensors: the file does not tell the unit of {', '.join(map(repr, names))}; it is taken to be {unit}."
-        for names, unit in untold
+        f"--sensors: the file has no unit for {', '.join(map(repr, names))}; {unit} is assumed."
+        for names, unit in without_unit
         if names
     )

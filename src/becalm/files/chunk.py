@@ -1,4 +1,4 @@
-"""Some consecutive rows of a file that is read in chunks."""
+"""A chunk of consecutive rows of a file."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from becalm.files.roles import values_of
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some consecutive rows of a file.
+    """A chunk of consecutive rows of a file.
 
     Attributes
     ----------
     first_row : int
-        The row of the file that comes first, counted from 0.
+        The first row of the chunk, counted from 0 at the start of the file.
     table : pyarrow.Table
-        All columns in the order of the file, as they are to be passed through.
+        All columns in the order of the file, with their values unchanged.
     elapsed_steps : (n,) float array
-        Time since the row before, in steps of the clock; 0 for the first of the file.
+        Time since the previous row, in steps of the clock; 0 for the first row of the file.
     names : tuple of str
         The channels.
+    decimal : str
+        The decimal separator of numbers in text.
     """
 
     first_row: int
@@ -38,12 +40,12 @@ class Chunk:
         return int(self.table.num_rows)
 
     def channel(self, number: int) -> Floats:
-        """Return one channel, (n,), NaN where a cell is missing; read-only where it is the file's own memory."""
+        """Return one channel, (n,), NaN where a cell is missing; read-only where it shares memory with the table."""
         return values_of(self.table.column(self.names[number]), self.decimal)
 
     @property
     def samples(self) -> Floats:
-        """All channels, (n, m)."""
+        """All channels, (n, m), NaN where a cell is missing."""
         out = np.empty((len(self), len(self.names)))
         for number in range(len(self.names)):
             out[:, number] = self.channel(number)

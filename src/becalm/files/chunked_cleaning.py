@@ -1,4 +1,4 @@
-"""Clean a file chunk by chunk with a recipe: channels run side by side, and earlier chunks are written meanwhile."""
+"""Clean a file chunk by chunk with a recipe. Channels run in parallel, and finished chunks are written meanwhile."""
 
 from __future__ import annotations
 
@@ -27,33 +27,33 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
 
 CHUNK_ROWS = 1 << 18
-"""Rows that are cleaned at once: much to do, and little to hold."""
+"""Rows that are cleaned at once: enough work for all threads, at a moderate use of memory."""
 
 
 class ChunkObserver(Protocol):
-    """What looks on while a file goes through, such as `becalm.report.gathering.Gathering`."""
+    """An object that observes the cleaning of a file, such as `becalm.report.gathering.Gathering`."""
 
     @property
     def looks(self) -> Sequence[Judge]:
-        """One a channel, which is given its innovations and their standard deviations."""
+        """One observer per channel; it receives the channel's innovations and their standard deviations."""
         ...
 
     def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[EstimatedRows]) -> None:
-        """Take some rows of all channels, and what was told of them."""
+        """Take some rows of all channels: measurements, elapsed steps and the estimates of the filters."""
         ...
 
 
 class ChunkSource(Protocol):
-    """What is cleaned, as far as it tells how much of it to clean at once."""
+    """The properties of a source that decide how many of its rows are cleaned at once."""
 
     schema: pa.Schema
     clock: Clock
 
 
 def rows_of_chunks(source: ChunkSource, channels: int) -> int:
-    """Return how many rows to clean at once, in whole blocks, so that where a file is cut changes no bit."""
+    """Return how many rows to clean at once: a whole number of blocks, so that the chunks do not change any bit."""
     rows = min(CHUNK_ROWS, block_rows(source.schema))
-    if not source.clock.uniform:  # then each row has step matrices of its own, in each channel
+    if not source.clock.uniform:  # each row then needs its own step matrices in each channel
         rows = min(rows, max(CHUNK_ROWS // max(4, channels), 16 * BLOCK))
     return max(BLOCK, rows // BLOCK * BLOCK)
 
@@ -68,54 +68,85 @@ def clean_chunks(  # noqa: PLR0913  (each by its name)
     verdicts: bool = False,
     gathering: ChunkObserver | None = None,
 ) -> tuple[ChannelReport, ...]:
-    """Clean a file, and write it; `step` is called after each chunk, with its rows.
+    """Clean a file and write the result.
 
-    Split, the parts of each channel are written too; with verdicts, what became of each reading; and what pictures
-    need is gathered, where it is asked for.
+    Parameters
+    ----------
+    source : OpenSource
+        The file.
+    recipe : Recipe
+        The filters of its channels.
+    write : callable
+        Writes the next clean rows, a pyarrow table.
+    step : callable
+        Called after each chunk with a text ("") and the number of its rows, to show progress.
+    split : bool
+        Write the parts of each channel too.
+    verdicts : bool
+        Write the verdict on each measurement too.
+    gathering : ChunkObserver, optional
+        Gathers what the figures of the report need.
+
+    Returns
+    -------
+    tuple of ChannelReport
+        One report per channel.
 
     Raises
     ------
     BecalmError
-        If the file turns out to be damaged, or cannot be written.
+        If the file is damaged, or the output cannot be written.
     """
     looks = [] if gathering is None else gathering.looks
     chunks = source.chunks(rows_of_chunks(source, len(recipe.channel)))
     with (
-        nullcontext() if gathering is None else _Behind(gathering) as behind,
+        nullcontext() if gathering is None else _BackgroundObserver(gathering) as observer,
         Cleaner(recipe, source.clock.step_s, split=split, looks=looks) as cleaner,
     ):
         for answer in answered(cleaner, recipe, counted(chunks, step)):
-            if behind is not None:
-                behind.add(columns_of(answer.chunk, recipe), answer.chunk.elapsed_steps, answer.told)
+            if observer is not None:
+                observer.add(columns_of(answer.chunk, recipe), answer.chunk.elapsed_steps, answer.told)
             write(answer.output(recipe, verdicts=verdicts))
         return cleaner.reports()
 
 
 def counted(chunks: Iterable[Chunk], step: Callable[[str, int], None]) -> Iterator[Chunk]:
-    """Give chunks, and tell after each how many rows it had."""
+    """Yield chunks, and report the number of rows of each to `step` once it was used."""
     for chunk in chunks:
         yield chunk
         step("", len(chunk))
 
 
 class CleanChunk(NamedTuple):
-    """A chunk of rows that is clean."""
+    """A chunk of rows with the estimates of each channel."""
 
     chunk: Chunk
-    told: list[EstimatedRows]  # of each channel
+    told: list[EstimatedRows]  # the estimates, one per channel
 
     def output(self, recipe: Recipe, *, verdicts: bool = False) -> pa.Table:
-        """Return its table with clean channels; with verdicts, what became of each reading too."""
+        """Return the table of the chunk with clean channels and, if `verdicts`, the verdict on each measurement."""
         named = zip(recipe.channel, self.told, strict=True)
         return output_block(self.chunk.table, {one.name: _clean_channel(one, clean, verdicts) for one, clean in named})
 
 
 def answered(cleaner: Cleaner, recipe: Recipe, chunks: Iterable[Chunk], *, ends: bool = True) -> Iterator[CleanChunk]:
-    """Give each chunk of rows as soon as it is clean; unless they are the last, what waits for later ones stays."""
+    """Yield each chunk of rows as soon as it is clean.
+
+    Parameters
+    ----------
+    cleaner : Cleaner
+        Holds the filters.
+    recipe : Recipe
+        Names the channels.
+    chunks : iterable of Chunk
+        Consecutive rows.
+    ends : bool
+        Whether the last chunk ends the recording. If not, rows that still need later ones stay in the cleaner.
+    """
     waiting: deque[Chunk] = deque()
 
-    def ready(told: list[list[EstimatedRows]]) -> Iterator[CleanChunk]:
-        return (CleanChunk(waiting.popleft(), channels) for channels in told)
+    def ready(estimates: list[list[EstimatedRows]]) -> Iterator[CleanChunk]:
+        return (CleanChunk(waiting.popleft(), channels) for channels in estimates)
 
     for chunk in chunks:
         waiting.append(chunk)
@@ -125,21 +156,21 @@ def answered(cleaner: Cleaner, recipe: Recipe, chunks: Iterable[Chunk], *, ends:
 
 
 def columns_of(chunk: Chunk, recipe: Recipe) -> list[Floats]:
-    """Return the readings of each channel of a recipe, (n,) each, NaN where missing."""
+    """Return the measurements of each channel of a recipe, (n,) each, NaN where missing."""
     return [chunk.channel(chunk.names.index(channel.name)) for channel in recipe.channel]
 
 
-class _Behind:
-    """Gathers beside the cleaning of the next rows: one stretch at a time, in order."""
+class _BackgroundObserver:
+    """Runs an observer in a thread while the next rows are cleaned, one chunk at a time and in order."""
 
     def __init__(self, gathering: ChunkObserver) -> None:
         self._gathering, self._pool = gathering, ThreadPoolExecutor(1)
         self._last: Future[None] | None = None
 
-    def add(self, columns: list[Floats], elapsed: Floats, told: list[EstimatedRows]) -> None:
-        """Gather some rows, once those before them are."""
+    def add(self, columns: list[Floats], elapsed: Floats, estimates: list[EstimatedRows]) -> None:
+        """Hand over some rows; wait first until the observer has finished the rows before."""
         self._wait()
-        self._last = self._pool.submit(self._gathering.add, columns, elapsed, told)
+        self._last = self._pool.submit(self._gathering.add, columns, elapsed, estimates)
 
     def _wait(self) -> None:
         if self._last is not None:
@@ -152,12 +183,13 @@ class _Behind:
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Wait for the rest, or leave it where something went wrong."""
+        """Wait until all rows are observed; after an exception, cancel what is pending."""
         self._pool.shutdown(cancel_futures=kind is not None)
         if kind is None:
             self._wait()
 
 
-def _clean_channel(channel: ChannelRecipe, told: EstimatedRows, verdicts: bool) -> CleanChannel:
-    parts = {part: np.ascontiguousarray(values) for part, values in zip(channel.parts, told.parts, strict=False)}
-    return CleanChannel(told.signal, told.sigma, channel.unit, parts, told.verdicts if verdicts else None)
+def _clean_channel(channel: ChannelRecipe, estimates: EstimatedRows, verdicts: bool) -> CleanChannel:
+    parts = {part: np.ascontiguousarray(values) for part, values in zip(channel.parts, estimates.parts, strict=False)}
+    codes = estimates.verdicts if verdicts else None
+    return CleanChannel(estimates.signal, estimates.sigma, channel.unit, parts, codes)

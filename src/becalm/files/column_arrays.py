@@ -1,4 +1,4 @@
-"""Columns of a table as NumPy arrays, for formats that hold arrays."""
+"""Convert columns of a table to NumPy arrays, for formats that store arrays."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from becalm.errors import OutputError
 
 
 def refuse_strange_types(schema: pa.Schema, form: str) -> None:
-    """Refuse columns that are no numbers, times or texts.
+    """Refuse nested and binary columns, which array formats cannot store.
 
     Parameters
     ----------
     schema : pyarrow.Schema
-        Of the table.
+        The schema of the table.
     form : str
-        The format, as people call it.
+        The name of the output format, for the message.
 
     Raises
     ------
     OutputError
-        If there is one.
+        If there is such a column.
     """
     for field in schema:
         if pa.types.is_nested(field.type) or pa.types.is_binary(field.type) or pa.types.is_large_binary(field.type):
             raise OutputError(
-                f"Column {field.name!r} holds {field.type}, which {form} cannot hold here; write .parquet instead."
+                f"Column {field.name!r} holds {field.type}, which {form} cannot store; write .parquet instead."
             )
 
 
 def unit_of_field(field: pa.Field) -> str:
-    """Return the unit of a column, "" where there is none; a duration is a number of its ticks."""
+    """Return the unit of a column, "" if it has none; the unit of a duration is its tick."""
     if pa.types.is_duration(field.type):
         return str(field.type.unit)
-    told: bytes = (field.metadata or {}).get(b"unit", b"")
-    return told.decode("utf-8", "replace")
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit.decode("utf-8", "replace")
 
 
 def told_of(schema: pa.Schema) -> Mapping[str, str]:
@@ -53,7 +53,7 @@ def _items(schema: pa.Schema) -> list[tuple[bytes, bytes]]:
 
 
 def is_text(kind: pa.DataType) -> bool:
-    """Tell whether a column becomes text: words, dates, times of day."""
+    """Return whether a column is written as text: words, dates, times of day."""
     return not (
         pa.types.is_integer(kind)
         or pa.types.is_floating(kind)
@@ -71,7 +71,11 @@ def texts_of(column: pa.ChunkedArray) -> NDArray[np.object_]:
 
 
 def numbers_of(column: pa.ChunkedArray) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return (N,) numbers or flags, 0 where a cell is missing, and where that is; NaN are numbers."""
+    """Return the numbers or flags of a column, (N,), and a mask (N,) of missing cells.
+
+    A missing cell is NaN in a column of floats, False among flags and 0 among whole numbers. A NaN of the column
+    itself does not count as missing.
+    """
     kind = column.type
     if pa.types.is_decimal(kind) or pa.types.is_null(kind):
         column = column.cast(pa.float64())

@@ -1,4 +1,4 @@
-"""Rows of a file that is read column by column, as instruments write them."""
+"""Read tables whose columns are stored one by one, as the formats of instruments do."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from becalm.files.library_reader import Foreign
 
 NO_UNIT = "-"
-"""Of a column whose name holds no unit either: `range_min` is no range in minutes where a format names its fields."""
+"""The unit of a column that has none, not even in its name.
+
+In a format with named fields, `range_min` is the lowest range and not a range in minutes.
+"""
 
 
 class Column(NamedTuple):
@@ -21,11 +24,11 @@ class Column(NamedTuple):
     Attributes
     ----------
     type : pyarrow.DataType
-        Of its values.
+        The type of its values.
     read : callable
-        Gives the values of the rows from `start` up to `stop`, (stop - start,), in units of the file.
+        Returns the values of the rows from `start` up to `stop`, (stop - start,), in the unit of the file.
     unit : str
-        As the file has it, "" where it does not say.
+        The unit as the file writes it, "" if the file has none.
     """
 
     type: pa.DataType
@@ -39,20 +42,20 @@ class Column(NamedTuple):
 
 
 class ColumnRows:
-    """The rows of columns that are read when they are asked for.
+    """The rows of a table whose columns are read on demand.
 
     Parameters
     ----------
     columns : mapping of str to Column
-        By their names, in the order of the file.
+        Columns by name, in the order of the file.
     count : int
-        How many rows each of them has.
+        Number of rows of each column.
     foreign : Foreign
-        Says what went wrong while they are read.
+        The file; turns errors during reading into messages.
     close : callable, optional
-        Gives back what is held.
+        Called by `close`, to release the file.
     metadata : mapping of str to str, optional
-        Of the table, which whatever is written of it keeps.
+        Metadata of the table; outputs keep it.
     """
 
     def __init__(
@@ -67,7 +70,7 @@ class ColumnRows:
         self.schema: pa.Schema = pa.schema([_field(name, column) for name, column in columns.items()], metadata or None)
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Read the named columns from row `start` on, in blocks of up to `most_rows`."""
+        """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
         schema = pa.schema([self.schema.field(name) for name in names], self.schema.metadata)
         for first in range(start, self.count, most_rows):
             last = min(first + most_rows, self.count)
@@ -77,13 +80,13 @@ class ColumnRows:
             yield pa.table(arrays, schema=schema)
 
     def close(self) -> None:
-        """Give back what is held."""
+        """Release the file."""
         if self._close is not None:
             self._close()
 
 
 def least_bytes(kind: pa.DataType) -> int:
-    """Return how many bytes a value takes at least: numbers, flags and times as many as they have, all else 1."""
+    """Return the least number of bytes of a value: the width of a number, flag or time; 1 for any other type."""
     return kind.bit_width // 8 if pa.types.is_primitive(kind) else 1
 
 

@@ -1,4 +1,4 @@
-"""Bytes to text: compression and encoding by content, and a clear word about what is no text."""
+"""Decode the bytes of a text file: detect compression and encoding, and refuse files that are not text."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ BOMS: tuple[tuple[bytes, str, str], ...] = (
 )
 
 CUT_ARCHIVE = (
-    "The gzip file ends too early: what unpacks is read, up to its last whole line. The file is incomplete; copy or"
-    " download it again if there is more of it."
+    "The gzip file is truncated: it is read up to its last whole line. Copy or download it again if the original is"
+    " longer."
 )
-CUT_CHARACTER = "The text ends within a character: its last line is left out, and the file is incomplete."
+CUT_CHARACTER = "The file is incomplete: its text ends in the middle of a character. The last line is left out."
 
 _BLOCK = 1 << 20
 _PART = 1 << 16
@@ -50,9 +50,9 @@ _CONTROL = bytes(set(range(32)) - set(b"\t\n\r\f\v\x1a"))
 
 @dataclass(frozen=True)
 class Text:
-    """The text of a file as UTF-8 bytes without a byte-order mark, and how it was stored.
+    """The text of a file as UTF-8 bytes without a byte-order mark, and how the file stores it.
 
-    `cut` is a sentence where it is known to end too early, otherwise ""; then only whole lines are in it.
+    If the file is truncated, `cut` is a sentence that says so and `data` has whole lines only; otherwise `cut` is "".
     """
 
     data: bytes
@@ -62,30 +62,30 @@ class Text:
 
 
 class Gunzip(gzip.GzipFile):
-    """A gzip file that is unpacked as far as it goes.
+    """A gzip file that is unpacked up to the place where it is truncated.
 
     Attributes
     ----------
     cut : bool
-        Whether it was found to end too early.
+        Whether the file is truncated; known once the end was read.
     """
 
     cut = False
     _some = False
 
     def read(self, size: int | None = -1) -> bytes:
-        """Read so many bytes, fewer only at the end, or where it was cut.
+        """Read `size` bytes, fewer only at the end or where the file is truncated.
 
         Raises
         ------
         EOFError
-            If it is cut before anything unpacks.
+            If the file is truncated before its first byte of content.
         """
         out = bytearray()
         wanted = sys.maxsize if size is None or size < 0 else size
         while len(out) < wanted and not self.cut:
             try:
-                part = self.read1(min(_PART, wanted - len(out)))  # which loses nothing of what came before the cut
+                part = self.read1(min(_PART, wanted - len(out)))  # unlike read, it loses no bytes before a truncation
             except EOFError:
                 if not (self._some or out):
                     raise
@@ -99,12 +99,12 @@ class Gunzip(gzip.GzipFile):
 
 
 def read_bytes(path: Path, most: int | None = None) -> bytes:
-    """Read a whole file, or its first bytes.
+    """Read a whole file, or its first `most` bytes.
 
     Raises
     ------
     InputError
-        If it is missing, a directory, forbidden or empty.
+        If the file is missing, a directory, unreadable or empty.
     """
     with told(path):
         if most is None:
@@ -119,12 +119,12 @@ def read_bytes(path: Path, most: int | None = None) -> bytes:
 
 @contextmanager
 def told(path: Path) -> Iterator[None]:
-    """Say in a sentence why a file cannot be read.
+    """Turn errors of the system and of gzip into an InputError that explains why a file cannot be read.
 
     Raises
     ------
     InputError
-        If it is missing, a directory, forbidden, or a damaged archive.
+        If the file is missing, a directory, unreadable, or a damaged archive.
     """
     try:
         yield
@@ -133,7 +133,7 @@ def told(path: Path) -> Iterator[None]:
     except IsADirectoryError:
         raise InputError(f"{path} is a directory; give the path of one file in it.") from None
     except PermissionError:
-        raise InputError(f"{path} may not be read; ask for permission (`chmod u+r`).") from None
+        raise InputError(f"{path} may not be read; change its permissions (`chmod u+r`).") from None
     except EOFError:
         raise InputError(f"{path} is a gzip file that ends too early; copy or download it again.") from None
     except (gzip.BadGzipFile, zlib.error) as cause:
@@ -148,7 +148,7 @@ def decode(path: Path, data: bytes) -> Text:
     Raises
     ------
     InputError
-        If the bytes are a damaged archive, another format, or no text.
+        If the bytes are a damaged archive, another format, or not text.
     """
     compression = cut = ""
     if data.startswith(GZIP):
@@ -177,46 +177,46 @@ def _gunzip(path: Path, data: bytes) -> tuple[bytes, str]:
 
 
 def _without_mark(data: bytes, surely_cut: bool) -> tuple[bytes, bytes, str]:
-    """Return a text as UTF-8, what there is of a last character that was cut as well, and its encoding."""
+    """Return a text as UTF-8, the bytes of an incomplete last character, and the encoding."""
     try:
         rest = _decoded(data, "utf-8")[1]
     except UnicodeDecodeError:
         return _from_western(data), b"", "cp1252"
-    if rest and not surely_cut and data[: -len(rest)].isascii():  # only its last bytes are none of ASCII
+    if rest and not surely_cut and data[: -len(rest)].isascii():  # all but the last bytes are ASCII
         return _from_western(data), b"", "cp1252"
     return data, rest, "utf-8"
 
 
 def _decoded(data: bytes, codec: str) -> tuple[str, bytes]:
-    """Decode a text; return what there is of a last character that was cut as well."""
+    """Decode a text; return it and the bytes of an incomplete last character."""
     decoder = codecs.getincrementaldecoder(codec)()
     return decoder.decode(data), decoder.getstate()[0]
 
 
 def without_open_line(data: bytes) -> bytes:
-    """Leave out what comes after the last line end."""
+    """Return text without its last line if that has no line end."""
     return data[: max(data.rfind(b"\n"), data.rfind(b"\r")) + 1]
 
 
 def refuse_nothing(path: Path, plain: bytes | bytearray) -> None:
-    """Refuse an archive that holds nothing.
+    """Refuse an archive without content.
 
     Raises
     ------
     InputError
-        If it does.
+        If `plain` is empty.
     """
     if not plain:
         raise InputError(f"{path} is a gzip file with nothing in it; a header and two or more rows are needed.")
 
 
 def refuse_other_formats(path: Path, data: bytes) -> None:
-    """Refuse what is known to be no text.
+    """Refuse known binary formats that becalm does not read.
 
     Raises
     ------
     InputError
-        If it is; the sentence says what.
+        If the file has one of these formats; the message names it.
     """
     for magic, what in _OTHER_FORMATS:
         if data.startswith(magic):
@@ -234,18 +234,18 @@ def _recode(path: Path, data: bytes, codec: str) -> tuple[bytes, bytes]:
 
 
 def damaged_text(path: Path, codec: str, cause: UnicodeError) -> InputError:
-    """Say that a text is not written as its byte-order mark promises."""
+    """Return the error for a text that does not decode as its byte-order mark states."""
     reason = getattr(cause, "reason", cause)
     return InputError(f"{path} begins as {codec.upper()} text but is damaged ({reason}); save it again.")
 
 
 def refuse_nul(path: Path, data: bytes, lines: int = 0) -> None:
-    """Refuse a part of a text, below so many lines, if it holds a NUL byte.
+    """Refuse a part of a text that holds a NUL byte; `lines` is the number of lines before the part.
 
     Raises
     ------
     InputError
-        If it does.
+        If there is a NUL byte; the message gives its line.
     """
     if (at := data.find(b"\0")) >= 0:
         line = lines + data.count(b"\n", 0, at) + 1
@@ -253,12 +253,12 @@ def refuse_nul(path: Path, data: bytes, lines: int = 0) -> None:
 
 
 def refuse_binary(path: Path, data: bytes) -> None:
-    """Refuse what holds zeros or begins with unprintable bytes.
+    """Refuse data that holds NUL bytes or begins with unprintable bytes.
 
     Raises
     ------
     InputError
-        If it does.
+        If the data is not text.
     """
     if b"\0" in data:
         if data[:400:2].count(0) * 4 >= len(data[:400]) or data[1:400:2].count(0) * 4 >= len(data[:400]):

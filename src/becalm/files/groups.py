@@ -1,4 +1,4 @@
-"""Channels of one file at several rates: a table for each time base, never merged; names that differ in all of them."""
+"""Make one table for each time base of a file. Tables are never merged, and column names are unique in the file."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
 
 TIME = "time_s"
-"""What the time of a group is called."""
+"""Name of the time column of a group."""
 
 GROUP, START = "becalm.group", "becalm.start"
-"""Keys of a table's metadata: what the file calls it, and its first instant as ISO 8601 text."""
+"""Keys of a table's metadata: the name of the group in the file, and the first instant as ISO 8601 text."""
 
 
 class Group(NamedTuple):
-    """Columns that share one time base, as a reader found them.
+    """Columns of a file that share one time base.
 
     Attributes
     ----------
     name : str
-        What the file calls them; "" where it does not.
+        The name of the group in the file; "" if it has none.
     columns : mapping of str to Column
-        In the order of the file; the time, if it has a column, is among them as `TIME`.
+        Columns in the order of the file; a time column is among them under the name `TIME`.
     rows : int
-        Of each column.
+        Number of rows of each column.
     time : ToldTime, optional
-        Their time, where the format itself tells it; else it is looked for among the columns.
+        The time, if the format defines it; otherwise a time column is searched for among the columns.
     notes : tuple of str
-        What a person must know, as sentences.
+        Sentences for the user.
     """
 
     name: str
@@ -49,18 +49,18 @@ class Group(NamedTuple):
 def tables(
     foreign: Foreign, form: str, groups: Sequence[Group], close: Callable[[], None] | None = None
 ) -> tuple[RawTable, ...]:
-    """Make a table of each group.
+    """Return a table for each group.
 
     Parameters
     ----------
     foreign : Foreign
         The file.
     form : str
-        Its format in short, "mf4".
+        The short name of its format, such as "mf4".
     groups : sequence of Group
-        Those without rows, or with nothing but time, are left out.
+        The groups; those without rows, or with only a time column, are left out.
     close : callable, optional
-        Gives back what is held, once all tables are closed.
+        Releases the file; called once all tables are closed.
 
     Raises
     ------
@@ -74,21 +74,21 @@ def tables(
         raise foreign.holds_nothing()
     named = [group.name or f"group {number}" for number, group in enumerate(kept, start=1)]
     titles = unique_names(named) if len(kept) > 1 else ("",)
-    met = Counter(name for group in kept for name in group.columns if not is_time_name(name))
-    held = _Held(len(kept), close)
+    uses = Counter(name for group in kept for name in group.columns if not is_time_name(name))
+    shared = _SharedFile(len(kept), close)
     made = []
     for group, title in zip(kept, titles, strict=True):
-        columns = {f"{title}/{name}" if met[name] > 1 else name: column for name, column in _timed(group).items()}
+        columns = {f"{title}/{name}" if uses[name] > 1 else name: column for name, column in _timed(group).items()}
         units = {name: column.unit for name, column in columns.items() if column.unit}
         start = group.time.start if group.time else ""
-        told = {key: text for key, text in ((GROUP, title), (START, start)) if text}
-        held_rows = ColumnRows(columns, group.rows, foreign, held.one_less(), told)
-        made.append(RawTable(held_rows, group.rows, form, units, group=title, time=_time(group), notes=group.notes))
+        metadata = {key: text for key, text in ((GROUP, title), (START, start)) if text}
+        rows = ColumnRows(columns, group.rows, foreign, shared.closer(), metadata)
+        made.append(RawTable(rows, group.rows, form, units, group=title, time=_time(group), notes=group.notes))
     return tuple(made)
 
 
 def _timed(group: Group) -> Mapping[str, Column]:
-    """Return the columns of a group; even time becomes one of them, so that what is written of it tells the time."""
+    """Return the columns of a group; a time that is given as a rate becomes a column, so that outputs contain it."""
     if group.time is None or group.time.rate_hz is None:
         return group.columns
     step_s = 1 / group.time.rate_hz
@@ -101,14 +101,14 @@ def _time(group: Group) -> ToldTime | None:
     return None if group.time is None else group.time._replace(column=TIME)
 
 
-class _Held:
-    """Closes what several tables share when the last of them is closed."""
+class _SharedFile:
+    """A file that several tables share; it is closed when the last of them is closed."""
 
     def __init__(self, tables: int, close: Callable[[], None] | None) -> None:
         self._left, self._close = tables, close
 
-    def one_less(self) -> Callable[[], None]:
-        """Return what closes one of the tables, however often it is called."""
+    def closer(self) -> Callable[[], None]:
+        """Return a function that closes one of the tables; further calls of it do nothing."""
         closed = False
 
         def close() -> None:

@@ -1,4 +1,4 @@
-"""Which file it was: whether it is still the same, and its hash."""
+"""Detect changes of a file while it is read, and compute its hash."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ class _Facts(NamedTuple):
 
 
 class Original:
-    """A file as it was when reading began; only of one that can be read again, so of no pipe.
+    """A file as it was when reading began.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file; not a pipe, because it must be possible to read it again.
     """
 
     def __init__(self, path: Path) -> None:
         self._path, self._facts = path, _facts(path)
 
     def refuse_changed(self) -> None:
-        """Compare the file with what it was.
+        """Refuse a file that changed since reading began: its inode, size or time of modification.
 
         Raises
         ------
         InputError
-            If it was replaced, written to or removed.
+            If the file was replaced, written to or removed.
         """
         if _facts(self._path) != self._facts:
             raise InputError(f"{self._path} changed while it was read; wait until it is complete, and repeat.")
@@ -46,7 +46,7 @@ class Original:
         Raises
         ------
         InputError
-            If the file cannot be read, or is not what it was.
+            If the file cannot be read, or changed since reading began.
         """
         with told(self._path), self._path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256")
@@ -56,7 +56,7 @@ class Original:
 
 def _facts(path: Path) -> _Facts | None:
     try:
-        found = path.stat()
-    except OSError:  # it is gone, or out of reach
+        status = path.stat()
+    except OSError:  # the file was removed, or its disk is not connected
         return None
-    return _Facts(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+    return _Facts(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)

@@ -1,4 +1,4 @@
-"""Read a format with its own library: load the library when it is needed, and report its failures in sentences."""
+"""Read a format with another library: import the library when it is needed, and explain its errors to the user."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from warnings import catch_warnings, simplefilter
 
 from becalm.errors import BecalmError, InputError
 
-_SQUEEZED = 200  # as often as its own size no recording unpacks, for noise does not pack
-_SMALL = 256 << 20  # bytes that may be claimed whatever the size
+_MOST_RATIO = 200  # highest plausible ratio of unpacked to stored size: noise does not compress better
+_SMALL = 256 << 20  # bytes that a file may claim to hold whatever its size
 
 
 class Foreign:
@@ -24,12 +24,12 @@ class Foreign:
     path : Path
         The file.
     name : str
-        The format as people call it, "MF4".
+        The name of the format for messages, such as "MF4".
 
     Attributes
     ----------
     cut : bool
-        Whether its reader saw that the file ends too early.
+        Whether the file is truncated; set by the reader of the format.
     """
 
     def __init__(self, path: Path, name: str) -> None:
@@ -39,30 +39,30 @@ class Foreign:
         self.cut = False
 
     def library(self, module: str) -> ModuleType:
-        """Load a library.
+        """Import and return a module of a library.
 
         Raises
         ------
         InputError
-            If it is not installed.
+            If the library is not installed.
         """
         self._libraries.add(module.partition(".")[0])
         try:
             return import_module(module)
         except ModuleNotFoundError as cause:
             raise InputError(
-                f"{self.path} is {self.name}, which is read by {module.partition('.')[0]}; that is not here."
+                f"{self.path} is {self.name}, which is read by {module.partition('.')[0]}; that is not installed."
                 " Type: pip install 'becalm[formats]'"
             ) from cause
 
     @contextmanager
     def damage_told(self) -> Iterator[None]:
-        """Say in a sentence that the file is damaged, whatever a library raises of it, and keep its words away.
+        """Turn any error of a library into an InputError about a damaged file, and silence the library's output.
 
         Raises
         ------
         InputError
-            If anything but an error of becalm's own is raised.
+            Instead of any exception other than becalm's own errors and a MemoryError.
         """
         try:
             with catch_warnings(), _silent(self._libraries):
@@ -70,40 +70,38 @@ class Foreign:
                 yield
         except (BecalmError, MemoryError):
             raise
-        except Exception as cause:  # a library's of a damaged file: of any kind
+        except Exception as cause:  # a damaged file can make a library raise any exception
             raise self.damaged(cause) from cause
 
     def damaged(self, cause: object) -> InputError:
-        """Return the error that says so."""
+        """Return the error that says that the file is damaged; `cause` is the reason."""
         reason = " ".join(str(cause).split())[:200] or type(cause).__name__
         return InputError(f"{self.path} is a damaged {self.name} file ({reason}); copy or download it again.")
 
     def holds_nothing(self) -> InputError:
-        """Return the error that says that nothing can be read, and why."""
+        """Return the error that says that the file has no rows that can be read, and why."""
         if self.cut:
-            return InputError(
-                f"{self.path} is cut short, and nothing that is left can be read; copy or download it again."
-            )
+            return InputError(f"{self.path} is cut short, and no rows in it can be read; copy or download it again.")
         return InputError(f"{self.path} holds no channel with rows; two or more rows are needed.")
 
     def refuse_claim(self, wanted_bytes: int) -> None:
-        """Refuse to unpack what no recording of this size holds.
+        """Refuse to unpack more bytes than a recording of this size can plausibly hold.
 
         Raises
         ------
         InputError
-            If the file claims to hold so much more than its size.
+            If the file claims to hold far more than its size.
         """
         parts = self.path.iterdir() if self.path.is_dir() else [self.path]
         refuse_claim(self.path, wanted_bytes, sum(part.stat().st_size for part in parts))
 
     def refuse_unpacking(self, more_bytes: int) -> None:
-        """Refuse to unpack another part where all of them are what no recording of this size holds.
+        """Add the size of another compressed part, and refuse it if the sum is implausible for a file of this size.
 
         Raises
         ------
         InputError
-            If they are.
+            If the parts claim to hold far more than the file's size.
         """
         self._unpacked += more_bytes
         if self._unpacked > _SMALL:
@@ -111,14 +109,14 @@ class Foreign:
 
 
 def refuse_claim(path: Path, wanted_bytes: int, size: int) -> None:
-    """Refuse what claims to hold so much more than its size, in bytes, as no recording does.
+    """Refuse a file of `size` bytes that claims to hold implausibly many bytes.
 
     Raises
     ------
     InputError
-        If it does.
+        If `wanted_bytes` is more than 256 MiB and more than 200 times `size`.
     """
-    if wanted_bytes > max(_SMALL, _SQUEEZED * size):
+    if wanted_bytes > max(_SMALL, _MOST_RATIO * size):
         raise InputError(
             f"{path} claims to hold {wanted_bytes:,} bytes in a file of {size:,}; it is damaged, or made to fill the"
             " memory, and is not read."
@@ -127,13 +125,13 @@ def refuse_claim(path: Path, wanted_bytes: int, size: int) -> None:
 
 @contextmanager
 def _silent(libraries: Container[str]) -> Iterator[None]:
-    """Keep the loggers of libraries quiet, for what they say is said in notes and errors."""
+    """Disable the loggers of libraries; becalm reports the same facts in notes and errors."""
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in libraries]
-    talking = [logger for logger in map(logging.getLogger, names) if not logger.disabled]
-    for logger in talking:
+    enabled = [logger for logger in map(logging.getLogger, names) if not logger.disabled]
+    for logger in enabled:
         logger.disabled = True
     try:
         yield
     finally:
-        for logger in talking:
+        for logger in enabled:
             logger.disabled = False

@@ -1,4 +1,4 @@
-"""What a long column of numbers is like, seen block by block."""
+"""Examine a long column of numbers block by block, to recognise times, counters, flags and signals."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ _EXACT = 2.0**53
 
 
 class Numbers:
-    """A column that may be time: its first values, and an even choice of values and steps.
+    """Statistics of a column that may be a time: first values, direction, and a sample of values and steps.
 
     Parameters
     ----------
     count : int
-        How many values will come.
+        How many values the column has.
 
     Attributes
     ----------
     first, first_known : float
-        The first value, and the first that is finite; NaN where there is none.
+        The first value, and the first finite value; NaN if there is none.
     rises : bool
-        Whether every value is greater than the one before.
+        Whether every value is greater than the previous one.
     falls : bool
-        Whether a value is less than the one before.
+        Whether any value is less than the previous one.
     whole : bool
         Whether all steps are whole numbers.
     """
@@ -38,7 +38,7 @@ class Numbers:
         self.rises, self.falls, self.whole = True, False, True
 
     def add(self, values: Floats) -> None:
-        """Look at the next values, NaN where one is missing."""
+        """Add the next values, NaN where one is missing."""
         steps = following(values, self._last)
         if self._last is None:
             self.first = float(values[0])
@@ -51,8 +51,8 @@ class Numbers:
         self.rises = self.rises and bool(np.all(steps > 0))
         self.falls = self.falls or (not self.rises and bool(np.any(steps < 0)))
         if self.whole:
-            known = steps if self.rises else steps[np.isfinite(steps)]
-            self.whole = bool(np.all(known == np.round(known)))
+            finite = steps if self.rises else steps[np.isfinite(steps)]
+            self.whole = bool(np.all(finite == np.round(finite)))
 
     @property
     def counts(self) -> bool:
@@ -61,26 +61,26 @@ class Numbers:
 
     @property
     def values(self) -> Floats:
-        """Finite values, evenly chosen where there are more than a million."""
+        """Finite values; of a column with more than a million, an evenly spaced sample."""
         values = self._values.values
         return values[np.isfinite(values)]
 
     @property
     def steps(self) -> Floats:
-        """Finite steps, chosen in the same way."""
+        """Finite steps; of a column with more than a million, an evenly spaced sample."""
         steps = self._steps.values
         return steps[np.isfinite(steps)]
 
 
 class Counter:
-    """Tells whether a column counts rows: whole numbers in steps of exactly 1."""
+    """Detect a column that counts rows: whole numbers in steps of exactly 1."""
 
     def __init__(self) -> None:
         self._seen = 0
         self._possible = True
 
     def add(self, values: Floats, steps: Floats) -> None:
-        """Look at the next values and the steps that lead to them."""
+        """Add the next values, and the step from each previous value."""
         if not self._seen:
             self._possible = bool(values[0] == np.round(values[0]))
         self._seen += len(values)
@@ -88,22 +88,22 @@ class Counter:
 
     @property
     def possible(self) -> bool:
-        """Whether what was seen may be the beginning of a counter."""
+        """Whether the values so far may be the beginning of a counter."""
         return self._possible
 
     @property
     def counts(self) -> bool:
-        """Whether what was seen is a counter."""
+        """Whether the values so far, more than two, are a counter."""
         return self._possible and self._seen > 2
 
 
 class Signal:
-    """A column that may be a channel: no counter, no flag, no number that float64 cannot hold.
+    """Decide whether a column is a channel: not a counter, not a flag, and exact in float64.
 
     Parameters
     ----------
     integer : bool
-        Whether the file keeps it as whole numbers.
+        Whether the file stores the column as whole numbers.
     """
 
     def __init__(self, integer: bool) -> None:
@@ -115,7 +115,7 @@ class Signal:
         self._largest = 0.0
 
     def add(self, values: Floats) -> None:
-        """Look at the next values, NaN where one is missing."""
+        """Add the next values, NaN where one is missing."""
         if self._counter.possible:
             self._counter.add(values, following(values, self._last))
             self._last = float(values[-1])
@@ -128,20 +128,20 @@ class Signal:
 
     @property
     def decided(self) -> bool:
-        """Whether no later value can change what it is."""
+        """Whether later values can no longer change the decision."""
         return self._largest > _EXACT or not (self._integer or self._counter.possible or self._only_flags)
 
     @property
     def why_passed(self) -> str:
-        """Why the column is no channel, "" if it is one."""
+        """Why the column is not a channel, "" if it is one."""
         if self._largest > _EXACT:
-            return "whole numbers beyond 2^53, which float64 cannot tell apart"
+            return "whole numbers beyond 2^53, which float64 cannot distinguish"
         if self._counter.counts:
             return "a counter (steps of exactly 1)"
         return "a flag (only 0 and 1)" if self._only_flags and self._zeros and self._ones else ""
 
 
 def following(values: Floats, last: float | None) -> Floats:
-    """Return what each value adds to the one before, NaN where that has no answer; `last` came before the first."""
+    """Return the step from each previous value, NaN if a value is missing; `last` is the value before the first."""
     with np.errstate(invalid="ignore"):
         return np.diff(values) if last is None else np.diff(values, prepend=last)

@@ -1,4 +1,4 @@
-"""A file understood and ready to be read in chunks, however long it is."""
+"""Open a recording of any length: find its time and its channels, then read it in chunks."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ from becalm.files.timing.times import Stamps
 from becalm.sensors.record import Calibration
 
 STRETCHES = 8
-"""A sample of a long recording is made of so many parts."""
+"""Number of stretches in a sample of a long recording."""
 
 
 class OpenSource:
-    """A file that was understood; made by `open_source`, to be closed after use.
+    """An open recording with its time and channels; made by `open_source`, to be closed after use.
 
     Attributes
     ----------
     path : Path
         The file.
     names, units : tuple of str
-        The channels to clean.
+        The channels to clean, and their units.
     clock : Clock
-        What its time is like.
+        Step, gaps and jitter of its time.
     columns : tuple of ColumnLayout
-        What each column was taken for; missing cells are not counted yet (`layout` does).
+        The role of each column. Missing cells are not counted here; `layout` counts them.
     rows : int
-        How many rows there are.
+        Number of rows.
     schema : pyarrow.Schema
-        Of the tables of its chunks.
+        The schema of the tables of its chunks.
     """
 
     def __init__(self, path: Path, raw: RawTable, options: ReadOptions) -> None:
@@ -60,18 +60,19 @@ class OpenSource:
         self._stamps: Stamps | None = None
         self._time = TimeLayout((), "counted rows")
         try:
-            self._understand(raw, options)
+            self._interpret(raw, options)
         except BaseException:
             self.close()
             raise
 
-    def _understand(self, raw: RawTable, options: ReadOptions) -> None:
+    def _interpret(self, raw: RawTable, options: ReadOptions) -> None:
         if raw.count == 0:
             raise InputError("It has columns but no rows; two or more rows are needed.")
         times = row_times(raw, options)
         self._raw, self._stamps, self._time, raw = times.raw, times.stamps, times.layout, times.raw
-        chosen = choose_channels(raw, self._time.columns, times.candidates, options.channels, options.asker)
-        self.names, self.columns = chosen
+        self.names, self.columns = choose_channels(
+            raw, self._time.columns, times.candidates, options.channels, options.asker
+        )
         refuse_uncertainties(self.names)
         self.units = tuple(unit_of(raw, name) for name in self.names)
         self.rows: int = raw.count
@@ -79,61 +80,61 @@ class OpenSource:
         self.clock = Clock.counted(self.rows, times.rate_hz or 1.0)
         if self._stamps is not None:
             self.clock, self._time = clock_of(self._stamps, self._time, options.as_written)
-            if self.clock.even:  # then rows can be counted
+            if self.clock.even:  # the time of a row follows from its number, so stamps are no longer needed
                 self._stamps.close()
                 self._stamps = None
 
     @cached_property
     def layout(self) -> Layout:
-        """How the file was understood; reads all of it once, to count the missing cells."""
+        """How the file was interpreted; reads the whole file once, to count the missing cells."""
         counts = missing_in(self._raw)
         columns = tuple(replace(column, missing=count) for column, count in zip(self.columns, counts, strict=True))
         return layout_of(self._raw, self._time, self.clock, columns)
 
     @property
     def group(self) -> str:
-        """What the file calls these channels; "" where all share one time."""
+        """The name of this time base in the file; "" if all channels of the file share one time."""
         return self._raw.group
 
     @property
     def calibrations(self) -> dict[str, Calibration]:
-        """What must be known of the channels that sensors turned into their units."""
+        """Calibrations of the channels that were converted from a sensor's raw readings."""
         return self._raw.calibrations
 
     @property
     def start(self) -> str:
-        """The first instant as ISO 8601 text; "" where the file gives no date."""
+        """The first instant as ISO 8601 text; "" if the file gives no date."""
         return self._time.start
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person must know of the file, as sentences."""
+        """Sentences for the user about the file."""
         return (*self._raw.notes, *self._time.notes)
 
     @property
     def replaced(self) -> tuple[str, ...]:
-        """Columns of the file in whose places uncertainties are written."""
+        """Columns of the file that the uncertainties in the output replace."""
         return tuple(name for name in self.schema.names if name in {own + SIGMA for own in self.names})
 
     @property
     def rate_hz(self) -> float:
-        """Samples per second, 1 over the step."""
+        """The sample rate in Hz, 1 over the step."""
         return self.clock.rate_hz
 
     def chunks(self, rows: int | None = None, first: int = 0) -> Iterator[Chunk]:
-        """Read the file from its first row, or another, to the last, as often as asked.
+        """Read the file chunk by chunk, from row `first` to the last; every call reads it again.
 
         Parameters
         ----------
         rows : int, optional
-            Of each chunk but the last; by default about a million, fewer where there are many columns.
+            Rows of each chunk but the last; by default about a million, fewer for many columns.
         first : int
             The row to begin with, counted from 0.
 
         Raises
         ------
         InputError
-            If the file turns out to be damaged, or changes meanwhile.
+            If the file is damaged, or changes while it is read.
         """
         size = rows or block_rows(self.schema)
         row = first
@@ -144,17 +145,25 @@ class OpenSource:
             self._raw.original.refuse_changed()
 
     def sha256(self) -> str:
-        """Return the hash of the file that was opened, "" where it cannot be read again.
+        """Return the SHA-256 of the file, "" for a pipe, which cannot be read again.
 
         Raises
         ------
         InputError
-            If the file changed since.
+            If the file changed since it was opened.
         """
         return "" if self._raw.original is None else self._raw.original.sha256()
 
     def elapsed_steps(self, first: int, count: int, before: int | None = None) -> Floats:
-        """Return the steps before each of `count` rows; `before` is the row read before, if not the last."""
+        """Return the time since the previous row in steps, (count,), for each row from `first` on.
+
+        Parameters
+        ----------
+        first, count : int
+            The rows, counted from 0.
+        before : int, optional
+            The row that precedes row `first` in the sequence; by default `first` - 1.
+        """
         if self._stamps is None:
             return self.clock.elapsed_rows(first, count, before)
         if before is None and first > 0:
@@ -163,22 +172,22 @@ class OpenSource:
         return self.clock.elapsed(self._stamps.read(first, first + count), last)
 
     def seconds(self, first: int, count: int) -> Floats:
-        """Return the times of `count` rows in seconds, (count,): as in the file, or since the first row."""
+        """Return the times of `count` rows in seconds, (count,): the stamps of the file, or the times of its clock."""
         if self._stamps is None:
             return self.clock.start_s + self.clock.step_s * np.arange(first, first + count, dtype=np.float64)
         return self._stamps.read(first, first + count)
 
     def recording(self) -> Recording:
-        """Read all of it at once."""
+        """Read the channels of the whole file into memory."""
         return self.stretches([(0, self.rows)])
 
     def sample(self, most_rows: int) -> Recording:
-        """Read some of it, for tuning: all, or evenly spread stretches with the time between them.
+        """Read a sample of the channels for tuning: the whole file, or evenly spaced stretches with gaps in between.
 
         Parameters
         ----------
         most_rows : int
-            How many rows are enough.
+            The most rows of the sample.
         """
         if self.rows <= most_rows:
             return self.recording()
@@ -188,7 +197,13 @@ class OpenSource:
         return self.stretches([(start, start + length) for start in starts])
 
     def stretches(self, parts: list[tuple[int, int]]) -> Recording:
-        """Read rows from each start up to each stop, in order; the time between them is kept as a gap."""
+        """Read stretches of rows as one recording; the time between two stretches becomes a gap.
+
+        Parameters
+        ----------
+        parts : list of (int, int)
+            First row and stop row of each stretch, in order.
+        """
         samples = np.empty((sum(stop - start for start, stop in parts), len(self.names)))
         elapsed = [self.elapsed_steps(parts[0][0], parts[0][1] - parts[0][0], parts[0][0] or None)]
         for (_, before), (start, stop) in pairwise(parts):
@@ -209,14 +224,14 @@ class OpenSource:
         )
 
     def table(self) -> pa.Table:
-        """Read all columns of all rows; they are held in memory from then on."""
+        """Read all columns and rows into memory; later reads use this table instead of the file."""
         table = pa.concat_tables(list(self._raw.blocks(self._raw.names)))
         self._raw.rows.close()
         self._raw = replace(self._raw, rows=HeldRows(table))
         return table
 
     def close(self) -> None:
-        """Remove temporary files."""
+        """Close the file and remove temporary files."""
         if self._stamps is not None:
             self._stamps.close()
         self._raw.rows.close()
@@ -228,19 +243,19 @@ class OpenSource:
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close it."""
+        """Close the source."""
         self.close()
 
 
 def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> OpenSource:
-    """Understand a file of any known format without holding it in memory.
+    """Open a file of any known format without reading all of it into memory.
 
     Parameters
     ----------
     path : path-like
         The file; its content decides the format.
     options : ReadOptions, optional
-        What a person said about time, rate, channels and units; by default all is found out.
+        Time, rate, channels and units that the user gives; by default they are found in the file.
 
     Raises
     ------
@@ -255,14 +270,19 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
 
 
 def as_asked(file: Path, tables: tuple[RawTable, ...], options: ReadOptions) -> tuple[RawTable, ReadOptions]:
-    """Return the table of a file that is meant, in the units that are asked for; the others are closed.
+    """Return the table of a file that the options select, in the requested units; close the other tables.
 
-    The options come back with the names that channels have now.
+    Returns
+    -------
+    RawTable
+        The selected table.
+    ReadOptions
+        The options, with the new names of channels that were renamed.
 
     Raises
     ------
     InputError
-        If there are several, and nothing was said that chooses one.
+        If there are several tables, and no option selects one.
     UsageError
         If the options do not fit the file.
     """
@@ -277,17 +297,17 @@ def as_asked(file: Path, tables: tuple[RawTable, ...], options: ReadOptions) -> 
 
 
 def understood(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
-    """Understand one table of a file.
+    """Return an open source of one table of a file.
 
     Raises
     ------
     InputError
-        If it can be read in more than one way, or not at all; it is closed then.
+        If the table cannot be read, or can be read in more than one way; it is closed then.
     """
     try:
         return OpenSource(file, raw, options)
     except InputError as cause:
-        if str(cause).startswith(str(file)):  # damage found on the way
+        if str(cause).startswith(str(file)):  # the message names the file already
             raise
         if isinstance(cause, TimeError):
             raise TimeError(f"{file}: {cause} {raw.joined}".rstrip()) from cause

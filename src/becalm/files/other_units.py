@@ -1,4 +1,4 @@
-"""Columns in other units than the file has them: as a person asks, or as a recipe needs."""
+"""Convert columns of a file to other units: those that the user requests, or those that a recipe needs."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ SAME = Conversion()
 
 
 class Converted(NamedTuple):
-    """A column as it is to be given.
+    """A converted column.
 
     Attributes
     ----------
     name : str
-        What it is called then.
+        Its new name.
     unit : str
-        What it is in then.
+        Its new unit.
     conversion : Conversion
-        From the unit of the file.
+        From the unit of the file to the new unit.
     note : str
-        What a person must know of it, as a sentence; "" for nothing.
+        A sentence for the user about the conversion; "" for none.
     """
 
     name: str
@@ -46,14 +46,14 @@ class Converted(NamedTuple):
 
 
 class ConvertedRows:
-    """Rows of which some columns are in other units.
+    """Rows of a file with some columns converted to other units.
 
     Parameters
     ----------
     rows : TableRows
-        As they are in the file; closed with these.
+        The rows as they are in the file; `close` closes them.
     columns : mapping of str to Converted
-        By the names in the file; the others stay as they are.
+        The converted columns, by their names in the file; other columns are not changed.
     """
 
     def __init__(self, rows: TableRows, columns: Mapping[str, Converted]) -> None:
@@ -64,7 +64,7 @@ class ConvertedRows:
         self.schema: pa.Schema = pa.schema(fields, metadata=rows.schema.metadata)
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Give the named columns from row `start` on, in blocks of up to `most_rows`."""
+        """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
         own, factors = zip(*(self._columns.get(name, (name, SAME)) for name in names), strict=True)
         fields = [self.schema.field(name) for name in names]
         for block in self._rows.blocks(own, most_rows, start):
@@ -77,60 +77,60 @@ class ConvertedRows:
 
 
 def in_units_asked(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
-    """Convert columns to the units that a person asked for, then to those that a recipe needs.
+    """Convert columns to the units that the user requests, then to those that a recipe needs.
 
     Parameters
     ----------
     tables : sequence of RawTable
-        A file.
+        The tables of a file.
     options : ReadOptions
-        What was asked, and needed.
+        Its `units` are the requested ones, its `fitting` those of a recipe.
 
     Returns
     -------
     tuple of RawTable
-        With what was done among their notes.
+        The tables with converted columns; notes describe the conversions.
     ReadOptions
-        The same, but for channels that are called otherwise now.
+        The options, with the new names of channels that were renamed.
 
     Raises
     ------
     UsageError
-        If a column is not there or not of numbers, or its unit cannot be converted.
+        If a column is missing or is not numeric, or its unit cannot be converted.
     """
-    meant = [table for table in tables if options.group in (None, table.group)]
-    if options.units and meant:
-        columns = _asked(meant, options.units)
-        meant, options = [_carried(table, columns) for table in meant], _renamed(options, columns)
+    selected = [table for table in tables if options.group in (None, table.group)]
+    if options.units and selected:
+        columns = _requested_conversions(selected, options.units)
+        selected, options = [_convert(table, columns) for table in selected], _renamed(options, columns)
     if options.fitting is not None:
-        columns = _needed(meant, options, options.fitting)
-        meant = [_carried(table, columns) for table in meant]
+        columns = _needed_conversions(selected, options, options.fitting)
+        selected = [_convert(table, columns) for table in selected]
         options = _renamed(options, columns)
-    given = iter(meant)
-    return tuple(next(given) if options.group in (None, table.group) else table for table in tables), options
+    converted = iter(selected)
+    return tuple(next(converted) if options.group in (None, table.group) else table for table in tables), options
 
 
-def _asked(tables: Sequence[RawTable], units: Mapping[str, str]) -> dict[str, Converted]:
-    """Return each column that was named, under the name that tells its new unit."""
+def _requested_conversions(tables: Sequence[RawTable], units: Mapping[str, str]) -> dict[str, Converted]:
+    """Return the conversion of each column that --unit names; a unit in its name is replaced by the new one."""
     columns: dict[str, Converted] = {}
-    for asked, unit in units.items():
-        holding = [table for table in tables if holds(table, asked)] or tables
+    for requested, unit in units.items():
+        holding = [table for table in tables if holds(table, requested)] or tables
         if len(holding) > 1:
-            raise UsageError(f"--unit names {asked!r}, which is no one column; there are {listed(holding)}.")
-        name, unit = named_column(holding[0], asked, UNIT_OPTION), tidy_unit(unit)
+            raise UsageError(f"--unit names {requested!r}, which is not one column; there are {listed(holding)}.")
+        name, unit = named_column(holding[0], requested, UNIT_OPTION), tidy_unit(unit)
         if name in columns:
             raise UsageError(f"--unit names {name!r} twice; give it one unit.")
-        told = unit_of(holding[0], name)
-        if told not in ("", unit) and is_time_name(name):
-            raise UsageError(f"--unit names {name!r}, which is a time; it is read in seconds by itself. Leave it out.")
+        old_unit = unit_of(holding[0], name)
+        if old_unit not in ("", unit) and is_time_name(name):
+            raise UsageError(f"--unit names {name!r}, which is a time; times are always read in seconds. Leave it out.")
         bare, in_header = parse_header(name)
-        renamed = f"{bare} ({unit})" if in_header and told != unit else name
+        renamed = f"{bare} ({unit})" if in_header and old_unit != unit else name
         columns[name] = _converted(holding[0], name, Converted(renamed, unit, SAME), UNIT_OPTION)
     return columns
 
 
-def _needed(tables: Sequence[RawTable], options: ReadOptions, fitting: Fitting) -> dict[str, Converted]:
-    """Return columns whose bare names are those of a recipe, in its units and under its names."""
+def _needed_conversions(tables: Sequence[RawTable], options: ReadOptions, fitting: Fitting) -> dict[str, Converted]:
+    """Return the conversions of columns to the names and units of a recipe; names are matched without their units."""
     owners = {name: table for table in tables for name in table.names}
     bare: dict[str, list[str]] = {}
     for name in owners:
@@ -139,52 +139,52 @@ def _needed(tables: Sequence[RawTable], options: ReadOptions, fitting: Fitting) 
     for needed, unit in fitting.units.items():
         alike = [needed] if needed in owners else bare.get(parse_header(needed)[0], [])
         if len(alike) != 1 or not _is_wanted(alike[0], needed, options):
-            continue  # whoever looks for the column says that it is not there
+            continue  # if the column is missing, `named_column` raises later
         (name,) = alike
-        told = unit_of(owners[name], name)
-        if told and unit and (told, name) != (unit, needed):
+        old_unit = unit_of(owners[name], name)
+        if old_unit and unit and (old_unit, name) != (unit, needed):
             columns[name] = _converted(owners[name], name, Converted(needed, unit, SAME), fitting.asker)
     return columns
 
 
 def _is_wanted(name: str, needed: str, options: ReadOptions) -> bool:
     names = {name, needed, parse_header(name)[0]}
-    return options.channels is None or any(asked.strip() in names for asked in options.channels)
+    return options.channels is None or any(channel.strip() in names for channel in options.channels)
 
 
 def _converted(raw: RawTable, name: str, wanted: Converted, asker: Asker) -> Converted:
-    """Return how a column becomes the one wanted, and say so.
+    """Return the wanted column with its conversion and a note for the user.
 
     Raises
     ------
     UsageError
-        If it cannot.
+        If the column cannot be converted.
     """
-    told, (renamed, unit, *_) = unit_of(raw, name), wanted
-    if not told:
-        note = f"{asker.name}: the file does not tell the unit of {name!r}; it is taken to be {unit}."
+    old_unit, (renamed, unit, *_) = unit_of(raw, name), wanted
+    if not old_unit:
+        note = f"{asker.name}: the file has no unit for {name!r}; {unit} is assumed."
         return wanted._replace(note=note)
     try:
-        factor, offset = found = conversion(told, unit)
+        factor, offset = scale = conversion(old_unit, unit)
     except UsageError as cause:
         raise UsageError(f"{asker.name} wants {name!r} in {unit}: {cause}{asker.way_out}") from cause
-    if found != SAME and not _is_number(raw.type_of(name)):
+    if scale != SAME and not _is_number(raw.type_of(name)):
         raise UsageError(
             f"{asker.name} wants {name!r} in {unit}, but not all of its cells are numbers (it holds"
-            f" {raw.type_of(name)}); name a column of numbers, or mend this one."
+            f" {raw.type_of(name)}); name a column of numbers, or correct this one."
         )
     if renamed != name and renamed in raw.names:
-        raise UsageError(f"{asker.name} makes {name!r} {renamed!r}, and another column is called so; rename one.")
-    if told == unit:
+        raise UsageError(f"{asker.name} renames {name!r} to {renamed!r}, but another column has that name; rename one.")
+    if old_unit == unit:
         note = "" if renamed == name else f"{asker.name}: {name!r} is read as {renamed!r}."
         return wanted._replace(note=note)
     shift = f" {'+' if offset > 0 else '-'} {abs(offset):.6g}" if offset else ""
-    note = f"{asker.name}: {name!r} is converted from {told} to {unit} (times {factor:.6g}{shift})."
-    return wanted._replace(conversion=found, note=note)
+    note = f"{asker.name}: {name!r} is converted from {old_unit} to {unit} (times {factor:.6g}{shift})."
+    return wanted._replace(conversion=scale, note=note)
 
 
-def _carried(raw: RawTable, columns: Mapping[str, Converted]) -> RawTable:
-    """Return a table with its converted columns, and their uncertainties."""
+def _convert(raw: RawTable, columns: Mapping[str, Converted]) -> RawTable:
+    """Return a table with converted columns and converted uncertainties."""
     own = {name: converted for name, converted in columns.items() if name in raw.names}
     if not own:
         return raw
@@ -194,25 +194,25 @@ def _carried(raw: RawTable, columns: Mapping[str, Converted]) -> RawTable:
             own[name + SIGMA] = Converted(renamed + SIGMA, unit, Conversion(factor))
     units = {name: unit for name, unit in raw.units.items() if name not in own}
     units |= {converted.name: converted.unit for converted in own.values()}
-    uncertain = {
+    calibrations = {
         own[name].name if name in own else name: _scaled_zero(one, own[name].conversion if name in own else SAME)
         for name, one in raw.calibrations.items()
     }
     rows = ConvertedRows(raw.rows, own)
-    return replace(raw, rows=rows, units=units, notes=(*raw.notes, *notes), calibrations=uncertain)
+    return replace(raw, rows=rows, units=units, notes=(*raw.notes, *notes), calibrations=calibrations)
 
 
 def _scaled_zero(calibration: Calibration, size: Conversion) -> Calibration:
     if size.offset and calibration.relative_std:
         raise UsageError(
-            "A sensor's sheet tells how uncertain a sensitivity is as a share of the result, which is another share on"
-            " another scale of temperature; leave the unit as the sheet has it, or write the sensor for the other."
+            "A sensor's data sheet gives the uncertainty of its sensitivity as a fraction of the result, which differs"
+            " on another temperature scale; keep the unit of the data sheet, or write the sensor file for the other."
         )
     return calibration._replace(offset_std=calibration.offset_std * size.factor)
 
 
 def _renamed(options: ReadOptions, columns: Mapping[str, Converted]) -> ReadOptions:
-    """Return options whose channels are called as the columns are now."""
+    """Return the options with the new names of the channels."""
     if options.channels is None:
         return options
     names = {name: converted.name for name, converted in columns.items()}

@@ -1,4 +1,4 @@
-"""Parquet: pyarrow's own table, block by block; dictionaries are decoded, units come from the field metadata."""
+"""Read Parquet files block by block with pyarrow. Dictionaries are decoded; units come from the field metadata."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _READ_BYTES = 1 << 20
 
 
 def read_parquet(path: Path, kept: Original | bytes) -> RawTable:
-    """Look into a Parquet file; its rows are read when they are asked for.
+    """Open a Parquet file; its rows are read on demand.
 
     Parameters
     ----------
     path : Path
         The file.
     kept : Original or bytes
-        The file as it was when reading began; where it cannot be read twice, what is in it.
+        The state of the file when reading began; for a pipe, its content.
 
     Raises
     ------
@@ -44,29 +44,29 @@ def read_parquet(path: Path, kept: Original | bytes) -> RawTable:
 
 
 def units_of(schema: pa.Schema) -> dict[str, str]:
-    """Return the units that the metadata of columns tell, by their names."""
+    """Return the units in the metadata of columns, by column name; columns without a unit are left out."""
     return {field.name: unit for field in schema if (unit := _unit(field))}
 
 
 class ParquetRows:
-    """The rows of a Parquet file, read by its row groups.
+    """The rows of a Parquet file, read one row group after another.
 
     Parameters
     ----------
     path : Path
-        The file; only for messages where its bytes are given.
+        The file; used only in messages if `kept` holds its bytes.
     kept : Original or bytes
         As in `read_parquet`.
 
     Raises
     ------
     InputError
-        If the file is damaged or changed, now or while it is read.
+        If the file is damaged or has changed, here or when rows are read.
     """
 
     def __init__(self, path: Path, kept: Original | bytes) -> None:
         self._path, self._kept = path, kept
-        with self._damage_told(), self._open() as file:
+        with self._explained_errors(), self._open() as file:
             self._stored: pa.Schema = file.schema_arrow
             self._ends = list(accumulate(file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)))
         self.count: int = self._ends[-1] if self._ends else 0
@@ -76,37 +76,37 @@ class ParquetRows:
         refuse_claim(path, self.count * fields_bytes, size)
         fields = [_plain(field.with_name(name)) for field, name in zip(self._stored, names, strict=True)]
         self.schema: pa.Schema = pa.schema(fields, metadata=self._stored.metadata)
-        self._by_name = _told_apart(self._stored.names)
+        self._by_name = _are_selectable(self._stored.names)
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Read the row groups from `start` on, only the columns that are asked for."""
+        """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
         positions = [self.schema.names.index(name) for name in names]
         groups = [number for number, end in enumerate(self._ends) if end > start]
         skipped = start - (self._ends[groups[0] - 1] if groups and groups[0] else 0)
         wanted = [self._stored.names[position] for position in sorted(positions)] if self._by_name else None
-        with self._damage_told(names), self._open() as file:
+        with self._explained_errors(names), self._open() as file:
             for batch in self._batches(file, most_rows, groups, wanted):
                 self._refuse_changed()
                 if skipped >= batch.num_rows:
                     skipped -= batch.num_rows
                     continue
-                found = dict(zip(_positions(self._stored, wanted), batch.columns, strict=True))
-                columns = [self._as_told(position, found[position]) for position in positions]
+                by_position = dict(zip(_positions(self._stored, wanted), batch.columns, strict=True))
+                columns = [self._plain_column(position, by_position[position]) for position in positions]
                 schema = pa.schema([self.schema.field(position) for position in positions], self.schema.metadata)
                 table = pa.table(columns, schema=schema)
                 yield table.slice(skipped) if skipped else table
                 skipped = 0
 
     def close(self) -> None:
-        """Do nothing: the file is opened anew for each reading."""
+        """Do nothing: the file is open only while `blocks` reads it."""
 
     def _batches(self, file: Any, most_rows: int, groups: list[int], wanted: list[str] | None) -> Iterator[Any]:
-        """Read batches; of nested columns, pyarrow cannot always join those of two row groups."""
+        """Yield batches of rows; nested columns are read per row group, since pyarrow cannot always join two groups."""
         nested = any(pa.types.is_nested(self._stored.field(i).type) for i in _positions(self._stored, wanted))
         for together in [[group] for group in groups] if nested else [groups]:
             yield from file.iter_batches(most_rows, row_groups=together, columns=wanted)
 
-    def _as_told(self, position: int, column: pa.Array) -> pa.Array:
+    def _plain_column(self, position: int, column: pa.Array) -> pa.Array:
         kind = self.schema.field(position).type
         return column if column.type == kind else column.cast(kind)
 
@@ -123,33 +123,35 @@ class ParquetRows:
             self._kept.refuse_changed()
 
     @contextmanager
-    def _damage_told(self, names: Sequence[str] = ()) -> Iterator[None]:
+    def _explained_errors(self, names: Sequence[str] = ()) -> Iterator[None]:
+        """Turn errors of pyarrow and of the system into an InputError; `names` are the columns that are read."""
         try:
             yield
         except (pa.ArrowException, OSError) as cause:
             self._refuse_changed()
             reason = " ".join(str(cause).split())[:200]
             if isinstance(cause, FileNotFoundError):
-                raise InputError(f"{self._path} does not exist any more, or is a link that leads nowhere.") from cause
+                raise InputError(f"{self._path} does not exist any more, or is a link to a missing file.") from cause
             if isinstance(cause, pa.ArrowNotImplementedError):
                 nested = [name for name in names if pa.types.is_nested(self.schema.field(name).type)]
                 raise InputError(
-                    f"{self._path} holds what cannot be read, in {', '.join(map(repr, nested or names)) or 'a column'}"
-                    f" ({reason}); write it again without that column, or as plain numbers and text."
+                    f"{self._path} holds data that cannot be read, in"
+                    f" {', '.join(map(repr, nested or names)) or 'a column'} ({reason}); write it again without that"
+                    " column, or as plain numbers and text."
                 ) from cause
             if not self._begins():
                 raise InputError(
-                    f"{self._path} is no Parquet file, whatever it is called; its first bytes say so."
+                    f"{self._path} is not a Parquet file: its first bytes are those of another format."
                 ) from cause
             if self._is_cut():
                 raise InputError(
-                    f"{self._path} is cut short: Parquet says what its columns are at the very end, and without that"
-                    " nothing of it can be read; copy or write it again."
+                    f"{self._path} is cut short: the end of a Parquet file describes its columns, and without it the"
+                    " file cannot be read; copy or write it again."
                 ) from cause
             raise InputError(f"{self._path} is a damaged Parquet file ({reason}); copy or write it again.") from cause
 
     def _begins(self) -> bool:
-        """Whether its first bytes are those of a Parquet file, if it has any, and can be read."""
+        """Return whether the file begins as Parquet; True for an empty file and one that cannot be opened."""
         if isinstance(self._kept, bytes):
             return self._kept[: len(PARQUET)] in (PARQUET, b"")
         with suppress(OSError), self._path.open("rb") as file:
@@ -157,7 +159,7 @@ class ParquetRows:
         return True
 
     def _is_cut(self) -> bool:
-        """Whether its last bytes are not those of a Parquet file."""
+        """Return whether the file does not end as Parquet; False for a file that cannot be opened."""
         if isinstance(self._kept, bytes):
             return not self._kept.endswith(PARQUET)
         with suppress(OSError), self._path.open("rb") as file:
@@ -166,11 +168,11 @@ class ParquetRows:
         return False
 
 
-def _told_apart(names: Sequence[str]) -> bool:
-    """Tell whether columns can be asked for by name: `a` would also bring `a.b`."""
-    known = set(names)
+def _are_selectable(names: Sequence[str]) -> bool:
+    """Return whether pyarrow can select single columns by name: if there is `a.b`, selecting `a` also reads `a.b`."""
+    distinct = set(names)
     stems = (".".join(name.split(".")[:count]) for name in names for count in range(1, name.count(".") + 1))
-    return len(known) == len(names) and known.isdisjoint(stems)
+    return len(distinct) == len(names) and distinct.isdisjoint(stems)
 
 
 def _positions(stored: pa.Schema, wanted: Sequence[str] | None) -> list[int]:
@@ -184,5 +186,5 @@ def _plain(field: pa.Field) -> pa.Field:
 
 
 def _unit(field: pa.Field) -> str:
-    told: bytes = (field.metadata or {}).get(b"unit", b"")
-    return told.decode("utf-8", "replace").strip()
+    unit: bytes = (field.metadata or {}).get(b"unit", b"")
+    return unit.decode("utf-8", "replace").strip()

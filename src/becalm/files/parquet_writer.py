@@ -1,4 +1,4 @@
-"""Tables to Parquet: row groups of a million rows, dictionaries only where values repeat."""
+"""Write tables to Parquet in row groups of a million rows, with dictionaries only for columns of repeated values."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import pyarrow as pa
 
 _GROUP_ROWS = 1 << 20
 _GROUP_BYTES = 256 << 20
-_LOOKED_AT = 4096
+_SAMPLED = 4096  # values of a column that decide whether it gets a dictionary
 
 
 class ParquetTableWriter:
-    """Writes tables of one schema below each other.
+    """Write tables of one schema one after another into a Parquet file.
 
     Parameters
     ----------
     file : binary file
-        Where to.
+        The output; it is not closed.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -31,7 +31,7 @@ class ParquetTableWriter:
     def write(self, table: pa.Table) -> None:
         """Write some rows, or hold them until they fill a row group."""
         if self._writer is None:
-            self._writer = _begun(self._file, table)
+            self._writer = _new_writer(self._file, table)
         self._held.append(table)
         self._rows += table.num_rows
         self._bytes += table.nbytes
@@ -39,18 +39,18 @@ class ParquetTableWriter:
             self._flush()
 
     def close(self) -> None:
-        """Write what is held, and the end of the file; the file stays open."""
+        """Write the held rows and the end of the Parquet file; the file stays open."""
         if self._writer is not None:
             self._flush()
             self._writer.close()
 
     def drop(self) -> None:
-        """Forget what is held, and let go of the file."""
+        """Discard the held rows and close the Parquet writer."""
         self._held = []
         if self._writer is not None and self._writer.is_open:
             with suppress(OSError, pa.ArrowException):
                 self._writer.close()
-            self._writer.is_open = False  # or it would try again when it is collected
+            self._writer.is_open = False  # otherwise its destructor would try to close it again
 
     def _flush(self) -> None:
         if self._held:
@@ -58,7 +58,7 @@ class ParquetTableWriter:
         self._held, self._rows, self._bytes = [], 0, 0
 
 
-def _begun(file: IO[bytes], table: pa.Table) -> Any:
+def _new_writer(file: IO[bytes], table: pa.Table) -> Any:
     import pyarrow.parquet as pq
 
     nested = any(pa.types.is_nested(field.type) for field in table.schema)
@@ -67,8 +67,11 @@ def _begun(file: IO[bytes], table: pa.Table) -> Any:
 
 
 def _repeats(column: pa.ChunkedArray) -> bool:
-    """Tell by some values whether a dictionary makes a column shorter: a settled sigma, but no clean signal."""
-    if not pa.types.is_floating(column.type) or len(column) < _LOOKED_AT:
+    """Return whether a dictionary makes a column shorter, judged by a sample of its values.
+
+    It does so for a sigma in steady state, but not for a clean signal.
+    """
+    if not pa.types.is_floating(column.type) or len(column) < _SAMPLED:
         return True
-    some = column.take(np.linspace(0, len(column) - 1, _LOOKED_AT).astype(np.int64)).to_numpy()
-    return len(np.unique(some)) * 2 < _LOOKED_AT
+    sample = column.take(np.linspace(0, len(column) - 1, _SAMPLED).astype(np.int64)).to_numpy()
+    return len(np.unique(sample)) * 2 < _SAMPLED

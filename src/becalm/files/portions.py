@@ -1,4 +1,4 @@
-"""How much of a file is read at once, to be tuned on or looked at for rest, so that it fits into memory."""
+"""Limit how many rows are read into memory to tune a recipe or to find intervals at rest."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
 
 TUNED_ROWS = 1 << 20
-"""Rows that a recipe is tuned on; of longer files, evenly spread stretches."""
+"""The most rows to tune a recipe on; of a longer file, evenly spaced stretches are used."""
 
 TUNED_ROWS_UNEVEN = 1 << 18
-"""As many of uneven time, where each row has step matrices of its own."""
+"""The same for a file with uneven time, where each row needs its own step matrices."""
 
 REST_ROWS = 1 << 22
-"""Rows in which rest is looked for, from the first on: an Allan deviation needs them in a row."""
+"""The most rows to search for rest; they are the first of the file, because an Allan deviation needs adjacent rows."""
 
-_MOST_SAMPLES = 1 << 26  # in all channels together
+_MOST_SAMPLES = 1 << 26  # of all channels together
 
 
 def rows_to_tune_on(source: OpenSource) -> int:
-    """Return how many rows tell enough."""
-    return _fitting(TUNED_ROWS if source.clock.uniform else TUNED_ROWS_UNEVEN, source)
+    """Return how many rows to tune a recipe on."""
+    return _limited(TUNED_ROWS if source.clock.uniform else TUNED_ROWS_UNEVEN, source)
 
 
 def beginning(source: OpenSource) -> Recording:
-    """Read the first rows, in which stretches of rest are told by their time."""
-    return source.stretches([(0, min(source.rows, _fitting(REST_ROWS, source)))])
+    """Read the first rows of a file, up to the number that is searched for rest."""
+    return source.stretches([(0, min(source.rows, _limited(REST_ROWS, source)))])
 
 
 def cut_short(source: OpenSource, read: Recording) -> str:
-    """Say that only the beginning was looked at, if so."""
+    """Return a sentence that says that only the first rows were used, "" if all were."""
     if len(read) == source.rows:
         return ""
-    return f" Only the first {len(read)} of {source.rows} rows were looked at."
+    return f" Only the first {len(read)} of {source.rows} rows were used."
 
 
 @contextmanager
 def rest_within(source: OpenSource, read: Recording) -> Iterator[None]:
-    """Turn what is wrong with rest that was said into a mistake in the command, with how much was looked at.
+    """Turn an error about an interval of rest from the command line into a UsageError, with the number of rows used.
 
     Raises
     ------
     UsageError
-        If a stretch that was said holds too few rows.
+        If a given interval holds too few rows.
     """
     try:
         yield
@@ -56,6 +56,6 @@ def rest_within(source: OpenSource, read: Recording) -> Iterator[None]:
         raise UsageError(f"{cause}{cut_short(source, read)}") from cause
 
 
-def _fitting(most: int, source: OpenSource) -> int:
-    """Return `most`, or fewer rows where there are many channels."""
+def _limited(most: int, source: OpenSource) -> int:
+    """Return `most`, or fewer rows if there are many channels."""
     return min(most, max(1 << 16, _MOST_SAMPLES // max(1, len(source.names))))

@@ -1,4 +1,4 @@
-"""Options of reading a file, from the command line or a recipe."""
+"""Options for reading a file, from the command line or from a recipe."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 
 class Asker(NamedTuple):
-    """Who names columns, for messages.
+    """The origin of a request for columns, such as an option or a recipe; used in messages.
 
     Attributes
     ----------
     name : str
-        As a sentence begins.
+        The subject of the sentence, such as "--channels" or "The recipe".
     way_out : str
-        What else can be done, as a further sentence.
+        Another sentence with what else the user can do; it begins with a space.
     """
 
     name: str
@@ -33,14 +33,14 @@ COMMAND_LINE = Asker("--channels")
 
 
 class Fitting(NamedTuple):
-    """What channels are to be like.
+    """Names and units that channels must have.
 
     Attributes
     ----------
     asker : Asker
-        Who needs it.
+        The origin of the requirement.
     units : mapping of str to str
-        Units by names of channels.
+        Units by channel name.
     """
 
     asker: Asker
@@ -49,28 +49,28 @@ class Fitting(NamedTuple):
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What a person said, on the command line or by a recipe.
+    """Options for reading a file.
 
     Attributes
     ----------
     time : str, optional
         Name of the time column, as in the header or without its unit.
     rate_hz : float, optional
-        Rows are counted at this rate; the time column, if any, only passes through.
+        Count rows at this rate in Hz; a time column, if any, is only copied to the output.
     channels : tuple of str, optional
         Columns to read, as in the header or without their units; all that look like signals by default.
     asker : Asker
-        Who names the channels.
+        The origin of `channels`, for messages.
     group : str, optional
-        Of a file with several time bases, which of them.
+        The time base to read from a file with several.
     fitting : Fitting, optional
-        Names and units that channels are to have; those of the same bare name in others are converted.
+        Names and units that channels must have; a column with the same name in another unit is converted.
     units : mapping of str to str
-        Units to have columns in, by their names as in the header or without their units.
+        Units to convert columns to, by column name as in the header or without its unit.
     sensors : tuple of SensorRecord
-        What columns are turned into before that.
+        Sensors whose columns are converted to measured quantities before any other conversion.
     as_written : bool
-        Whether stamps stay as they are, where they would be put onto an even grid, or hours undone.
+        Keep time stamps as they are: do not put them onto an even grid, and do not correct shifts of an hour.
     """
 
     time: str | None = None
@@ -85,14 +85,14 @@ class ReadOptions:
 
 
 def asked_by(recipe: Recipe, again: str) -> ReadOptions:
-    """Return what a recipe asks of a file.
+    """Return the options with which a recipe needs a file to be read.
 
     Parameters
     ----------
     recipe : Recipe
-        Of the channels to read.
+        Its channels are read.
     again : str
-        What to type for another recipe.
+        The command that makes another recipe, for messages.
     """
     asker = Asker("The recipe", f" Make another recipe with: {again}")
     units = {channel.name: channel.unit for channel in recipe.channel}
@@ -107,16 +107,16 @@ def asked_by(recipe: Recipe, again: str) -> ReadOptions:
 
 
 def refuse_impossible(options: ReadOptions) -> None:
-    """Refuse a rate that was said and is none, or beside stamps that are to stay.
+    """Refuse a rate that is out of range, or that is combined with stamps as written.
 
     Raises
     ------
     UsageError
-        If it is out of range, or both are asked.
+        If the rate is out of range, or both options are given.
     """
     if options.rate_hz is not None and not SLOWEST_HZ <= options.rate_hz <= FASTEST_HZ:
         raise UsageError(f"--rate {options.rate_hz:g} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
     if options.rate_hz is not None and options.as_written:
         raise UsageError(
-            "--rate counts rows in place of their stamps, and --stamps as-written keeps these; ask for one of them."
+            "--rate counts rows instead of reading stamps, and --stamps as-written keeps the stamps; give one of them."
         )

@@ -1,4 +1,4 @@
-"""From a path to a recording: all of a file at once."""
+"""Read a whole file into memory as a recording."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from becalm.files.source import SourceFile
 
 
 def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> SourceFile:
-    """Read a file of any known format; of several times in it, the one that the options choose.
+    """Read a file of any known format; if it has several time bases, the one that the options select.
 
     Parameters
     ----------
     path : path-like
         The file; its content decides the format.
     options : ReadOptions, optional
-        What a person said about time, rate and channels; by default all is found out.
+        Time, rate and channels that the user gives; by default they are found in the file.
 
     Returns
     -------
     SourceFile
-        The recording, the whole table, and how the file was understood.
+        The recording, the whole table, and how the file was interpreted.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None
         return SourceFile(source.recording(), table, source.layout)
 
 
-def read(  # noqa: PLR0913  (what is wanted, each by its name)
+def read(  # noqa: PLR0913  (options, all passed by name)
     path: str | os.PathLike[str],
     *,
     channels: Sequence[str] | str | None = None,
@@ -47,7 +47,7 @@ def read(  # noqa: PLR0913  (what is wanted, each by its name)
     units: Mapping[str, str] | None = None,
     as_written: bool = False,
 ) -> Recording:
-    """Read a recording from a file of any known format; of channels at several times, those asked for.
+    """Read a recording from a file of any known format; `channels` selects one of several time bases.
 
     Parameters
     ----------
@@ -56,21 +56,23 @@ def read(  # noqa: PLR0913  (what is wanted, each by its name)
     channels : sequence of str, optional
         Columns to read, with or without their units; all that look like signals by default.
     rate_hz : float, optional
-        Count rows at this rate instead of reading a time column.
+        Count rows at this rate in Hz instead of reading a time column.
     time : str, optional
-        Name of the time column; found by itself where it is clear.
+        Name of the time column; by default it is found if there is only one candidate.
     units : mapping of str to str, optional
-        Units to have channels in, by their names, as {"ax": "m/s^2"}; what the file does not tell, they tell.
+        Units to convert channels to, by channel name, as {"ax": "m/s^2"}. For a channel without a unit in the file,
+        the given unit is assumed.
     as_written : bool
-        Keep stamps as they are, where a driver seems to have made them, or summer time to have moved them.
+        Keep time stamps as they are. By default, stamps that a driver seems to have invented and shifts by summer
+        time are corrected.
 
     Raises
     ------
     InputError
         If the file cannot be read, or can be read in more than one way.
     UsageError
-        If a column asked for is not there, or cannot be converted.
+        If a requested column is missing, or cannot be converted.
     """
-    asked = (channels,) if isinstance(channels, str) else None if channels is None else tuple(channels)
-    with open_source(path, ReadOptions(time, rate_hz, asked, units=units or {}, as_written=as_written)) as source:
+    names = (channels,) if isinstance(channels, str) else None if channels is None else tuple(channels)
+    with open_source(path, ReadOptions(time, rate_hz, names, units=units or {}, as_written=as_written)) as source:
         return source.recording()

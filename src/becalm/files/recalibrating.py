@@ -1,8 +1,9 @@
-"""A clean recording as it would be with another calibration, where its filter is the same but for size and zero.
+"""Apply another calibration to a clean recording without cleaning it again.
 
-A channel's filter is linear in its readings, and what tunes and gates it is in their unit; so readings that are turned
-into y' = a y + b by the new sheet give the signal a x + b, and the filter's sigma times |a|. What the old sheet left
-uncertain is taken out of sigma, and the new one's put in (`becalm.cleaning.uncertainty`).
+A channel's filter is linear in its readings, and its tuning and its gate scale with their unit. If the new calibration
+turns readings y into y' = a y + b, the clean signal x becomes a x + b and the filter's sigma is multiplied by |a|. The
+uncertainty of the old calibration is removed from sigma, and that of the new one is added
+(`becalm.cleaning.uncertainty`).
 """
 
 from __future__ import annotations
@@ -31,20 +32,21 @@ from becalm.sensors.tare import Tare
 
 _FROM = Asker("--from")
 _AGAIN = "Clean the readings again, with the new sensors."
-_LINE = 2  # coefficients of a curve that is a straight line
+_LINE = 2  # number of coefficients of a straight line
 
 
 class Recalibrated(NamedTuple):
-    """One channel, and what its new calibration makes of it.
+    """The change of one channel by a new calibration.
 
     Attributes
     ----------
     column : str
-        Of the clean signal; its uncertainty stands in `column` + "_sigma".
+        The column of the clean signal; the column of its uncertainty is `column` + "_sigma".
     factor, offset : float
-        New value = factor * old value + offset, the offset in the channel's unit.
+        New value = factor * old value + offset, with the offset in the channel's unit.
     old, new : (float, float)
-        Standard uncertainties (k = 1): of the sensitivity, as a share; of the zero, in unit.
+        Standard uncertainties (k = 1) of the old and the new calibration: of the sensitivity, as a fraction; of the
+        zero, in the channel's unit.
     """
 
     column: str
@@ -56,24 +58,24 @@ class Recalibrated(NamedTuple):
     def told(self, signal: Floats, sigma: Floats) -> tuple[Floats, Floats]:
         """Return signal and sigma (n,) with the new calibration."""
         changed = self.factor * signal + self.offset
-        own = sigma**2 - (self.old[0] * signal) ** 2 - self.old[1] ** 2
-        filtered = np.abs(self.factor) * np.sqrt(np.where(own < 0, 0.0, own))  # below 0 by rounding in the file
+        variance = sigma**2 - (self.old[0] * signal) ** 2 - self.old[1] ** 2  # of the filter alone
+        filtered = np.abs(self.factor) * np.sqrt(np.where(variance < 0, 0.0, variance))  # rounding can make it < 0
         return changed, np.sqrt(filtered**2 + (self.new[0] * changed) ** 2 + self.new[1] ** 2)
 
 
 def recalibrated(
     tables: Sequence[RawTable], recipe: Recipe, old: Sequence[SensorRecord], new: Sequence[SensorRecord]
 ) -> tuple[tuple[Recalibrated, ...], ...]:
-    """Find what a new calibration makes of the channels of a clean recording.
+    """Compute how a new calibration changes the channels of a clean recording.
 
     Parameters
     ----------
     tables : sequence of RawTable
-        The clean recording, one or more times.
+        The clean recording, one table per time base.
     recipe : Recipe
-        That it was cleaned by.
+        The recipe that cleaned it.
     old, new : sequence of SensorRecord
-        The calibrations, of the same channels.
+        The old and the new calibration of the same channels.
 
     Returns
     -------
@@ -83,9 +85,8 @@ def recalibrated(
     Raises
     ------
     UsageError
-        If a channel of the old calibration is not in the new one, the recording or the recipe, or it cannot be had
-        without the readings: of a sensor of several axes, one that is not linear, a filter that switches, and parts
-        that were split.
+        If a channel of the old calibration is missing in the new one, the recording or the recipe, or if the raw
+        readings are needed: for a sensor of several axes, a sensor that is not linear, an IMM, and split parts.
     """
     by_channels = {one.channels: one for one in new}
     missing = [one for one in old if one.channels not in by_channels]
@@ -94,45 +95,47 @@ def recalibrated(
         raise UsageError(f"The sensor of {', '.join(odd.channels)} is in one of --from and --to only; both need it.")
     of_tables: list[list[Recalibrated]] = [[] for _ in tables]
     for one in old:
-        place = _place(tables, one)
-        of_tables[place].append(_of_channel(tables[place], recipe, one, by_channels[one.channels]))
+        place = _table_number(tables, one)
+        of_tables[place].append(_recalibrate_channel(tables[place], recipe, one, by_channels[one.channels]))
     return tuple(map(tuple, of_tables))
 
 
 def recalibrated_blocks(table: RawTable, channels: Sequence[Recalibrated]) -> Iterator[pa.Table]:
-    """Give all columns of a clean recording in blocks, those of the channels with their new calibration."""
+    """Yield all columns of a clean recording in blocks, with the new calibration applied to `channels`."""
     for block in table.blocks(table.names):
         for one in channels:
             names = (one.column, one.column + SIGMA)
-            told = one.told(*(values_of(block.column(name), table.decimal) for name in names))
-            for name, values in zip(names, told, strict=True):
+            changed = one.told(*(values_of(block.column(name), table.decimal) for name in names))
+            for name, values in zip(names, changed, strict=True):
                 at = block.schema.get_field_index(name)
                 block = block.set_column(at, block.schema.field(at).with_type(pa.float64()), pa.array(values))
         yield block
 
 
-def _place(tables: Sequence[RawTable], record: SensorRecord) -> int:
-    """Return which table has a sensor's channel; the first where none has, which then says so."""
+def _table_number(tables: Sequence[RawTable], record: SensorRecord) -> int:
+    """Return the number of the table that has a sensor's channel; 0 if none has it, so that a later step raises."""
     holding = [place for place, table in enumerate(tables) if holds(table, record.channels[0])]
     if len(holding) > 1:
-        raise UsageError(f"{record.channels[0]!r} is no one column; there are {listed(tables)}. Name it in full.")
+        raise UsageError(f"{record.channels[0]!r} is not one column; there are {listed(tables)}. Name it in full.")
     return holding[0] if holding else 0
 
 
-def _of_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new: SensorRecord) -> Recalibrated:
+def _recalibrate_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new: SensorRecord) -> Recalibrated:
     _refuse_other(old, new)
     column = named_column(table, parse_header(old.channels[0])[0], _FROM)
     channel = next((one for one in recipe.channel if one.name == column), None)
     if channel is None or column + SIGMA not in table.names:
-        raise UsageError(f"{column!r} was not cleaned: the recipe, or its column of sigma, is without it. {_AGAIN}")
+        raise UsageError(f"{column!r} was not cleaned: it is not in the recipe, or its sigma is missing. {_AGAIN}")
     if (unit := unit_of(table, column) or channel.unit) not in ("", old.unit):
-        raise UsageError(f"{column!r} is in {unit}, and --from turns its readings into {old.unit}. {_AGAIN}")
+        raise UsageError(f"{column!r} is in {unit}, but --from converts its readings to {old.unit}. {_AGAIN}")
     if channel.switching is not None:
-        raise UsageError(f"The filter of {column!r} switches: its signal is not linear in the readings. {_AGAIN}")
+        raise UsageError(
+            f"The filter of {column!r} has several modes, so its signal is not linear in the readings. {_AGAIN}"
+        )
     if split := [f"{column}_{part}" for part in channel.parts if f"{column}_{part}" in table.names]:
         raise UsageError(f"The file has parts of {column!r} ({split[0]!r}), which have no zero of their own. {_AGAIN}")
-    told = channel.calibration
-    tare = _zero_taken(old, told)
+    calibration = channel.calibration
+    tare = _tare_of(old, calibration)
     old, new = _with_zero(old, tare), _with_zero(new, tare)
     (slope, zero), (new_slope, new_zero) = _line(old), _line(new)
     factor = new_slope / slope
@@ -140,16 +143,16 @@ def _of_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new: SensorR
         column,
         factor,
         new_zero - factor * zero,
-        (0.0, 0.0) if told is None else (told.relative_std, told.offset_std),
+        (0.0, 0.0) if calibration is None else (calibration.relative_std, calibration.offset_std),
         (new.relative_stds[0], new.offset_std),
     )
 
 
 def _refuse_other(old: SensorRecord, new: SensorRecord) -> None:
-    """Refuse a change of calibration that is not one of size and zero alone."""
+    """Refuse a change of calibration that is more than another sensitivity and another zero."""
     named = ", ".join(map(repr, old.channels))
     if len(old.channels) > 1:
-        raise UsageError(f"The axes {named} hear of each other, and each was filtered in its own way. {_AGAIN}")
+        raise UsageError(f"The axes {named} are calibrated together, and each was filtered in its own way. {_AGAIN}")
     for one in (old, new):
         conversion = one.conversion
         if isinstance(conversion, Bridge) or (
@@ -158,22 +161,22 @@ def _refuse_other(old: SensorRecord, new: SensorRecord) -> None:
             raise UsageError(f"The sensor of {named} is not linear in its readings. {_AGAIN}")
     if (old.raw_unit, old.unit) != (new.raw_unit, new.unit):
         raise UsageError(
-            f"The sensor of {named} turns {old.raw_unit} into {old.unit} by --from, and {new.raw_unit} into {new.unit} "
-            "by --to; write both in the same units."
+            f"The sensor of {named} converts {old.raw_unit} to {old.unit} in --from, and {new.raw_unit} to {new.unit}"
+            " in --to; write both in the same units."
         )
     if new.tare_s not in (None, old.tare_s):
-        raise UsageError(f"--to takes the zero of {named} from another stretch than --from. {_AGAIN}")
+        raise UsageError(f"--to measures the zero of {named} in another interval than --from. {_AGAIN}")
     if old.full_scale != new.full_scale:
-        raise UsageError(f"The sensor of {named} has another full scale, and so other readings are clipped. {_AGAIN}")
+        raise UsageError(f"The sensor of {named} has another full scale, so other readings are clipped. {_AGAIN}")
 
 
-def _zero_taken(old: SensorRecord, told: CalibrationRecipe | None) -> Tare | None:
-    """Return the zero that was taken when the recording was cleaned, which must be the one that --from asks for."""
-    tare = None if told is None or told.tare is None else Tare(**told.tare.model_dump())
-    asked = None if old.tare_s is None else (*old.tare_s, old.raw_unit)
-    if asked != (None if tare is None else (tare.start_s, tare.stop_s, tare.raw_unit)):
+def _tare_of(old: SensorRecord, calibration: CalibrationRecipe | None) -> Tare | None:
+    """Return the zero that was measured when the recording was cleaned; its interval must be that of --from."""
+    tare = None if calibration is None or calibration.tare is None else Tare(**calibration.tare.model_dump())
+    expected = None if old.tare_s is None else (*old.tare_s, old.raw_unit)
+    if expected != (None if tare is None else (tare.start_s, tare.stop_s, tare.raw_unit)):
         raise UsageError(
-            f"--from and the recipe do not take the same zero of {old.channels[0]!r}: the recording was cleaned with"
+            f"--from and the recipe do not have the same zero of {old.channels[0]!r}: the recording was cleaned with"
             f" another sensor file. {_AGAIN}"
         )
     return tare
@@ -184,7 +187,7 @@ def _with_zero(record: SensorRecord, tare: Tare | None) -> SensorRecord:
 
 
 def _line(record: SensorRecord) -> tuple[float, float]:
-    """Return what a linear sensor tells of one reading more, and of a reading of 0."""
+    """Return the slope of a linear sensor, and its result at a reading of 0."""
     (name,) = record.channels
     zero, one = applied(replace(record, full_scale=None), {name: np.array([0.0, 1.0])})[name]
     return float(one - zero), float(zero)

@@ -1,4 +1,4 @@
-"""Which reader and which writer: by content first, by the ending of the name second."""
+"""Select the reader of a file by its content, and the writer of an output by the ending of its name."""
 
 from __future__ import annotations
 
@@ -41,29 +41,29 @@ ENDINGS: dict[str, str] = {
     ".pq": PARQUET_FORMAT,
     ".tdms": TDMS,
 }
-"""What the ending of an output's name asks for."""
+"""Output formats by the ending of the file name."""
 
 _SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ, TDMS})
 
-_WRITTEN_BY = {HDF5: "h5py", MF4: "asammdf", TDMS: "nptdms"}  # all else becalm writes by itself
+_WRITTEN_BY = {HDF5: "h5py", MF4: "asammdf", TDMS: "nptdms"}  # becalm writes the other formats itself
 
 BAG = "metadata.yaml"
-"""What a folder holds that ROS 2 recorded into; of any other folder the Parquet files are read."""
+"""The file that marks a folder as a ROS 2 bag; of any other folder the Parquet files are read."""
 
 _ENDINGS = ".csv, .csv.gz, .h5, .mat, .mf4, .npz, .parquet or .tdms"
 
-_HEAD = 512  # bytes that tell a format
+_HEAD = 512  # bytes from which formats are recognised
 
 
 class Foreigner(NamedTuple):
-    """A format that another library reads.
+    """A format that is recognised by its first bytes and read by a module of its own.
 
     Attributes
     ----------
     module : str
-        In this room; its `read` takes the path and gives a table for each time base.
+        The module within `becalm.files`; its `read` takes the path and returns a table for each time base.
     is_it : callable
-        Whether the first bytes of a file are of this format.
+        Takes the first bytes of a file; returns whether they are of this format.
     """
 
     module: str
@@ -84,43 +84,43 @@ FOREIGNERS: tuple[Foreigner, ...] = (
     Foreigner("robots.ulog", lambda head: head.startswith(b"ULog\x01\x125")),
     Foreigner("recorders.wav", lambda head: head[:4] in (b"RIFF", b"RIFX", b"RF64", b"BW64") and head[8:12] == b"WAVE"),
 )
-"""In the order in which they are tried."""
+"""The formats, in the order in which they are tried."""
 
 
 def read_tables(path: Path) -> tuple[RawTable, ...]:
-    """Look into a file of any known format: a table for each time base in it; its content decides, whatever its name.
+    """Open a file of any known format, and return a table for each of its time bases.
 
-    Of a folder that is no ROS 2 bag, all Parquet files are one table.
+    The content decides the format, not the name. A folder is a ROS 2 bag, or its Parquet files make one table.
 
     Raises
     ------
     InputError
-        If it cannot be read, or changes meanwhile.
+        If the file cannot be read, or changes while it is read.
     """
     if (path / BAG).is_file():
         return _foreign_tables("robots.rosbag", path)
     with told(path):
-        folder, once = path.is_dir(), not path.is_file()  # a pipe; or nothing
-    if folder:
+        is_folder, is_pipe = path.is_dir(), not path.is_file()  # or the path does not exist: then reading it raises
+    if is_folder:
         return (read_folder(path),)
-    if once:
+    if is_pipe:
         data = read_bytes(path)
         if _foreigner(data):
-            raise InputError(f"{path} is a pipe, of which only CSV and Parquet are read; save it as a file first.")
+            raise InputError(f"{path} is a pipe, from which only CSV and Parquet can be read; save it as a file first.")
         return (read_parquet(path, data) if data.startswith(PARQUET) else read_csv(path, data),)
     original = Original(path)
     try:
-        return tuple(replace(table, original=original) for table in _read_again_and_again(path, original))
+        return tuple(replace(table, original=original) for table in _read_file(path, original))
     finally:
         original.refuse_changed()
 
 
-def _read_again_and_again(path: Path, original: Original) -> tuple[RawTable, ...]:
+def _read_file(path: Path, original: Original) -> tuple[RawTable, ...]:
     head = read_bytes(path, _HEAD)
     if head.startswith(PARQUET):
         return (read_parquet(path, original),)
-    if found := _foreigner(head):
-        return _foreign_tables(found.module, path)
+    if foreigner := _foreigner(head):
+        return _foreign_tables(foreigner.module, path)
     return (spool_csv(path) if is_large(path, head) else read_csv(path, read_bytes(path)),)
 
 
@@ -134,17 +134,17 @@ def _foreigner(head: bytes) -> Foreigner | None:
 
 
 def endings_here() -> list[str]:
-    """Return the endings of formats that can be written by what is installed here."""
+    """Return the endings of the formats that can be written with the libraries that are installed."""
     return [ending for ending, form in ENDINGS.items() if form not in _WRITTEN_BY or find_spec(_WRITTEN_BY[form])]
 
 
 def holds_times(form: str) -> bool:
-    """Whether a format holds channels at several times."""
+    """Return whether a format can store several time bases in one file."""
     return form in _SEVERAL_TIMES
 
 
 def format_to_write(path: Path) -> str:
-    """Return the format that an output's name asks for.
+    """Return the format of an output by the ending of its name.
 
     Raises
     ------
@@ -156,7 +156,5 @@ def format_to_write(path: Path) -> str:
         if name.endswith(ending):
             return ENDINGS[ending]
     if name.endswith(".mdf"):
-        raise OutputError(
-            f"{path} is the name of an MDF file of version 3; version 4 is written: end the name in .mf4."
-        )
+        raise OutputError(f"{path} has the ending of MDF version 3, but version 4 is written: end the name in .mf4.")
     raise OutputError(f"{path} has an unknown ending {path.suffix!r}; end the name in {_ENDINGS}.")

@@ -1,4 +1,4 @@
-"""Which columns are channels, which only pass through, and why."""
+"""Decide which columns of a file are channels, and which are only copied to the output."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_colum
 from becalm.files.unit_spelling import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"
-_COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # what a ROS driver says of its sensor, beside each reading
+_COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # a ROS driver writes its sensor's covariance with each reading
 _FIRST_ROWS = 1 << 16
 
 
@@ -31,37 +31,37 @@ def choose_channels(
     asked: Sequence[str] | None,
     asker: Asker = COMMAND_LINE,
 ) -> tuple[tuple[str, ...], tuple[ColumnLayout, ...]]:
-    """Decide what each column is.
+    """Decide the role of each column.
 
     Parameters
     ----------
     raw : RawTable
         The file.
     time : sequence of str
-        Columns that are the time.
+        The time column or columns.
     other_times : sequence of str
-        Columns that look like time and are not used as such.
+        Columns that look like a time but are not used as the time.
     asked : sequence of str, optional
-        Channels that a person asked for; by default all that look like signals.
+        The requested channels; by default all columns that look like signals.
     asker : Asker
-        Who asked for them.
+        The origin of the request, for messages.
 
     Returns
     -------
     tuple of str
-        The channels: as asked, or in the order of the file.
+        The channels, in the order of the request or of the file.
     tuple of ColumnLayout
         All columns in the order of the file.
 
     Raises
     ------
     UsageError
-        If a channel asked for does not exist or is the time.
+        If a requested channel does not exist or is the time.
     InputError
-        If a numeric column has a cell that is no number, or there is no channel.
+        If a numeric column has a cell that is not a number, or there is no channel.
     """
     times = (*time, *other_times)
-    wanted = None if asked is None else _resolved(raw, asked, time, asker)
+    wanted = None if asked is None else _requested_columns(raw, asked, time, asker)
     passed = _why_passed(raw, times) if wanted is None else {}
     columns = []
     for name in raw.names:
@@ -85,12 +85,12 @@ def choose_channels(
 
 
 def unit_of(raw: RawTable, name: str) -> str:
-    """Return the unit of a column, "" where the file does not say."""
+    """Return the unit of a column, "" if the file does not give one."""
     return on_sensor(name, tidy_unit(raw.units[name])) if name in raw.units else parse_header(name)[1]
 
 
 def values_of(column: pa.ChunkedArray, decimal: str) -> Floats:
-    """Return (n,) cells of a channel as float64, NaN where one is missing; the file's own memory where it can be."""
+    """Return the cells of a channel as float64, (n,), NaN where one is missing; without a copy if possible."""
     if pa.types.is_boolean(column.type):
         column = column.cast(pa.int8())
     elif is_text(column.type):
@@ -99,7 +99,7 @@ def values_of(column: pa.ChunkedArray, decimal: str) -> Floats:
 
 
 def missing_in(raw: RawTable) -> list[int]:
-    """Count the missing cells of each column, in one reading of the file."""
+    """Count the missing cells of each column; this reads the file once."""
     counts = [0] * len(raw.names)
     for block in raw.blocks(raw.names):
         for position, column in enumerate(block.columns):
@@ -107,7 +107,7 @@ def missing_in(raw: RawTable) -> list[int]:
     return counts
 
 
-def _resolved(raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: Asker) -> tuple[str, ...]:
+def _requested_columns(raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: Asker) -> tuple[str, ...]:
     wanted = tuple(dict.fromkeys(named_column(raw, name, asker) for name in asked))
     if not wanted:
         raise UsageError(f"--channels is empty; name some of {', '.join(map(repr, raw.names[:20]))}.")
@@ -121,35 +121,35 @@ def _resolved(raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: A
 
 
 def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
-    """Say for each column but the times why it is no channel, "" if it is one."""
-    told: dict[str, str] = {}
+    """Return for each column except the times the reason why it is not a channel, "" if it is one."""
+    reasons: dict[str, str] = {}
     signals = {}
     for name in raw.names:
         if name in times:
             continue
         kind = raw.type_of(name)
         if name.endswith(SIGMA) and name.removesuffix(SIGMA) in raw.names:
-            told[name] = f"the uncertainty of {name.removesuffix(SIGMA)!r}"
+            reasons[name] = f"the uncertainty of {name.removesuffix(SIGMA)!r}"
         elif _COVARIANCE.fullmatch(name):
-            told[name] = "a covariance that the sensor states"
+            reasons[name] = "a covariance that the sensor states"
         elif pa.types.is_boolean(kind):
-            told[name] = "a flag (true and false)"
+            reasons[name] = "a flag (true and false)"
         elif pa.types.is_null(kind):
-            told[name] = ""
+            reasons[name] = ""
         elif kind_of_column(raw.head.column(name)) != NUMBERS:
-            told[name] = _why_not_numbers(raw, name, times)
+            reasons[name] = _why_not_numbers(raw, name, times)
         else:
             signals[name] = Signal(pa.types.is_integer(kind))
-    _look(raw, signals, _FIRST_ROWS)
-    open_ones = {name: Signal(pa.types.is_integer(raw.type_of(name))) for name in signals if not signals[name].decided}
-    if raw.count > _FIRST_ROWS and open_ones:
-        _look(raw, open_ones, raw.count)
-        signals |= open_ones
-    return told | {name: signal.why_passed for name, signal in signals.items()}
+    _examine(raw, signals, _FIRST_ROWS)
+    undecided = {name: Signal(pa.types.is_integer(raw.type_of(name))) for name in signals if not signals[name].decided}
+    if raw.count > _FIRST_ROWS and undecided:
+        _examine(raw, undecided, raw.count)
+        signals |= undecided
+    return reasons | {name: signal.why_passed for name, signal in signals.items()}
 
 
-def _look(raw: RawTable, signals: Mapping[str, Signal], rows: int) -> None:
-    """Show the columns their first rows, until all are decided."""
+def _examine(raw: RawTable, signals: Mapping[str, Signal], rows: int) -> None:
+    """Read the first rows of columns into their `Signal` objects, until all of them are decided."""
     if not signals:
         return
     for block in raw.blocks(list(signals), most_rows=min(rows, block_rows(raw.rows.schema))):
@@ -166,32 +166,41 @@ def _why_not_numbers(raw: RawTable, name: str, times: Sequence[str]) -> str:
         if raw.format == "csv" and not kind_of_column(raw.head.column(name)):
             bad = find_bad_cells(raw, name)
             if bad.few:
-                raise bad_cell(raw, name, bad, _or_without(raw, name, times))
+                raise bad_cell(raw, name, bad, _exclusion_hint(raw, name, times))
         return "text"
     if pa.types.is_nested(kind):
         return "nested"
     return "dates or times" if pa.types.is_temporal(kind) else f"not numbers ({kind})"
 
 
-def _or_without(raw: RawTable, name: str, times: Sequence[str]) -> str:
-    """Say how to leave a column out, if others are left."""
+def _exclusion_hint(raw: RawTable, name: str, times: Sequence[str]) -> str:
+    """Return a phrase that says how to leave a column out; "" if there are no other columns of numbers."""
     others = [n for n in raw.names if n not in (name, *times) and kind_of_column(raw.head.column(n)) == NUMBERS]
     return f", or leave the column out by naming the others: --channels {','.join(others[:3])!r}" if others else ""
 
 
 def refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:
-    """Refuse a channel that was asked for and holds no numbers; `times` are none to take in its place.
+    """Refuse a requested channel that does not hold numbers.
+
+    Parameters
+    ----------
+    raw : RawTable
+        The file.
+    name : str
+        The column.
+    times : sequence of str
+        Time columns, which the message does not suggest as channels.
 
     Raises
     ------
     InputError
-        With its first cell that is none.
+        If the column does not hold numbers; for text, the message shows its first cell that is not a number.
     """
     kind = raw.type_of(name)
     if is_text(kind):
         bad = find_bad_cells(raw, name)
         if bad.cells:
-            raise bad_cell(raw, name, bad, _or_without(raw, name, times))
+            raise bad_cell(raw, name, bad, _exclusion_hint(raw, name, times))
     elif not (pa.types.is_boolean(kind) or pa.types.is_null(kind) or kind_of_column(raw.head.column(name)) == NUMBERS):
         raise InputError(f"Column {name!r} holds {kind}, not numbers; name others with --channels.")
 
@@ -206,15 +215,15 @@ def _missing(column: pa.ChunkedArray) -> int:
 
 
 def refuse_uncertainties(names: Sequence[str]) -> None:
-    """Refuse to clean both NAME and NAME_sigma, which is to be written.
+    """Refuse to clean both NAME and NAME_sigma, because cleaning NAME writes a column NAME_sigma.
 
     Raises
     ------
     InputError
-        If they are among some channels.
+        If both are among the channels.
     """
     if twice := [name for name in names if name + SIGMA in names]:
         raise InputError(
-            f"Column {twice[0] + SIGMA!r} is called as the uncertainty of {twice[0]!r}, which is to be written; clean"
+            f"Column {twice[0] + SIGMA!r} has the name under which the uncertainty of {twice[0]!r} is written; clean"
             " one without the other, or rename it."
         )

@@ -1,4 +1,4 @@
-"""Rows of a table that may be larger than memory: given in blocks, as often as asked."""
+"""Tables that may be larger than memory: their rows are read in blocks, as often as needed."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from becalm.errors import OutputError
 BLOCK_ROWS = 1 << 20
 BLOCK_BYTES = 64 << 20
 HELD_ROWS = 1 << 24
-"""A single column of so many rows is held in memory; longer ones go to a temporary file."""
+"""The longest single column that is held in memory; a longer one goes to a temporary file."""
 
-_STAMPS = 1 << 16
+_SPOOL_BLOCK = 1 << 16
 
 Numbers = NDArray[Any]  # float64 or int64
 
 
 class TableRows(Protocol):
-    """A table somewhere: in memory, in a Parquet file, in a temporary file."""
+    """The interface of a table in memory, in a Parquet file, in a temporary file or elsewhere."""
 
     @property
     def schema(self) -> pa.Schema:
-        """Names, all different, and types of the columns."""
+        """The names of the columns, all different, and their types."""
 
     @property
     def count(self) -> int:
-        """How many rows there are."""
+        """The number of rows."""
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Give the named columns from row `start` on, in blocks of up to `most_rows`, none empty."""
+        """Yield the named columns from row `start` on, in blocks of up to `most_rows`, none of them empty."""
 
     def close(self) -> None:
-        """Give back what is held."""
+        """Release files and memory."""
 
 
 def block_rows(schema: pa.Schema) -> int:
-    """Return how many rows of a table make a block."""
+    """Return the number of rows of a block: up to a million, and up to 64 MiB at 8 bytes per value."""
     return max(1, min(BLOCK_ROWS, BLOCK_BYTES // (8 * max(1, len(schema)))))
 
 
@@ -55,22 +55,22 @@ class HeldRows:
         self.count: int = table.num_rows
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Give slices of the table."""
+        """Yield slices of the table."""
         table = self._table.select(list(names))
         for first in range(start, self.count, most_rows):
             yield table.slice(first, most_rows)
 
     def close(self) -> None:
-        """Do nothing: memory gives itself back."""
+        """Do nothing: memory is released with the table."""
 
 
 class SpooledRows:
-    """A table in a temporary file that has no name and is gone with the process.
+    """A table in a temporary file, which disappears when the process ends.
 
     Parameters
     ----------
     schema : pyarrow.Schema
-        Of the tables to come.
+        The schema of the tables that `add` takes.
     """
 
     def __init__(self, schema: pa.Schema) -> None:
@@ -79,15 +79,15 @@ class SpooledRows:
         self.count = 0
         self.missing = [0] * len(schema)
         self._ends: list[int] = []
-        with _room():
-            self._file: IO[bytes] = tempfile.TemporaryFile(prefix="becalm.")  # noqa: SIM115  (it lives as long as we do)
+        with _full_disk_explained():
+            self._file: IO[bytes] = tempfile.TemporaryFile(prefix="becalm.")  # noqa: SIM115  (`close` closes it)
         self._writer = pa.ipc.new_file(pa.PythonFile(self._file, "w"), schema)
         self._input: pa.PythonFile | None = None
 
     def add(self, table: pa.Table) -> None:
-        """Write the next rows."""
+        """Append the next rows."""
         for batch in table.combine_chunks().to_batches():
-            with _room():
+            with _full_disk_explained():
                 self._writer.write_batch(batch)
             self.count += batch.num_rows
             self._ends.append(self.count)
@@ -95,12 +95,12 @@ class SpooledRows:
             self.missing[position] += column.null_count
 
     def keep(self, names: Sequence[str]) -> None:
-        """Forget all other columns."""
+        """Keep only the named columns in the schema."""
         fields = [self.schema.field(name) for name in names]
         self.schema = pa.schema(fields, metadata=self.schema.metadata)
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Read batches back, only the columns that are asked for."""
+        """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
         reader = self._reader(names)
         for number, end in enumerate(self._ends):
             if end <= start:
@@ -113,7 +113,7 @@ class SpooledRows:
 
     def _reader(self, names: Sequence[str]) -> pa.ipc.RecordBatchFileReader:
         if self._input is None:
-            with _room():
+            with _full_disk_explained():
                 self._writer.close()
                 self._file.flush()
             self._input = pa.PythonFile(self._file, "r")
@@ -121,24 +121,24 @@ class SpooledRows:
         return pa.ipc.open_file(self._input, options=pa.ipc.IpcReadOptions(included_fields=wanted))
 
     def close(self) -> None:
-        """Remove the file."""
+        """Close the temporary file, which removes it."""
         self._file.close()
 
 
 @contextmanager
-def _room() -> Iterator[None]:
-    """Say what to do where there is no room for temporary files."""
+def _full_disk_explained() -> Iterator[None]:
+    """Turn an OSError while a temporary file is written into an OutputError that says what to do."""
     try:
         yield
     except OSError as cause:
         raise OutputError(
-            f"The folder for temporary files, {tempfile.gettempdir()}, cannot take what a recording of this length"
-            f" needs ({cause.strerror or cause}). Make room, or name another: TMPDIR=FOLDER becalm ..."
+            f"The folder for temporary files, {tempfile.gettempdir()}, has not enough space for a recording of this"
+            f" length ({cause.strerror or cause}). Make room, or choose another folder: TMPDIR=FOLDER becalm ..."
         ) from cause
 
 
 def rebatched(blocks: Iterable[pa.Table], rows: int) -> Iterator[pa.Table]:
-    """Cut blocks anew: each has exactly `rows` rows, but for the last."""
+    """Yield the same rows in blocks of exactly `rows` rows; the last block may be shorter."""
     held: list[pa.Table] = []
     count = 0
     for block in blocks:
@@ -156,14 +156,14 @@ def rebatched(blocks: Iterable[pa.Table], rows: int) -> Iterator[pa.Table]:
 
 
 class Spool:
-    """One long column of numbers: in memory while it is short, in a temporary file beyond.
+    """A column of numbers, in memory or, if it is longer than `HELD_ROWS`, in a temporary file.
 
     Parameters
     ----------
     blocks : iterable of (n,) arrays
-        All of one type, float64 or int64.
+        The numbers in order; all blocks are float64, or all are int64.
     count : int
-        How many numbers there are.
+        The total number of numbers.
     """
 
     def __init__(self, blocks: Iterable[Numbers], count: int) -> None:
@@ -178,12 +178,12 @@ class Spool:
                 self._held[at : at + len(block)] = block
                 at += len(block)
             return
-        with _room():
-            self._file = tempfile.TemporaryFile(prefix="becalm.")  # noqa: SIM115  (it lives as long as we do)
+        with _full_disk_explained():
+            self._file = tempfile.TemporaryFile(prefix="becalm.")  # noqa: SIM115  (`close` closes it)
         try:
             for block in blocks:
                 self._held = np.empty(0, block.dtype)
-                with _room():
+                with _full_disk_explained():
                     self._file.write(np.ascontiguousarray(block).data)
                     self._file.flush()
         except BaseException:
@@ -196,15 +196,15 @@ class Spool:
             return self._held[start:stop]
         out = np.empty(max(0, min(stop, self.count) - start), self._held.dtype)
         self._file.seek(start * out.itemsize)
-        self._file.readinto(out.data.cast("B"))  # type: ignore[attr-defined]  # a buffered file has it
+        self._file.readinto(out.data.cast("B"))  # type: ignore[attr-defined]  # buffered files have readinto
         return out
 
     def blocks(self) -> Iterator[Numbers]:
-        """Give all numbers in small blocks."""
-        for start in range(0, self.count, _STAMPS):
-            yield self.read(start, start + _STAMPS)
+        """Yield all numbers in small blocks."""
+        for start in range(0, self.count, _SPOOL_BLOCK):
+            yield self.read(start, start + _SPOOL_BLOCK)
 
     def close(self) -> None:
-        """Remove the file."""
+        """Close the temporary file, if any, which removes it."""
         if self._file is not None:
             self._file.close()

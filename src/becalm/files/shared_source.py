@@ -1,4 +1,4 @@
-"""Reopen a source that another process has parsed: any of its rows, with the clock of all of them."""
+"""Read any rows of a source that another process has opened, with the clock of the whole recording."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ _AT_ONCE = 1 << 20  # stamps
 
 
 class ParsedSource(NamedTuple):
-    """What was understood, as it can be sent to where it is read again."""
+    """The result of opening a source, in a form that can be sent to another process."""
 
     names: tuple[str, ...]  # of the channels
     clock: Clock
     rows: int
-    stamps: str  # the file that holds the time of each row, as float64; "" where rows are counted
+    stamps: str  # path of the file with the time of each row in seconds, as float64; "" if time follows from the row
 
 
 def known_of(source: OpenSource, stamps: Path) -> ParsedSource:
-    """Return what was understood of a source; its stamps are kept in a file, where rows cannot be counted.
+    """Return a source's channels, clock and number of rows; if its time is uneven, write its stamps to a file.
 
     Parameters
     ----------
     source : OpenSource
-        It stays open.
+        The source; it stays open.
     stamps : Path
-        The file, which every reader must see.
+        The file for the stamps; all processes that read the source must have access to it.
 
     Raises
     ------
     OutputError
-        If they cannot be kept.
+        If the stamps cannot be written.
     """
     if source.clock.even:
         return ParsedSource(source.names, source.clock, source.rows, "")
@@ -53,21 +53,21 @@ def known_of(source: OpenSource, stamps: Path) -> ParsedSource:
 
 
 class KnownSource:
-    """A source of which all is known.
+    """A source whose channels and clock another process has determined.
 
     Parameters
     ----------
     raw : RawTable
         Its columns.
     known : ParsedSource
-        What was understood of it.
+        Its channels, clock and number of rows.
 
     Attributes
     ----------
     schema : pyarrow.Schema
-        Of the tables of its chunks.
+        The schema of the tables of its chunks.
     clock : Clock
-        What its time is like.
+        Step, gaps and jitter of its time.
     """
 
     def __init__(self, raw: RawTable, known: ParsedSource) -> None:
@@ -76,20 +76,20 @@ class KnownSource:
         self.clock = known.clock
 
     def chunks(self, first: int, stop: int, rows: int) -> Iterator[Chunk]:
-        """Read from one row up to another, as many rows at once as asked.
+        """Yield the rows from `first` up to `stop` in chunks of `rows` rows.
 
         Raises
         ------
         InputError
-            If the file turns out to be damaged, or changes meanwhile.
+            If the file is damaged, or changes while it is read.
         """
         row = first
-        for table in rebatched(self._until(first, stop, rows), rows):
+        for table in rebatched(self._blocks_until(first, stop, rows), rows):
             yield Chunk(row, table, self.elapsed(row, table.num_rows), self._known.names, self._raw.decimal)
             row += table.num_rows
 
     def elapsed(self, first: int, count: int) -> Floats:
-        """Return the steps before each of `count` rows, (count,)."""
+        """Return the time since the previous row in steps, (count,), for each row from `first` on."""
         if not self._known.stamps:
             return self.clock.elapsed_rows(first, count)
         begin = max(0, first - 1)
@@ -97,7 +97,7 @@ class KnownSource:
         return self.clock.elapsed(stamps[first - begin :], float(stamps[0]) if first else None)
 
     def steps_before(self, row: int) -> float:
-        """Return the steps from the first row to the one before `row`."""
+        """Return the time from the first row to the row before `row`, in steps."""
         if not self._known.stamps or row < 1:
             return float(max(0, row - 1))
         ends = [np.fromfile(self._known.stamps, np.float64, 1, offset=8 * at)[0] for at in (0, row - 1)]
@@ -105,10 +105,10 @@ class KnownSource:
         return float(round(steps)) if self.clock.uniform else steps
 
     def close(self) -> None:
-        """Give back what is held."""
+        """Close the file."""
         self._raw.rows.close()
 
-    def _until(self, first: int, stop: int, rows: int) -> Iterator[pa.Table]:
+    def _blocks_until(self, first: int, stop: int, rows: int) -> Iterator[pa.Table]:
         left = stop - first
         for block in self._raw.blocks(self._raw.names, first, most_rows=rows):
             yield block.slice(0, left)

@@ -1,4 +1,4 @@
-"""What was found in a file, and how it was understood."""
+"""The tables of a file, and the description of how they were interpreted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEAD_ROWS = 200
 
 @dataclass(frozen=True)
 class TextLayout:
-    """How a text file is written.
+    """The layout of a text file.
 
     Attributes
     ----------
@@ -32,15 +32,15 @@ class TextLayout:
     compression : str
         "gzip" or "".
     separator : str
-        Between two cells; " " stands for runs of spaces, "" for a file of one column.
+        The character between two cells; " " stands for runs of spaces, "" for a file of one column.
     decimal : str
-        "." or ",".
+        The decimal separator, "." or ",".
     header_rows : int
-        Rows of names and units above the data.
+        Number of rows of names and units above the data.
     skipped_rows : int
-        Lines above the header that are no part of the table.
+        Number of lines above the header that are not part of the table.
     first_line : int
-        Line of the first row of data, counted from 1.
+        Line number of the first row of data, counted from 1.
     """
 
     encoding: str
@@ -53,16 +53,16 @@ class TextLayout:
 
 
 class ToldTime(NamedTuple):
-    """The time of rows, where the format itself tells it.
+    """The time of rows as the format defines it.
 
     Attributes
     ----------
     column : str
-        The column that holds it, in seconds; "" before it has one.
+        The column that holds the time in seconds; "" as long as there is none.
     rate_hz : float or None
-        Of rows that are even, which counts more than the column.
+        The rate in Hz of evenly spaced rows; it takes precedence over the column.
     start : str
-        The first instant as ISO 8601 text; "" where the file does not tell.
+        The first instant as ISO 8601 text; "" if the file does not give it.
     """
 
     column: str = ""
@@ -72,32 +72,32 @@ class ToldTime(NamedTuple):
 
 @dataclass(frozen=True)
 class RawTable:
-    """Columns as they are in the file, before anyone asked what they mean.
+    """The columns of a file with one time base, before time and channels are chosen among them.
 
     Attributes
     ----------
     rows : TableRows
-        Numbers as numbers, all else as it was; names are all different.
+        The rows; numbers as numbers, all other cells as in the file. Column names are all different.
     count : int
-        How many of the rows count: blank ones at the end of a text file do not.
+        Number of rows, without blank rows at the end of a text file.
     format : str
         "csv", "parquet", "mf4" and so on.
     units : dict of str to str
-        Units that the file gives apart from the names (a row of units, field metadata).
+        Units that the file gives separately from the names (a row of units, field metadata), by column name.
     text : TextLayout, optional
-        How the text was written, for text files.
+        The layout of a text file.
     original : Original, optional
-        The file as it was when reading began, if it can be read again.
+        The state of the file when reading began, if it can be read again.
     group : str
-        What the file calls these columns, which share one time; "" where all of them do.
+        The name of the time base in the file; "" if all columns of the file share one time.
     time : ToldTime, optional
-        Where the format itself tells which time it is.
+        The time, if the format defines it.
     notes : tuple of str
-        What a person must know, as sentences: that the file is incomplete, or was mended.
+        Sentences for the user, such as that the file is incomplete or was repaired.
     calibrations : dict of str to Calibration
-        Of columns that sensors turned into their units.
+        Calibrations of columns that were converted from a sensor's raw readings, by column name.
     joined : str
-        Of which files the rows are, as a sentence for whoever must look for a stamp in them; "" where it is one.
+        A sentence that names the files the rows come from, for messages about a stamp; "" for a single file.
     """
 
     rows: TableRows
@@ -114,17 +114,17 @@ class RawTable:
 
     @property
     def names(self) -> list[str]:
-        """The columns in the order of the file."""
+        """The names of the columns, in the order of the file."""
         return list(self.rows.schema.names)
 
     @property
     def decimal(self) -> str:
-        """The decimal sign of numbers in text."""
+        """The decimal separator of numbers in text."""
         return self.text.decimal if self.text else "."
 
     @cached_property
     def head(self) -> pa.Table:
-        """The first rows of all columns: enough to see what they hold."""
+        """The first rows of all columns, up to 200, from which the kind of a column is recognised."""
         blocks = rebatched(self.blocks(self.names, most_rows=HEAD_ROWS), HEAD_ROWS)
         return next(blocks, self.rows.schema.empty_table())
 
@@ -133,7 +133,7 @@ class RawTable:
         return self.rows.schema.field(name).type
 
     def blocks(self, names: Sequence[str], start: int = 0, most_rows: int | None = None) -> Iterator[pa.Table]:
-        """Give columns in blocks from row `start` on, in the order asked."""
+        """Yield the named columns in blocks, from row `start` to the last row that counts."""
         left = self.count - start
         for block in self.rows.blocks(names, most_rows or block_rows(self.rows.schema), start):
             if left <= 0:
@@ -142,11 +142,11 @@ class RawTable:
             left -= block.num_rows
 
     def column(self, name: str) -> Iterator[pa.ChunkedArray]:
-        """Give one column in blocks."""
+        """Yield one column in blocks."""
         return (block.column(0) for block in self.blocks([name]))
 
     def place(self, row: int) -> str:
-        """Say where a row of data is, counted from 0, for a person who opens the file."""
+        """Return the place of a row of data, counted from 0, as the user finds it in the file."""
         if self.text is None:
             return f"row {row + 1}"
         return f"row {row + 1} (line {self.text.first_line + row})"
@@ -154,20 +154,20 @@ class RawTable:
 
 @dataclass(frozen=True)
 class TimeLayout:
-    """How time was read.
+    """How the time of a file was read.
 
     Attributes
     ----------
     columns : tuple of str
-        The time column; two where a date and a time of day stand apart; none where rows were counted.
+        The time column; two if date and time of day are separate columns; none if rows are counted.
     kind : str
         "numbers", "epoch", "date-time", "time of day", "duration" or "counted rows".
     unit : str
-        Unit of the numbers; "" where the kind says it all.
+        Unit of the numbers; "" for kinds that have no unit.
     start : str
-        The first instant as ISO 8601 text where the file gives a date; "" otherwise.
+        The first instant as ISO 8601 text if the file gives a date; "" otherwise.
     notes : tuple of str
-        What was mended, as sentences.
+        Sentences for the user about corrections of the time.
     """
 
     columns: tuple[str, ...]
@@ -179,7 +179,7 @@ class TimeLayout:
 
 @dataclass(frozen=True)
 class ColumnLayout:
-    """What a column was taken for, and why; `missing` counts its empty cells, None before anyone counted."""
+    """The role of a column and the reason for it; `missing` is its number of empty cells, None if not counted yet."""
 
     name: str
     role: str
@@ -190,10 +190,10 @@ class ColumnLayout:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a file was understood; what `becalm inspect` shows.
+    """How a file was interpreted; `becalm inspect` shows it.
 
-    `separator`, `decimal`, `encoding` and `compression` are "" and the rows above the data 0 where
-    the format has no such thing. `gaps` and `repeats` count rows; `notes` are sentences for a person.
+    For formats other than text, `separator`, `decimal`, `encoding` and `compression` are "", and `header_rows` and
+    `skipped_rows` are 0. `gaps` and `repeats` count rows; `notes` are sentences for the user.
     """
 
     format: str
@@ -228,16 +228,16 @@ class Layout:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A file that was read.
+    """A file that was read into memory.
 
     Attributes
     ----------
     recording : Recording
         The chosen channels as float64, NaN where a cell is missing; names as in the header.
     table : pyarrow.Table
-        All columns in the order of the file, as they are to be passed through.
+        All columns in the order of the file, with their values unchanged.
     layout : Layout
-        How the file was understood.
+        How the file was interpreted.
     """
 
     recording: Recording
@@ -246,7 +246,7 @@ class SourceFile:
 
 
 def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[ColumnLayout, ...]) -> Layout:
-    """Put together what the rooms' readers found."""
+    """Combine the results of reading a file into its layout."""
     text = raw.text or TextLayout("", "", "", "", 0, 0, 1)
     return Layout(
         format=raw.format,
@@ -265,7 +265,7 @@ def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[Colu
         time_start=time.start,
         rate_hz=clock.rate_hz,
         uniform=clock.uniform,
-        jitter_s=float(clock.jitter_s),  # plain: comparing NumPy's with a list makes an array
+        jitter_s=float(clock.jitter_s),  # a Python float, because comparing a NumPy float with a list returns an array
         duration_s=clock.duration_s,
         gaps=clock.gaps,
         repeats=clock.repeats,

@@ -1,4 +1,4 @@
-"""Whole-number stamps of messages: put in order, made seconds without losing digits."""
+"""Sort integer time stamps of messages, and convert them to seconds without losing digits."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ _FIRST, _LAST = 946_684_800 * 10**9, 4_102_444_800 * 10**9  # the years 2000 to 
 
 
 class Ordered(NamedTuple):
-    """Stamps in order.
+    """Sorted stamps.
 
     Attributes
     ----------
     stamps : (N,) int64 array
-        Never falling.
+        The stamps in ascending order.
     order : (N,) int64 array or None
-        Which message comes where; None where they came in order.
+        Indices that sort the messages; None if they were in order.
     notes : tuple of str
-        That they did not.
+        A sentence for the user if they were not in order.
     """
 
     stamps: Integers
@@ -30,7 +30,7 @@ class Ordered(NamedTuple):
 
 
 def in_order(stamps: Integers) -> Ordered:
-    """Sort stamps; equal ones stay as they came."""
+    """Sort stamps; equal stamps keep their order."""
     late = int(np.count_nonzero(np.diff(stamps) < 0))
     if not late:
         return Ordered(stamps, None)
@@ -41,7 +41,7 @@ def in_order(stamps: Integers) -> Ordered:
 
 
 def seconds_of(stamps: Integers, per_second: int, origin: int | None = None) -> Floats:
-    """Return the seconds since `origin`, the first by default; subtracted as whole numbers."""
+    """Return the seconds since `origin`, by default the first stamp; the subtraction is in integers."""
     if not len(stamps):
         return np.empty(0)
     since: Floats = (stamps - np.int64(stamps[0] if origin is None else origin)) / per_second
@@ -49,7 +49,7 @@ def seconds_of(stamps: Integers, per_second: int, origin: int | None = None) -> 
 
 
 def instant(stamps_ns: Integers) -> str:
-    """Return the first stamp as ISO 8601 text, "" where nanoseconds do not count from 1970."""
+    """Return the first stamp as ISO 8601 text, "" if the stamps are not nanoseconds since 1970."""
     if not len(stamps_ns) or not _FIRST <= int(stamps_ns[0]) <= _LAST:
         return ""
     return str(np.datetime64(int(stamps_ns[0]), "ns")) + "Z"

@@ -1,4 +1,4 @@
-"""What is written: the columns of the file, clean channels in the place of the noisy ones."""
+"""Make the output tables: the columns of the file, with clean channels in the place of the noisy ones."""
 
 from __future__ import annotations
 
@@ -16,26 +16,35 @@ from becalm.files.roles import SIGMA
 from becalm.files.source import SourceFile
 
 VERDICT = "_verdict"
-"""Ends the name of a column of verdicts."""
+"""The ending of the name of a column of verdicts."""
 
 _TIME = "time_s"
 _WORDS = pa.dictionary(pa.int8(), pa.string())
 
 
 class CleanChannel(NamedTuple):
-    """Some rows of a clean channel: signal, standard uncertainty and named parts, (n,) each, and the unit of all.
+    """Some rows of a clean channel.
 
-    And what became of each reading, where that is to be written.
+    Attributes
+    ----------
+    signal, sigma : (n,) float arrays
+        The clean signal and its standard uncertainty, in `unit`.
+    unit : str
+        The unit of the channel, "" if unknown.
+    parts : mapping of str to (n,) float array
+        Named parts of the signal, in `unit`.
+    verdicts : (n,) array of codes, optional
+        The verdict on each measurement, if it is to be written.
     """
 
     signal: Floats
     sigma: Floats
     unit: str = ""
     parts: Mapping[str, Floats] = MappingProxyType({})
-    verdicts: Codes | None = None  # (n,)
+    verdicts: Codes | None = None
 
     def columns(self, name: str) -> list[tuple[str, Floats]]:
-        """Return what is written of it, each with the name of its column."""
+        """Return the names and values of the output columns of a channel `name`, except its verdicts."""
         parts = [(f"{name}_{part}", values) for part, values in self.parts.items()]
         return [(name, self.signal), (name + SIGMA, self.sigma), *parts]
 
@@ -76,7 +85,7 @@ def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table
     table : pyarrow.Table
         Columns in the order of the file.
     clean : mapping of str to CleanChannel
-        By the names of the columns that they replace; contiguous arrays are not copied.
+        Clean channels by the names of the columns that they replace; contiguous arrays are not copied.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The zeros of sensors, taken from stretches of a file before the rest of it is read."""
+"""Measure the zeros of sensors in given intervals of a file, before the file is read as a whole."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ _AS_READ = CalibrationCurve((0.0, 1.0))
 
 
 def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) -> list[Sensed]:
-    """Take the zeros that sensors ask for.
+    """Measure the zero of each sensor that has a tare interval, and return the sensors with their zeros.
 
     Parameters
     ----------
     table : RawTable
-        As it is in the file.
+        The table as it is in the file.
     sensed : sequence of Sensed
         Its sensors.
     options : ReadOptions
-        With what was said of its time.
+        The options for its time.
 
     Raises
     ------
     SensorError
-        If a stretch is not within the rows, not quiet, or too short.
+        If an interval is outside the rows or too short, or the sensor is not at rest in it.
     InputError
-        If the time of the rows cannot be understood.
+        If the time of the rows cannot be interpreted.
     """
     if all(one.record.tare_s is None for one in sensed):
         return list(sensed)
     as_read = [one if one.record.tare_s is None else _as_read(one) for one in sensed]
     readings = replace(table, rows=SensedRows(table.rows, as_read, table.decimal))
-    if options.group not in (None, table.group):  # what was said of the time is not of this one
+    if options.group not in (None, table.group):  # the options describe the time of another table
         options = replace(options, time=None, rate_hz=None)
     times = row_times(table, options)
     try:
@@ -55,7 +55,7 @@ def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) 
 
 
 def _as_read(one: Sensed) -> Sensed:
-    """Return a sensor that tells its readings, less those that are clipped."""
+    """Return a sensor that passes its raw readings on, except those that are clipped."""
     bare = replace(
         one.record, conversion=_AS_READ, unit=one.record.raw_unit, reading_size=1.0, result_size=1.0, temperature=None
     )
@@ -67,8 +67,8 @@ def _tared(one: Sensed, readings: RawTable, times: RowTimes) -> Sensed:
     try:
         first, stop = rows_between(times, start_s, stop_s)
         if stop - first > MOST_READINGS:
-            raise SensorError(f"It has {stop - first} rows; {MOST_READINGS} are enough. Give a shorter one.")
-        value, std, count = zero_of(_stretch(readings, one.names[0], first, stop))
+            raise SensorError(f"The interval has {stop - first} rows; at most {MOST_READINGS} are used. Shorten it.")
+        value, std, count = zero_of(_read_rows(readings, one.names[0], first, stop))
         tare = Tare(
             start_s,
             stop_s,
@@ -81,26 +81,26 @@ def _tared(one: Sensed, readings: RawTable, times: RowTimes) -> Sensed:
         return one._replace(record=tared(one.record, tare), tare=tare)
     except SensorError as cause:
         raise SensorError(
-            f"The zero of {channel!r} cannot be taken from {start_s:g} s to {stop_s:g} s, as its tare says: {cause}"
+            f"The zero of {channel!r} cannot be measured from {start_s:g} s to {stop_s:g} s, as its tare says: {cause}"
         ) from cause
 
 
 def _temperature(one: Sensed, readings: RawTable, first: int, stop: int) -> float | None:
-    """Return how warm it was, in degC; None where it is not known."""
+    """Return the mean temperature in the interval, in degC; None if the sensor has no temperature."""
     if one.record.temperature is None:
         return None
     if one.thermometer is None:
         return one.record.temperature.constant_degc
     column, size = one.thermometer
-    degc = _stretch(readings, column, first, stop) * size.factor + size.offset
-    seen = degc[np.isfinite(degc)]
-    if not len(seen):
-        raise SensorError(f"{column!r}, which tells its temperature, has no readings there. Give another stretch.")
-    return float(seen.mean())
+    degc = _read_rows(readings, column, first, stop) * size.factor + size.offset
+    finite = degc[np.isfinite(degc)]
+    if not len(finite):
+        raise SensorError(f"The temperature column {column!r} has no readings there. Give another interval.")
+    return float(finite.mean())
 
 
-def _stretch(table: RawTable, name: str, first: int, stop: int) -> Floats:
-    """Read a column from one row up to another."""
+def _read_rows(table: RawTable, name: str, first: int, stop: int) -> Floats:
+    """Read the rows from `first` up to `stop` of a column as float64."""
     parts, left = [np.empty(0)], stop - first
     for block in table.blocks([name], first):
         if left <= 0:

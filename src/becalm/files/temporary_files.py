@@ -1,4 +1,4 @@
-"""Keep a list of the temporary files of this process, so that they are removed whatever happens."""
+"""Keep a list of the temporary files of this process, so that they are removed even if it ends early."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _waiting: set[Path] = set()
 
 @contextmanager
 def in_waiting(path: Path) -> Iterator[None]:
-    """Keep in mind that a file, or a folder, is half-written; in the end it is removed, if it still has this name."""
+    """Register a temporary file or folder; at the end, remove it if it still has this name."""
     _waiting.add(path)
     try:
         yield
@@ -22,7 +22,7 @@ def in_waiting(path: Path) -> Iterator[None]:
 
 
 def abandon() -> None:
-    """Remove all that is half-written, for a process that ends at once."""
+    """Remove all registered temporary files, for a process that ends at once."""
     for path in tuple(_waiting):
         _remove(path)
 
@@ -33,5 +33,5 @@ def _remove(path: Path) -> None:
             shutil.rmtree(path)
         else:
             path.unlink(missing_ok=True)
-    except OSError:  # the folder is not writable or not there: then nothing was made
+    except OSError:  # the folder is missing or not writable, so the file was never created
         return

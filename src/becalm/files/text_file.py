@@ -1,4 +1,4 @@
-"""Write text files whole or not at all, and check whether an output can be written before the work is done."""
+"""Write text files atomically, and check before a long computation whether its output can be written."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from becalm.files.temporary_files import in_waiting
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those that it is in; one that is there stays as it is.
+    """Make a folder and its parents; an existing folder is not changed.
 
     Raises
     ------
     OutputError
-        If it cannot be made.
+        If the folder cannot be made.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -28,24 +28,24 @@ def make_folder(path: Path) -> None:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write text as UTF-8, under a temporary name first.
+    """Write text as UTF-8 under a temporary name, then rename the file.
 
     Raises
     ------
     OutputError
-        If it cannot be written; nothing is left behind.
+        If the file cannot be written; the temporary file is removed.
     """
     with text_in_waiting(path, text):
         pass
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write bytes, under a temporary name first.
+    """Write bytes under a temporary name, then rename the file.
 
     Raises
     ------
     OutputError
-        If they cannot be written; nothing is left behind.
+        If the file cannot be written; the temporary file is removed.
     """
     with replacing(Path(path)) as file, sentences(Path(path)):
         file.write(content)
@@ -53,19 +53,19 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 @contextmanager
 def text_in_waiting(path: str | os.PathLike[str], text: str) -> Iterator[None]:
-    """Write text as UTF-8 under a temporary name; it gets its own at the end, if nothing was raised until then.
+    """Write text as UTF-8 under a temporary name; at the end of the block, rename it unless an exception was raised.
 
     Parameters
     ----------
     path : path-like
-        Where to; an older file of that name is replaced.
+        The file; an older file of that name is replaced.
     text : str
-        What to write.
+        The content.
 
     Raises
     ------
     OutputError
-        If it cannot be written; nothing is left behind.
+        If the file cannot be written; the temporary file is removed.
     """
     target = Path(path)
     refuse_folder(target)
@@ -78,12 +78,12 @@ def text_in_waiting(path: str | os.PathLike[str], text: str) -> Iterator[None]:
 
 
 def refuse_unwritable(*paths: str | os.PathLike[str]) -> None:
-    """Raise what writing files of these names would raise for their names or folders.
+    """Refuse output paths that cannot be written, by creating and removing an empty file in each folder.
 
     Raises
     ------
     OutputError
-        If no file can have such a name, or none can be made in the folder.
+        If a name is not a valid file name, or no file can be created in its folder.
     """
     targets = [Path(path) for path in paths]
     for target in targets:
@@ -95,19 +95,19 @@ def refuse_unwritable(*paths: str | os.PathLike[str]) -> None:
 
 
 def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write texts as UTF-8 into a folder, by their paths in it; all are there, or, of a new folder, none.
+    """Write several texts as UTF-8 into a folder; the files get their names only once all are written.
 
     Parameters
     ----------
     folder : Path
-        Where to; files of these names in it are replaced, others stay.
+        The folder; files of these names in it are replaced, others are not changed.
     texts : mapping of str to str
-        By their paths, with `/` between folders.
+        Texts by their paths in the folder, with `/` between the parts of a path.
 
     Raises
     ------
     OutputError
-        If one cannot be written.
+        If a file cannot be written.
     """
     make_folder(folder)
     paths = {folder / path: text for path, text in texts.items()}

@@ -1,4 +1,4 @@
-"""Choose one of the time bases of a file."""
+"""Select one of the time bases of a file."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from becalm.files.read_options import ReadOptions
 from becalm.files.source import RawTable
 from becalm.files.unit_spelling import parse_header
 
-_MOST_NAMED = 8  # groups, and channels of one, in a message
+_MOST_NAMED = 8  # groups in a message, and channels per group
 
 
 def chosen_table(path: Path, tables: Sequence[RawTable], options: ReadOptions) -> RawTable:
-    """Return the one table that is meant.
+    """Return the table that the options select.
 
     Raises
     ------
     UsageError
-        If the group asked for is not there, or the channels asked for are not of one group.
+        If the requested group is missing, or the requested channels are not all in one group.
     InputError
-        If there are several groups, and nothing was said that chooses one.
+        If there are several groups, and no option selects one.
     """
     if options.group is not None:
         return _named(path, tables, options.group)
@@ -38,8 +38,8 @@ def chosen_table(path: Path, tables: Sequence[RawTable], options: ReadOptions) -
         )
     if len(holding) > 1:
         raise UsageError(
-            f"The channels asked for have times of their own: {path} holds {listed(holding)}."
-            " Ask for channels of one of them, or choose it with --group NAME."
+            f"The requested channels do not share one time: {path} holds {listed(holding)}."
+            " Name channels of one of them, or choose it with --group NAME."
         )
     return holding[0]
 
@@ -54,15 +54,15 @@ def _named(path: Path, tables: Sequence[RawTable], group: str) -> RawTable:
 
 
 def holds(table: RawTable, name: str) -> bool:
-    """Whether a table has a column of that name, with or without its unit."""
+    """Return whether a table has a column of that name, with or without its unit."""
     return name in table.names or any(parse_header(own)[0] == name.strip() for own in table.names)
 
 
 def listed(tables: Sequence[RawTable]) -> str:
-    """Say which channels there are at which times."""
-    told = [f"{table.group!r} ({table.count} rows of {_channels(table)})" for table in tables[:_MOST_NAMED]]
+    """Return a phrase that lists the time bases with their rows and channels."""
+    groups = [f"{table.group!r} ({table.count} rows of {_channels(table)})" for table in tables[:_MOST_NAMED]]
     more = f" and {len(tables) - _MOST_NAMED} more" if len(tables) > _MOST_NAMED else ""
-    return f"channels at {len(tables)} times: {', '.join(told)}{more}"
+    return f"channels at {len(tables)} times: {', '.join(groups)}{more}"
 
 
 def _channels(table: RawTable) -> str:

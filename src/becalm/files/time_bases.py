@@ -1,4 +1,4 @@
-"""Open a file with all its time bases, each parsed by itself."""
+"""Open a file with all its time bases, each as a source of its own."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from becalm.files.time_base_choice import chosen_table, holds, listed
 
 
 class PassedThroughTable(NamedTuple):
-    """A table in which nothing is cleaned.
+    """A table of a file that is not cleaned.
 
     Attributes
     ----------
     raw : RawTable
-        As the file has it.
+        The table as it is in the file.
     why : str
-        In a sentence, or a few words.
+        The reason, in a sentence or a few words.
     """
 
     raw: RawTable
@@ -35,14 +35,14 @@ class PassedThroughTable(NamedTuple):
 
 
 class OpenFile(NamedTuple):
-    """A file that was understood; made by `open_file`.
+    """An open file with all its tables; made by `open_file`.
 
     Attributes
     ----------
     sources : tuple of OpenSource
-        One or more, each with channels and a time of its own.
+        One source or more, each with channels and a time of its own.
     passed : tuple of PassedThroughTable
-        The other tables.
+        The other tables of the file.
     """
 
     sources: tuple[OpenSource, ...]
@@ -51,14 +51,14 @@ class OpenFile(NamedTuple):
 
 @contextmanager
 def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) -> Iterator[OpenFile]:
-    """Understand all of a file, or what was asked for, and close it at the end.
+    """Open all time bases of a file, or those that the options select, and close them at the end of the block.
 
     Parameters
     ----------
     path : path-like
         The file; its content decides the format.
     options : ReadOptions, optional
-        What a person said; by default all is found out.
+        Options that the user gives; by default time and channels are found in the file.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) 
 def _open_each(
     file: Path, tables: Sequence[RawTable], options: ReadOptions, opened: list[OpenSource]
 ) -> Iterator[PassedThroughTable]:
-    """Open every table that is meant; give the others."""
+    """Append a source to `opened` for each selected table, and yield the other tables."""
     if len(tables) == 1 or options.group is not None:
         chosen = chosen_table(file, tables, options)
         opened.append(understood(file, chosen, options))
@@ -94,18 +94,18 @@ def _open_each(
         return
     if options.rate_hz is not None or options.time is not None:
         raise UsageError(
-            f"--rate and --time tell one time, and {file} holds {listed(tables)}. Choose one with --group."
+            f"--rate and --time are for a single time base, but {file} holds {listed(tables)}. Choose one with --group."
         )
     _refuse_strangers(file, tables, options)
     for table in tables:
-        asked = None if options.channels is None else tuple(name for name in options.channels if holds(table, name))
-        if asked == ():
+        channels = None if options.channels is None else tuple(name for name in options.channels if holds(table, name))
+        if channels == ():
             yield PassedThroughTable(table, "not asked for")
             continue
         try:
-            opened.append(understood(file, table, replace(options, channels=asked)))
+            opened.append(understood(file, table, replace(options, channels=channels)))
         except InputError as cause:
-            if asked is not None:
+            if channels is not None:
                 raise
             yield PassedThroughTable(table, f"{table.group}: {str(cause).removeprefix(f'{file}: ')}")
 

@@ -1,4 +1,4 @@
-"""From one unit to another, by pint, which is loaded when the first of them is asked for."""
+"""Convert one unit to another with pint, which is imported at the first conversion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SPELLINGS = (
     (r"(?<=[A-Za-z])\.(?=[A-Za-z])", "*"),  # UCUM's product
     (r"(?<=[A-Za-z])(-?\d)(?!\d)", r"^\1"),  # m/s2
 )
-# No number but 1, and exponents of one digit: what a file calls a unit is not worked out as a sum of powers.
+# The only number is 1, and exponents have one digit: a "unit" in a file must not make pint compute large powers.
 _WRITTEN = re.compile(r"(?:[A-Za-z_]+|\^-?\d(?:\.\d)?(?![\d.^])|(?<![\d.^])1(?![\d.])|[*/ ()])+")
 _AS_ON_SENSORS = ((r"\b([mun]?)g\b", r"\1g_n"), (r"^(C|F)$", r"deg\1"))
 _SENSORS_FIRST = (_AS_ON_SENSORS, ())
@@ -34,14 +34,14 @@ _SCALES = {"degree_Celsius", "degree_Fahrenheit"}
 
 
 class Conversion(NamedTuple):
-    """How values in one unit are values in another: factor * value + offset.
+    """A conversion from one unit to another: factor * value + offset.
 
     Attributes
     ----------
     factor : float
-        Units of the second kind in one of the first.
+        How many of the second unit make one of the first.
     offset : float
-        In the second unit; other than 0 between scales of temperature only.
+        Offset in the second unit; 0 except between temperature scales.
     """
 
     factor: float = 1.0
@@ -49,19 +49,19 @@ class Conversion(NamedTuple):
 
 
 def conversion(unit_from: str, unit_to: str) -> Conversion:
-    """Return how values are carried from one unit to another.
+    """Return the conversion from one unit to another.
 
     Parameters
     ----------
     unit_from, unit_to : str
-        As in headers: "V", "mV/V", "g", "m/s2", "m.s-2", "deg/s", "um/m", "degC", "ug/sqrt(Hz)". A g alone, or in
-        mg and ug, is standard gravity, 9.80665 m/s^2, but a gram where only that fits the other unit; kg is a mass.
-        C and F are Celsius and Fahrenheit where only these fit.
+        Units as in headers: "V", "mV/V", "g", "m/s2", "m.s-2", "deg/s", "um/m", "degC", "ug/sqrt(Hz)". A g alone, or
+        in mg and ug, is standard gravity, 9.80665 m/s^2, and a gram only if the other unit is a mass; kg is a mass.
+        C and F alone are Celsius and Fahrenheit if the other unit is a temperature.
 
     Raises
     ------
     UsageError
-        If a unit is not known, or the two measure different things.
+        If a unit is unknown, or the two units measure different quantities.
     """
     one, other = tidy_unit(unit_from), tidy_unit(unit_to)
     if one == other:
@@ -71,17 +71,17 @@ def conversion(unit_from: str, unit_to: str) -> Conversion:
     if not fitting:
         raise UsageError(_incompatible((one, other), *tried[0]))
     _refuse_unlike((one, other), *fitting[0])
-    return _between(*fitting[0])
+    return _conversion_between(*fitting[0])
 
 
-def _between(one: Unit, other: Unit) -> Conversion:
+def _conversion_between(one: Unit, other: Unit) -> Conversion:
     registry, steps = _registry(), (_step_of(one), _step_of(other))
     offset = 0 if steps == (one, other) else registry.convert(0, one, other)
     return Conversion(float(registry.convert(1, *steps)), float(offset))
 
 
 def _step_of(unit: Unit) -> Unit:
-    """Return the unit of differences: a degree between temperatures, for one on a scale."""
+    """Return the unit of a difference of two values: for a temperature scale, a degree without the offset."""
     ((name, _), *more) = _registry().Quantity(1, unit).unit_items() or [("", 0)]
     return _registry().Unit(f"delta_{name}") if name in _SCALES and not more else unit
 
@@ -94,7 +94,7 @@ def _registry() -> UnitRegistry[Any]:
 
 
 def _unit(text: str, reading: tuple[tuple[str, str], ...]) -> Unit:
-    """Return a unit whose g and C are read as on sensors, or as in physics."""
+    """Parse a unit; the substitutions `reading` decide what g and C mean: on sensors, or in physics."""
     plain = text
     for pattern, better in (*_SPELLINGS, *reading):
         plain = re.sub(pattern, better, plain)
@@ -103,42 +103,42 @@ def _unit(text: str, reading: tuple[tuple[str, str], ...]) -> Unit:
         raise unknown
     try:
         return _registry().parse_units(plain)
-    except Exception as cause:  # pint has no one family of errors for what it cannot parse
+    except Exception as cause:  # pint has no common base class for parsing errors
         raise unknown from cause
 
 
 def _refuse_unlike(written: tuple[str, str], one: Unit, other: Unit) -> None:
-    """Refuse what has equal dimensions and is not the same: densities of two conventions, ratios of unlike things."""
-    (root, ratio), (other_root, other_ratio) = _inside(one), _inside(other)
+    """Refuse units of equal dimension and different meaning: densities of two conventions, ratios of two kinds."""
+    (root, ratio), (other_root, other_ratio) = _quantities(one), _quantities(other)
     if root != other_root:
         raise UsageError(
             f"{written[0]!r} and {written[1]!r} are densities of two conventions, one-sided per root of hertz and"
-            " two-sided per root of time; becalm.identification.rest.datasheet tells one from the other."
+            " two-sided per root of time; becalm.identification.rest.datasheet converts between them."
         )
     if ratio and other_ratio and ratio != other_ratio:
         raise UsageError(
             f"{written[0]!r} is a ratio of {' and '.join(sorted(ratio))}, {written[1]!r} of"
-            f" {' and '.join(sorted(other_ratio))}; between them stands the sensitivity of a sensor, as a gauge"
-            " factor. Give two units of one kind."
+            f" {' and '.join(sorted(other_ratio))}; to convert them, the sensitivity of the sensor is needed, such as a"
+            " gauge factor. Give two units of one kind."
         )
 
 
-def _inside(unit: Unit) -> tuple[frozenset[str], frozenset[str]]:
-    """Return what stands within roots, and what the rest is a ratio of, if it is one."""
+def _quantities(unit: Unit) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the quantities under roots, and the quantities of which the rest is a dimensionless ratio."""
     registry = _registry()
     items: Any = registry.Quantity(1, unit).unit_items()
     parts = [(registry.Unit(name), power) for name, power in items]
-    roots = frozenset(_named(part) for part, power in parts if power % 1)
+    roots = frozenset(_quantity_name(part) for part, power in parts if power % 1)
     rest = [(part, power) for part, power in parts if not power % 1]
     whole = prod((part**power for part, power in rest), start=registry.Unit(""))
-    kinds = frozenset(_named(part) for part, _ in rest if not part.dimensionless)
+    kinds = frozenset(_quantity_name(part) for part, _ in rest if not part.dimensionless)
     return roots, kinds if whole.dimensionless else frozenset()
 
 
-def _named(unit: Unit) -> str:
-    """Say in words what a unit measures."""
-    for name, known in QUANTITIES.items():
-        if _registry().Unit(known).dimensionality == unit.dimensionality:
+def _quantity_name(unit: Unit) -> str:
+    """Return the name of the quantity that a unit measures."""
+    for name, example in QUANTITIES.items():
+        if _registry().Unit(example).dimensionality == unit.dimensionality:
             return name
     items: Any = unit.dimensionality.items()
     powers = [(name.strip("[]"), float(power)) for name, power in items]
@@ -146,13 +146,13 @@ def _named(unit: Unit) -> str:
 
 
 def _incompatible(written: tuple[str, str], one: Unit, other: Unit) -> str:
-    kinds = _named(one), _named(other)
+    kinds = _quantity_name(one), _quantity_name(other)
     example = f", as {QUANTITIES[kinds[0]].replace('g_n', 'g')!r}" if kinds[0] in QUANTITIES else ""
     hint = ""
     if "mass" in kinds and "force" in kinds:
         hint = " Kilograms of force are written kgf."
     elif any(re.search(r"\b[mun]?g\b", unit) for unit in written):
-        hint = " A g is standard gravity, and a gram only beside a mass."
+        hint = " A g is standard gravity; it is a gram only if the other unit is a mass."
     return (
         f"{written[0]!r} is a unit of {kinds[0]}, {written[1]!r} of {kinds[1]}; they cannot be converted."
         f" Give another unit of {kinds[0]}{example}.{hint}"

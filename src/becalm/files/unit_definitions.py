@@ -1,8 +1,8 @@
-"""The units of sensors, in pint's own notation.
+"""The units of sensors in pint's notation.
 
-They are defined here, and not taken from pint's list, for two reasons. An angle and a count are dimensions of their
-own, so that no count becomes a radian, and no rpm a hertz without its 2 pi. And a letter of a header means what it
-means on a sensor: no `c` is the speed of light, no `e` a charge.
+They are defined here instead of using pint's own list for two reasons. First, angles and counts are dimensions of their
+own here, so that a count never converts to a radian, and rpm never converts to hertz without the factor 2 pi. Second, a
+letter in a header has its meaning on a sensor: `c` is not the speed of light, and `e` is not a charge.
 """
 
 from __future__ import annotations
@@ -95,4 +95,4 @@ QUANTITIES = {
     "acceleration noise density": "g_n/Hz^0.5",
     "angular rate noise density": "deg/s/Hz^0.5",
 }
-"""What units measure, in words, each with a unit of it."""
+"""Names of the quantities that units measure, each with an example of a unit."""

@@ -1,4 +1,4 @@
-"""The unit in a column's header: `Gyroscope X (deg/s)`, `Force [N]`, `acc_0_mps2`."""
+"""Parse the unit in the header of a column: `Gyroscope X (deg/s)`, `Force [N]`, `acc_0_mps2`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _BRACKETED = re.compile(
     r"^(?P<name>.*?)\s*"
     r"(?:\((?P<round>[^()]*(?:\([^()]*\)[^()]*)*)\)|\[(?P<square>[^\[\]]*)\]|<(?P<angle>[^<>]*)>)\s*$"
 )
-_INDEXED = re.compile(r"\w\[[0-9]+\]\s*$")  # `gyro_rad[0]`: one of several, which is no unit
+_INDEXED = re.compile(r"\w\[[0-9]+\]\s*$")  # `gyro_rad[0]`: an index, not a unit
 _AFTER_COMMA = re.compile(r"^(?P<name>.+?)\s*[,/]\s+(?P<unit>\S+)$")
 _AFTER_IN = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S+)\s*$")
 _SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")  # a word alone may be part of a name
@@ -72,7 +72,7 @@ SUFFIXES: dict[str, str] = {
     "percent": "percent",
     "rpm": "rpm",
 }
-"""Endings of names like `acc_0_mps2`; looked up as written, then in small letters if longer than one letter."""
+"""Units by the ending of names like `acc_0_mps2`; looked up as written, then in lower case if longer than a letter."""
 
 _SPELLINGS = (
     ("\u03bc", "u"),  # Greek mu
@@ -142,7 +142,7 @@ _UNIT_WORD = re.compile(
 
 
 def tidy_unit(text: str) -> str:
-    r"""Spell a unit plainly: `um\m` is `um/m`, `m/s2` and `m.s-2` are `m/s^2`; "" for a dash."""
+    r"""Normalise the spelling of a unit: `um\m` becomes `um/m`, `m/s2` and `m.s-2` become `m/s^2`, and a dash ""."""
     unit = text.strip()
     while found := _ENCLOSED.match(unit):
         unit = found[1].strip()
@@ -151,29 +151,29 @@ def tidy_unit(text: str) -> str:
 
 
 def parse_header(header: str) -> tuple[str, str]:
-    """Return the name without its unit, and the unit ("" where there is none)."""
-    name, unit = _parted(header)
+    """Return the name of a column without its unit, and the unit, "" if there is none."""
+    name, unit = _split_header(header)
     return name, on_sensor(name, unit)
 
 
 def on_sensor(name: str, unit: str) -> str:
-    """Return what a unit means in a column of that name: G is g, and gauss only where something is magnetic."""
+    """Return the unit that is meant in a column of that name: G is gauss for a magnetic field, and g for all else."""
     if (found := _LARGE_G.fullmatch(unit)) and not _MAGNETIC.search(name):
         return f"{found[1]}g"
     return unit
 
 
-def _parted(header: str) -> tuple[str, str]:
+def _split_header(header: str) -> tuple[str, str]:
     if _INDEXED.search(header):
         return header.strip(), ""
     found = _BRACKETED.match(header)
     if found and ":" in (found["round"] or ""):  # a remark: (S/N: 123)
-        return _parted(found["name"])
+        return _split_header(found["name"])
     if found and found["name"].strip(" /"):
         unit = next(text for text in (found["round"], found["square"], found["angle"]) if text is not None)
         if found["round"] is None or is_unit(tidy_unit(unit)):
             return found["name"].rstrip(" /").strip(), tidy_unit(unit)
-        name, inner = _parted(found["name"])  # V(out), acc (g) (raw)
+        name, inner = _split_header(found["name"])  # V(out), acc (g) (raw)
         return (f"{name} ({unit})", inner) if inner else (header.strip(), "")
     for pattern in (_AFTER_COMMA, _AFTER_IN, _SIGN):
         found = pattern.match(header)
@@ -187,12 +187,12 @@ def _parted(header: str) -> tuple[str, str]:
 
 
 def looks_like_unit(text: str) -> bool:
-    """Tell whether a cell under a name is a unit, or a dash that says there is none."""
+    """Return whether a cell below a column's name is a unit, or a dash that stands for no unit."""
     return _UNIT_WORD.match(_plain(text.strip())) is not None
 
 
 def _plain(text: str) -> str:
-    """Spell signs as letters, and powers as becalm does."""
+    """Replace signs by letters, and write powers with ^."""
     for old, new in _SPELLINGS:
         text = text.replace(old, new)
     for pattern, plain in _PATTERNS:

@@ -1,4 +1,4 @@
-"""Whether a text is a unit at all: `um/m`, `counts` and `degrees C` are, `raw`, `out` and `+0100` are not."""
+"""Decide whether a text is a unit: `um/m`, `counts` and `degrees C` are, `raw`, `out` and `+0100` are not."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ _OTHERS = (
     *("var", "VAR", "Nm", "Ncm", "Nmm", "Deg", "gal", "lbs", "oz", "ksi", "ustrain", "mps", "kph", "kmh", "C", "F"),
     *("psig", "psia", "sample", "samples"),
 )
-"""Parts of units that becalm tells, and does not convert."""
+"""Parts of units that becalm recognises but does not convert."""
 
-_LONG = 4  # letters; a longer word is a unit in small letters as well, and in the plural
+_LONG = 4  # letters; a word of this length or longer is also a unit in lower case and in the plural
 _MARKS = re.compile(r"[\s*/^().\-+\d%\[\]]*")
 _WORDS = re.compile(r"[A-Za-z_]+")
 
 
 def is_unit(text: str) -> bool:
-    """Tell whether each word of a text, spelt as `tidy_unit` spells, is a unit.
+    """Return whether each word of a text is a unit.
 
     Parameters
     ----------
     text : str
-        As in a header's brackets.
+        The text in the brackets of a header, normalised by `tidy_unit`.
     """
     words = _WORDS.findall(text)
     if not words:

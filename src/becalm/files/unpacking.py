@@ -1,4 +1,4 @@
-"""Parts of a file that are compressed each for itself: unpacked to what they claim to hold, and no more."""
+"""Unpack the parts of a file that are compressed separately, each up to the size that it claims to have."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bo
     foreign : Foreign
         The file.
     compression : str
-        "deflate", "zstd", "lz4", "bz2", or "" and "none".
+        "deflate", "zstd", "lz4", "bz2"; "" or "none" for an uncompressed part.
     data : bytes
-        What is compressed.
+        The compressed part.
     size : int
-        How many bytes it claims to be.
+        The number of bytes that the part claims to hold.
     cut : bool
-        Whether its end is missing; then what is before that is unpacked.
+        Whether the end of the part is missing; then it may unpack to fewer bytes.
 
     Raises
     ------
     InputError
-        If the library is missing, or the part claims to be absurdly large.
+        If the library is not installed, or the part claims to be implausibly large.
     ValueError
-        If it is damaged, or not of that size.
+        If the part is damaged, or does not unpack to `size` bytes.
     """
     if compression in ("", "none"):
         return data
     if size < 0:
-        raise ValueError("it does not tell its size")
+        raise ValueError("it does not state its size")
     foreign.refuse_unpacking(size)
     try:
-        plain = _plain(foreign, compression, data, size + 1)  # one more, to see whether there is more
+        plain = _plain(foreign, compression, data, size + 1)  # one byte more, to detect a part that holds more
     except BecalmError:
         raise
-    except Exception as cause:  # each library's own
+    except Exception as cause:  # each library raises its own exceptions
         raise ValueError(f"it cannot be unpacked ({cause})") from cause
     if len(plain) != size and not cut:
         raise ValueError(f"it does not hold {size} bytes")

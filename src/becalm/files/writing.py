@@ -1,4 +1,4 @@
-"""Tables to files: whole or not at all, at once or chunk by chunk."""
+"""Write tables to files atomically, at once or chunk by chunk."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from becalm.files.tables import output_table, recording_table
 
 __all__ = ["TableOutput", "open_output", "output_table", "recording_table", "replace_file", "write", "write_table"]
 
-_WAITING = 1  # chunks between the one being made and the one being written
+_QUEUED_CHUNKS = 1  # between the chunk that is computed and the chunk that is written
 
 
 def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording | None = None) -> None:
@@ -35,37 +35,37 @@ def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording |
     Parameters
     ----------
     path : path-like
-        Where to; an older file of that name is replaced once the new one is complete.
+        The output; an older file of that name is replaced once the new one is complete.
     recording : Recording
         The channels; NaN becomes an empty cell in CSV.
     sigma : Recording, optional
-        Standard uncertainties, same names and rows; written as NAME_sigma.
+        Standard uncertainties with the same names and rows; written as NAME_sigma.
 
     Raises
     ------
     OutputError
-        If it cannot be written; nothing is left behind.
+        If the file cannot be written; the temporary file is removed.
     """
     write_table(path, recording_table(recording, sigma))
 
 
 def write_table(path: str | os.PathLike[str], table: pa.Table, metadata: Mapping[str, str] | None = None) -> None:
-    """Write a table whole or not at all: under a temporary name, then renamed.
+    """Write a table atomically: under a temporary name, then rename the file.
 
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz, .parquet or .tdms.
+        The output; it ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz, .parquet or .tdms.
     table : pyarrow.Table
-        What to write.
+        The table to write.
     metadata : mapping of str to str, optional
-        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
-        NPZ); CSV has no place for it.
+        Stored in the file: as Parquet's metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
+        NPZ). CSV cannot store it.
 
     Raises
     ------
     OutputError
-        If it cannot be written; nothing is left behind.
+        If the file cannot be written; the temporary file is removed.
     """
     with open_output(path, metadata) as out:
         out.write(table)
@@ -75,22 +75,22 @@ def write_table(path: str | os.PathLike[str], table: pa.Table, metadata: Mapping
 def open_output(
     path: str | os.PathLike[str], metadata: Mapping[str, str] | None = None, form: str = ""
 ) -> Iterator[TableOutput]:
-    """Write a table chunk by chunk; it appears at the end, if nothing was raised until then.
+    """Write a table chunk by chunk; the file appears at the end of the block unless an exception was raised.
 
     Parameters
     ----------
     path : path-like
-        Ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz, .parquet or .tdms.
+        The output; it ends in .csv, .csv.gz, .h5, .hdf5, .mat, .mf4, .npz, .parquet or .tdms.
     metadata : mapping of str to str, optional
-        Kept in the file: as Parquet's own metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
-        NPZ); CSV has no place for it.
+        Stored in the file: as Parquet's metadata, attributes (HDF5), history (MF4), properties (TDMS), texts (MAT,
+        NPZ). CSV cannot store it.
     form : str
-        The format, one of `becalm.files.registry`'s; "" for what the ending says.
+        The format, one of the constants of `becalm.files.registry`; "" for the format of the ending.
 
     Raises
     ------
     OutputError
-        If it cannot be written; nothing is left behind.
+        If the file cannot be written; the temporary file is removed.
     """
     target = Path(path)
     writer = _WRITERS[form or format_to_write(target)]
@@ -106,19 +106,19 @@ def open_output(
 
 
 def refuse_columns(path: str | os.PathLike[str], schema: pa.Schema) -> None:
-    """Raise what writing a table of these columns would raise for their types, by writing none of its rows.
+    """Refuse columns whose types an output format cannot store, by writing an empty table in memory.
 
     Parameters
     ----------
     path : path-like
-        Where the table is to go; nothing is written there.
+        The output; its ending gives the format, and nothing is written to it.
     schema : pyarrow.Schema
-        Its columns.
+        The columns of the output.
 
     Raises
     ------
     OutputError
-        If the format cannot hold one of them.
+        If the format cannot store one of them.
     """
     target = Path(path)
     with sentences(target):
@@ -148,19 +148,19 @@ _WRITERS: dict[str, Callable[[IO[bytes]], _Writer]] = {
 
 
 class TableOutput:
-    """Takes chunks of a table, and writes them while the next are made; made by `open_output`."""
+    """Write chunks of a table in a thread while the next chunks are computed; made by `open_output`."""
 
     def __init__(self, path: Path, writer: _Writer, metadata: Mapping[str, str] | None) -> None:
         self._path, self._writer = path, writer
         self._metadata = {key.encode(): value.encode() for key, value in (metadata or {}).items()}
-        self._queue: Queue[pa.Table | None] = Queue(_WAITING)
+        self._queue: Queue[pa.Table | None] = Queue(_QUEUED_CHUNKS)
         self._failure: BaseException | None = None
-        self._unwanted = False
+        self._abandoned = False
         self._thread = Thread(target=self._work, name="becalm-writer", daemon=True)
         self._thread.start()
 
     def write(self, table: pa.Table) -> None:
-        """Hand over the next rows; all chunks have one schema, and the first may have no rows.
+        """Queue the next rows for writing; all chunks have the same schema, and the first may have no rows.
 
         Raises
         ------
@@ -173,38 +173,38 @@ class TableOutput:
         self._queue.put(table)
 
     def finish(self) -> None:
-        """Wait until all is written.
+        """Wait until all chunks are written.
 
         Raises
         ------
         OutputError
-            If it cannot be.
+            If a chunk cannot be written.
         """
         self._queue.put(None)
         self._thread.join()
         self._raise_failure()
 
     def abandon(self) -> None:
-        """Stop as soon as may be; what waits is not written."""
-        self._unwanted = True
+        """Stop as soon as possible; queued chunks are not written."""
+        self._abandoned = True
         self._queue.put(None)
         self._thread.join()
 
     def _work(self) -> None:
-        """Write until the end is handed over; after a failure only take, so that nobody waits for ever."""
+        """Write chunks until None comes; after a failure, discard them, so that `write` does not block for ever."""
         while (table := self._queue.get()) is not None:
             self._attempt(lambda table=table: self._writer.write(table))  # type: ignore[misc]
         self._attempt(self._writer.close)
-        if self._failure is not None or self._unwanted:
+        if self._failure is not None or self._abandoned:
             self._writer.drop()
 
     def _attempt(self, step: Callable[[], None]) -> None:
-        if self._failure is not None or self._unwanted:
+        if self._failure is not None or self._abandoned:
             return
         try:
             with sentences(self._path):
                 step()
-        except BaseException as cause:  # whatever it is, the one who hands over must hear it
+        except BaseException as cause:  # the next call of write or finish raises it in the caller's thread
             self._failure = cause
 
     def _raise_failure(self) -> None:

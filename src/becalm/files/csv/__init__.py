@@ -1,1 +1,1 @@
-"""CSV: which delimiter, which columns, which rates; whole or block by block."""
+"""Read and write CSV files, whole or block by block: detect separator, columns and rate."""

@@ -1,4 +1,4 @@
-"""A text file too large to be held: its rows as UTF-8, in blocks, as often as asked."""
+"""Read a text file that is too large for memory as blocks of UTF-8 lines, as often as needed."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ from becalm.files.decoding import (
 from becalm.files.library_reader import refuse_claim
 
 WHOLE_BYTES = 64 << 20
-"""Text files up to this size are held in memory."""
+"""Text files up to this size, unpacked, are read into memory."""
 
 BLOCK_BYTES = 16 << 20
 _LONGEST_BYTES = 256 << 20
-_PACKED = 8  # gzip makes tables of numbers smaller by less than this, mostly
+_GZIP_RATIO = 8  # gzip seldom compresses tables of numbers by more than this factor
 
 
 class OtherEncodingError(Exception):
-    """The text is not in the encoding that it was taken for; begin again."""
+    """The text is not in the assumed encoding; reading must start again with another one."""
 
 
 def is_large(path: Path, head: bytes) -> bool:
-    """Tell whether a text file is better read in blocks."""
+    """Return whether a text file is larger than `WHOLE_BYTES`, unpacked, and must be read in blocks."""
     with told(path):
         size = path.stat().st_size
         if not head.startswith(GZIP):
             return size > WHOLE_BYTES
         with path.open("rb") as file:
             file.seek(max(0, size - 4))
-            told_size = int.from_bytes(file.read(4), "little")  # of the last part, below 4 GB
-        if size * _PACKED > WHOLE_BYTES or told_size > WHOLE_BYTES:
+            trailer_size = int.from_bytes(file.read(4), "little")  # unpacked size of the last gzip member, modulo 4 GB
+        if size * _GZIP_RATIO > WHOLE_BYTES or trailer_size > WHOLE_BYTES:
             return True
         with Gunzip(path, "rb") as unpacked:
             blocks = _blocks(cast(IO[bytes], unpacked))
@@ -66,16 +66,16 @@ class TextFile:
     Attributes
     ----------
     encoding : str
-        As in `TextLayout`; UTF-8 until it is found to be another.
+        As in `TextLayout`; UTF-8 until another encoding is detected.
     compression : str
         "gzip" or "".
     cut : str
-        A sentence where it is found to end too early; "" before it was read to its end.
+        A sentence that says that the file is truncated; "" if it is not, and until it was read to its end.
 
     Raises
     ------
     InputError
-        If it is no text, now or while it is read.
+        If the file is not text, here or while lines are read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -93,21 +93,21 @@ class TextFile:
                 self._mark, self._codec, self.encoding = mark, codec, name
 
     def take_for_western(self) -> None:
-        """Read it as a text of before Unicode from now on."""
+        """Decode the text as cp1252 from now on, or as latin-1 if cp1252 has failed too."""
         self._codec = "latin-1" if self._codec == "cp1252" else "cp1252"
         self.encoding = "cp1252"
 
     def lines(self) -> Iterator[bytes]:
-        """Give the text as UTF-8 without a byte-order mark, in blocks of whole lines.
+        """Yield the text as UTF-8 without a byte-order mark, in blocks of whole lines.
 
-        Only the last line may have no line end, where it is not known to be cut.
+        Only the last line may have no line end; if the file is truncated, such a line is left out.
 
         Raises
         ------
         OtherEncodingError
-            If it is in another encoding: call `take_for_western` and begin again.
+            If the text is in another encoding: call `take_for_western`, and read the lines again.
         InputError
-            If it is damaged, or a line does not end.
+            If the file is damaged, or has a line of more than 256 MiB.
         """
         rest = b""
         for block in self._blocks():
@@ -145,7 +145,7 @@ class TextFile:
                 certain = certain or not block[: max(0, len(block) - len(rest))].isascii()
                 yield block
             archive_cut = isinstance(file, Gunzip) and file.cut
-        if rest and not (certain or archive_cut):  # only its last bytes are none of ASCII
+        if rest and not (certain or archive_cut):  # all but the last bytes are ASCII
             raise OtherEncodingError
         self.cut = CUT_ARCHIVE if archive_cut else CUT_CHARACTER if rest else ""
 
@@ -169,22 +169,22 @@ def _blocks(file: IO[bytes]) -> Iterator[bytes]:
 
 
 def rows_of_text(blocks: Iterable[bytes], separator: str) -> Iterator[bytes]:
-    """Leave out blank lines at the end, and join runs of spaces where they separate.
+    """Yield the blocks without blank lines at the end of the text, and with one space between cells if spaces separate.
 
     Parameters
     ----------
     blocks : iterable of bytes
         Whole lines of data.
     separator : str
-        As in `Dialect`.
+        The separator, as in `Dialect`.
     """
     blank = b" \r\n\x1a" if separator == "\t" else b" \t\r\n\x1a"
     held = b""
-    for own in blocks:
-        if held.strip(blank) and own.strip(blank):
+    for block in blocks:
+        if held.strip(blank) and block.strip(blank):
             yield _joined_spaces(held, separator)
             held = b""
-        held += own
+        held += block
     yield _joined_spaces(held.rstrip(blank), separator) + b"\n"
 
 

@@ -1,4 +1,4 @@
-"""Rows of a CSV as they are written: which has a quote that does not close where it should, or a cell too many."""
+"""Find the row of a CSV file that cannot be parsed: with an unclosed quote, or with the wrong number of cells."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from becalm.files.csv.sniffing import Dialect
 from becalm.files.text.cells import is_row
 
 Body = Callable[[], Iterable[bytes]]
-"""Gives the rows of data, in blocks of whole lines, as often as asked."""
+"""A function that returns the rows of data in blocks of whole lines; it can be called several times."""
 
 _LONGEST_CELL = 64 << 20
-_SHOWN = 60
+_SHOWN = 60  # characters of a line in a message
 _LINE_END = re.compile(rb"\r\n|\n|\r")
 
 
 class _Patterns(NamedTuple):
-    """What rows are made of.
+    """Regular expressions for the rows and cells of a text with a given separator.
 
     Attributes
     ----------
     row : re.Pattern
         A row with its line end.
     quoted : re.Pattern
-        A quoted cell, closed or not; a quote opens it only where the cell begins.
+        A quoted cell, closed or not. Only a quote at the start of a cell opens it.
     to_spanning : re.Pattern
-        All up to the next quoted `cell` that goes beyond its line, and what stands `behind` its last quote.
+        The text up to the end of the next quoted `cell` that spans several lines; `behind` is the text between its
+        closing quote and the next separator or line end.
     """
 
     row: re.Pattern[bytes]
@@ -43,36 +44,33 @@ class _Patterns(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """A row: counted from 1, its first line in the body counted from 0, where it ends, without its line end."""
+    """A row of the body."""
 
-    number: int
-    line: int
-    end: int
-    text: bytes
+    number: int  # counted from 1
+    line: int  # its first line in the body, counted from 0
+    end: int  # position of its end in the body, in bytes
+    text: bytes  # without its line end
 
 
 class _Cell(NamedTuple):
-    """A quoted cell that goes beyond its line: where its quote and that line begin, and the whole lines it touches.
+    """A quoted cell that spans several lines; positions are in bytes."""
 
-    What stands behind its last quote is None where it is not closed.
-    """
-
-    start: int
-    line: int
-    lines: list[bytes]
-    behind: bytes | None
+    start: int  # position of its opening quote
+    line: int  # position of the beginning of that line
+    lines: list[bytes]  # the lines that it spans, as whole lines
+    behind: bytes | None  # text after its closing quote; None if the cell is not closed
 
 
 class _Stray(NamedTuple):
-    """A quote that should not open a cell: where it stands in the body, in which line, and what is wrong with it."""
+    """A quote that should not open a cell."""
 
-    at: int
-    line: bytes
-    harm: str
+    at: int  # position in the body, in bytes
+    line: bytes  # the line that holds it
+    harm: str  # what is wrong with its cell, as the end of a sentence
 
 
 def spans_lines(table: pa.Table) -> bool:
-    """Tell whether a cell of text holds the end of a line; only then there is a stray quote to look for."""
+    """Return whether a cell of text contains a line end; only then can there be a stray quote."""
     texts = (column for column in table.columns if pa.types.is_string(column.type))
     return any(_has_line_end(chunk.buffers()[2]) for column in texts for chunk in column.chunks)
 
@@ -83,34 +81,37 @@ def _has_line_end(buffer: pa.Buffer | None) -> bool:
 
 
 def refuse_strays(path: Path, body: Body, dialect: Dialect) -> None:
-    """Refuse a quoted cell that takes whole rows into itself, or is never closed.
+    """Refuse a quoted cell that contains whole rows, or is never closed.
 
     Raises
     ------
     InputError
-        If there is one.
+        If there is such a cell.
     """
     if _first_stray(body(), dialect):
         raise ragged(path, body, dialect, "")
 
 
 def ragged(path: Path, body: Body, dialect: Dialect, cause: str) -> InputError:
-    """Find the first row with a stray quote or with another number of cells."""
+    """Return the error for a text that pyarrow cannot parse.
+
+    It names the first row with a stray quote or with a wrong number of cells; else it gives `cause`, pyarrow's message.
+    """
     stray = _first_stray(body(), dialect)
     width = len(dialect.kinds)
-    for row in _rows(body() if stray is None else _up_to(body(), stray.at + 1), dialect.separator):
+    for row in _rows(body() if stray is None else _first_bytes(body(), stray.at + 1), dialect.separator):
         line = dialect.first_line + 1 + row.line
         if stray and row.end > stray.at:
-            return _stray_quote(path, row.number, line + _line_ends(row.text), stray)
+            return _stray_quote_error(path, row.number, line + _line_ends(row.text), stray)
         if (cells := _cells(row.text, dialect.separator)) != width:
             return InputError(
                 f"Row {row.number} (line {line}) of {path} has {cells} cell{'s' * (cells != 1)} where {width} are"
-                f" needed: {_shown(row.text)}. Mend or remove that line."
+                f" needed: {_shown(row.text)}. Correct or remove that line."
             )
     return InputError(f"{path} cannot be read as a table: {' '.join(cause.split())[:200]}. Save it again as plain CSV.")
 
 
-def _stray_quote(path: Path, number: int, line: int, stray: _Stray) -> InputError:
+def _stray_quote_error(path: Path, number: int, line: int, stray: _Stray) -> InputError:
     return InputError(
         f"Row {number} (line {line}) of {path} opens a quoted cell that {stray.harm}: {_shown(stray.line)}."
         " Remove that quote, or close the cell with another; a cell that is meant to hold all this must be on one line."
@@ -126,27 +127,27 @@ def _line_ends(text: bytes) -> int:
 
 
 def _rows(blocks: Iterable[bytes], separator: str) -> Iterator[_Row]:
-    """Cut a body into its rows; a blank line is one only where there is a single column."""
+    """Yield the rows of a body; a blank line counts as a row only if the table has a single column."""
     number, line, end, held = 0, 0, 0, b""
     for block in chain(blocks, (b"",)):
         data, held = held + block, b""
-        for found in _patterns(separator).row.finditer(data):
-            if block and found.end() == len(data):  # it may go on in the next
-                held = found[0]
+        for match in _patterns(separator).row.finditer(data):
+            if block and match.end() == len(data):  # the row may continue in the next block
+                held = match[0]
                 break
-            end += len(found[0])
-            number += bool(found["cells"] or (found[0] and not separator))
-            if found["cells"]:
-                yield _Row(number, line, end, found["cells"])
-            line += _line_ends(found[0])
+            end += len(match[0])
+            number += bool(match["cells"] or (match[0] and not separator))
+            if match["cells"]:
+                yield _Row(number, line, end, match["cells"])
+            line += _line_ends(match[0])
 
 
 def _cells(row: bytes, separator: str) -> int:
     return _patterns(separator).quoted.sub(b"", row).count(_delimiter(separator)) + 1
 
 
-def _up_to(blocks: Iterable[bytes], size: int) -> Iterator[bytes]:
-    """Leave out what comes after so many bytes."""
+def _first_bytes(blocks: Iterable[bytes], size: int) -> Iterator[bytes]:
+    """Yield the blocks up to a total of `size` bytes."""
     for block in blocks:
         yield block[:size]
         size -= len(block)
@@ -155,39 +156,40 @@ def _up_to(blocks: Iterable[bytes], size: int) -> Iterator[bytes]:
 
 
 def _first_stray(blocks: Iterable[bytes], dialect: Dialect) -> _Stray | None:
-    held, gone = b"", 0
+    held, done = b"", 0
     for block in chain(blocks, (b"",)):
         data, held = held + block, b""
         for cell in _spanning(data, dialect.separator):
             may_go_on = bool(block) and len(data) - cell.line < _LONGEST_CELL
             if harm := _harm(cell, dialect, may_go_on):
-                return _Stray(gone + cell.start, cell.lines[0], harm)
+                return _Stray(done + cell.start, cell.lines[0], harm)
             if cell.behind is None:
                 held = data[cell.line :]
-        gone += len(data) - len(held)
+        done += len(data) - len(held)
     return None
 
 
 def _spanning(data: bytes, separator: str) -> Iterator[_Cell]:
-    """Find the quoted cells that go beyond their line, in whole lines that begin outside of quotes."""
-    for found in _patterns(separator).to_spanning.finditer(data):
-        if found["cell"] is None:
+    """Yield the quoted cells that span several lines; `data` starts with a line that is not inside a quoted cell."""
+    for match in _patterns(separator).to_spanning.finditer(data):
+        if match["cell"] is None:
             continue
-        start = found.start("cell")
-        line = max(data.rfind(end, found.start(), start) + 1 for end in (b"\n", b"\r")) or found.start()
-        after = _LINE_END.search(data, found.end())
+        start = match.start("cell")
+        line = max(data.rfind(end, match.start(), start) + 1 for end in (b"\n", b"\r")) or match.start()
+        after = _LINE_END.search(data, match.end())
         text = data[line : after.start() if after else len(data)]
-        yield _Cell(start, line, _LINE_END.split(text), found["behind"])
+        yield _Cell(start, line, _LINE_END.split(text), match["behind"])
 
 
 def _harm(cell: _Cell, dialect: Dialect, may_go_on: bool) -> str:
-    """Say what a quoted cell of several lines does that none should do, "" for nothing.
+    """Return what is wrong with a quoted cell of several lines, as the end of a sentence; "" if it is plausible.
 
-    What stands before the cell, or behind it, makes its first line, or its last, look like a row in any case.
+    The first or the last line of the cell is not tested: together with the cells before or after, it always looks like
+    a row.
     """
     own = cell.lines[:-1] if cell.start == cell.line else cell.lines[1:]
     if any(is_row(line.decode("utf-8"), dialect.separator, dialect.kinds) for line in own):
-        return "takes in lines which look like rows of their own"
+        return "includes lines that look like rows of their own"
     if cell.behind is None:
         return "" if may_go_on else "is never closed"
     return f"is closed below in the middle of a cell, before {_shown(cell.behind)}" if cell.behind.strip() else ""

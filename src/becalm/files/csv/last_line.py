@@ -1,4 +1,4 @@
-"""The last line of a text: whole, or cut short where whoever wrote it was stopped."""
+"""Detect and leave out an incomplete last line of a text, as it remains when a logger is stopped."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from becalm.files.text.cells import GONE, WORDS, is_left_open, kind_of, split
 
 _WINDOW_BYTES = 1 << 20
 _COMPARED_ROWS = 1000
-_ENOUGH_ROWS = 10  # fewer do not tell how long a last cell should be, but whether it may be empty
-_RARE = 200  # as short as one row in so many is too short to be whole
+_ENOUGH_ROWS = 10  # rows needed to judge the length of the last cell; any number of rows shows if it may be empty
+_RARE = 200  # a last cell is too short if no more than one in so many above is as short
 _SIGN = re.compile(r"^[+-]|(?<=[eE])[+-]")
 
 
 class LastLine:
-    """Leaves out the last row of a table where it was cut short.
+    """Leave out the last row of a table if it is incomplete.
 
-    A last line without a line end is legal, so it is kept unless it shows that it was cut: cells are missing, a quote
-    is not closed, or the last cell is shorter than those above it.
+    A last line without a line end is legal. It is incomplete if cells are missing, a quote is not closed, or the last
+    cell is shorter than those above it.
 
     Parameters
     ----------
     dialect : Dialect
-        How the table is written.
+        The layout of the table.
 
     Attributes
     ----------
     harm : str
-        What is wrong with it; "" where it is whole, or before all lines were given.
+        What is wrong with the last line; "" if it is complete, and until all lines were yielded.
     """
 
     def __init__(self, dialect: Dialect) -> None:
@@ -40,12 +40,12 @@ class LastLine:
         self.harm = ""
 
     def whole_rows(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
-        """Give the rows of data without the lines above them, and without a last one that was cut short.
+        """Yield the rows of data without the lines above them, and without an incomplete last row.
 
         Parameters
         ----------
         blocks : iterable of bytes
-            Whole lines of UTF-8; the last may have no line end.
+            Whole lines of UTF-8; the last line may have no line end.
         """
         offset, held, window = self._dialect.offset, b"", b""
         for block in blocks:
@@ -57,7 +57,7 @@ class LastLine:
         yield without_open_line(held) if self.harm else held
 
     def _harm_of(self, window: bytes) -> str:
-        lines = window.splitlines()[len(window) == _WINDOW_BYTES :]  # the first may have lost its beginning
+        lines = window.splitlines()[len(window) == _WINDOW_BYTES :]  # the window may begin within a line
         lines = lines[-_COMPARED_ROWS:]
         if len(lines) < 2 or window.endswith((b"\n", b"\r", b"\x1a")):
             return ""
@@ -73,13 +73,13 @@ class LastLine:
             return ""
         if len(cells) < width:
             return f"it has {len(cells)} of {width} cells"
-        told = len(rows) >= _ENOUGH_ROWS or kind_of(cells[-1]) == GONE
-        if told and _is_short(cells[-1], [row[-1] for row in rows], self._dialect.kinds[-1]):
+        enough = len(rows) >= _ENOUGH_ROWS or kind_of(cells[-1]) == GONE
+        if enough and _is_short(cells[-1], [row[-1] for row in rows], self._dialect.kinds[-1]):
             return f"it has no line end, and its last cell, {cells[-1]!r}, is shorter than those above"
         return ""
 
     def _is_beginning(self, cells: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
-        """Tell whether a line can be the beginning of a row: a remark below the table is none."""
+        """Return whether a line can be the beginning of a row, and not a remark below the table."""
         if not cells or not rows:
             return False
         kinds = self._dialect.kinds[: len(cells)]
@@ -94,7 +94,7 @@ class LastLine:
 
 
 def _is_short(cell: str, above: Sequence[str], kind: str) -> bool:
-    """Tell whether hardly any of the cells above is as short, and some go on where this one ends."""
+    """Return whether hardly any cell above is as short as this one, and some continue where it ends."""
     own, digits = _shape(cell, kind)
     shapes = [_shape(other, kind) for other in above]
     as_short = sum(shape == own and its <= digits for shape, its in shapes)
@@ -104,7 +104,10 @@ def _is_short(cell: str, above: Sequence[str], kind: str) -> bool:
 
 
 def _shape(cell: str, kind: str) -> tuple[str, int]:
-    """Return what stands between the digits of a number or time, and how many digits end it; words as they are."""
+    """Return the shape of a cell and the number of digits at its end.
+
+    In the shape of a number or a time, each run of digits is a 0; words are returned unchanged, with 0 digits.
+    """
     if kind == WORDS:
         return cell, 0
     plain = _SIGN.sub("", cell.strip())
@@ -112,16 +115,16 @@ def _shape(cell: str, kind: str) -> tuple[str, int]:
 
 
 def with_end_told(table: RawTable, cut: str, last: LastLine) -> RawTable:
-    """Add a note that a text is incomplete, if it is.
+    """Add notes to a table if its text is incomplete.
 
     Parameters
     ----------
     table : RawTable
-        All rows that are whole.
+        All complete rows.
     cut : str
-        What is known to have been cut before any line was looked at, as a sentence; "" if nothing.
+        A sentence that says that the file is truncated; "" if it is not.
     last : LastLine
-        What is known of the last line.
+        The examined last line.
     """
     notes = [cut] if cut else []
     if last.harm:

@@ -1,4 +1,4 @@
-"""CSV: the text once sniffed, its numbers are parsed by pyarrow; a cell that fails is named."""
+"""Read a CSV file in memory: detect its layout, parse it with pyarrow, and name the cell that cannot be parsed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from becalm.files.source import RawTable, TextLayout
 from becalm.files.text.cells import COMMA, GONE, MISSING, NUMBER, TIME, to_numbers
 from becalm.files.text.csv_header import unique_names
 
-_EXACT_DIGITS = 15  # float64 keeps whole numbers of this many digits
+_EXACT_DIGITS = 15  # whole numbers of up to this many digits are exact in float64
 
 
 def read_csv(path: Path, data: bytes) -> RawTable:
@@ -31,7 +31,7 @@ def read_csv(path: Path, data: bytes) -> RawTable:
     Raises
     ------
     InputError
-        If there is no table in it, it can be read in two ways, or a row has too many or too few cells.
+        If the file holds no table or can be read in two ways, or if a row has too many or too few cells.
     """
     text = decode(path, data)
     dialect = sniff(path, text.data)
@@ -46,7 +46,7 @@ def read_csv(path: Path, data: bytes) -> RawTable:
 
 
 def text_layout(encoding: str, compression: str, dialect: Dialect, decimal: str) -> TextLayout:
-    """Put together how the text is written."""
+    """Return the layout of a text from its encoding, compression, dialect and decimal separator."""
     return TextLayout(
         encoding=encoding,
         compression=compression,
@@ -59,7 +59,7 @@ def text_layout(encoding: str, compression: str, dialect: Dialect, decimal: str)
 
 
 def units_of(dialect: Dialect, names: Sequence[str]) -> dict[str, str]:
-    """Return the units from the row of units."""
+    """Return the units from the row of units, by column name."""
     return {name: unit for name, unit in zip(names, dialect.header.units, strict=True) if unit}
 
 
@@ -76,15 +76,15 @@ def _parse(path: Path, body: bytes, dialect: Dialect, names: Sequence[str]) -> t
     decimal = dialect.decimal or _decimal_of(table, dialect)
     for position, kind in enumerate(dialect.kinds):
         if kind != TIME and pa.types.is_string(table.schema.field(position).type):
-            found = TextNumbers(kind, decimal)
-            found.add(table.column(position))
-            if (to := found.type) is not None:
+            examined = TextNumbers(kind, decimal)
+            examined.add(table.column(position))
+            if (to := examined.type) is not None:
                 table = table.set_column(position, names[position], numbers_of(table.column(position), decimal, to))
     return table, decimal
 
 
 def column_types(dialect: Dialect, names: Sequence[str]) -> dict[str, pa.DataType]:
-    """Return what each column is to be read as, by what the head of the file says."""
+    """Return the type as which pyarrow reads each column, judged by the first rows of the file."""
     return {
         name: pa.float64() if kind in (NUMBER, GONE) else pa.string()
         for name, kind in zip(names, dialect.kinds, strict=True)
@@ -102,7 +102,19 @@ def _arrow(body: bytes, dialect: Dialect, names: Sequence[str], types: dict[str,
 def arrow_options(
     dialect: Dialect, names: Sequence[str], types: dict[str, pa.DataType], block: tuple[bool, int]
 ) -> dict[str, Any]:
-    """Return how pyarrow is to read a text; `block`: whether cells may hold line ends, and bytes read at once."""
+    """Return the arguments for pyarrow's CSV reader.
+
+    Parameters
+    ----------
+    dialect : Dialect
+        The layout of the text.
+    names : sequence of str
+        The names of the columns.
+    types : dict of str to pyarrow.DataType
+        The types of the columns.
+    block : (bool, int)
+        Whether cells may contain line ends; how many bytes are parsed at once.
+    """
     import pyarrow.csv as arrow_csv
 
     return {
@@ -119,19 +131,19 @@ def arrow_options(
 
 
 def is_conversion(cause: pa.ArrowInvalid) -> bool:
-    """Tell whether a cell was not what its column was read as."""
+    """Return whether pyarrow failed because a cell does not have the type of its column."""
     return "conversion error" in str(cause)
 
 
 def refuse_long_numbers(body: bytes, dialect: Dialect) -> None:
-    """Take the careful road where whole numbers are too long for float64, as epoch nanoseconds are.
+    """Refuse to read whole numbers as float64 that are too long for it, such as epoch nanoseconds.
 
     Raises
     ------
     pyarrow.ArrowInvalid
-        As if a cell could not be converted.
+        The error of a failed conversion, so that the caller reads the columns as text and converts them itself.
     """
-    fraction = b"." if dialect.separator == "," else b".,"  # before digits that are no whole number
+    fraction = b"." if dialect.separator == "," else b".,"  # digits after one of these are not a whole number
     long = rb"(?<![%b\d])\d{%d,}(?![.\d])" % (fraction, _EXACT_DIGITS + 1)
     if {NUMBER, GONE} & set(dialect.kinds) and re.search(long, body[:4096]):
         raise pa.ArrowInvalid("conversion error: long whole numbers")
@@ -145,7 +157,7 @@ def _arrow_text(path: Path, body: bytes, dialect: Dialect, names: Sequence[str])
 
 
 def _decimal_of(table: pa.Table, dialect: Dialect) -> str:
-    """Decide the decimal sign on the whole file where the head had no fractions."""
+    """Decide the decimal separator from all rows, if the first rows have no fractions."""
     for position, kind in enumerate(dialect.kinds):
         column = table.column(position)
         if kind == NUMBER and pa.types.is_string(column.type) and has_decimal_commas(column):
@@ -154,20 +166,20 @@ def _decimal_of(table: pa.Table, dialect: Dialect) -> str:
 
 
 def has_decimal_commas(column: pa.ChunkedArray) -> bool:
-    """Tell whether a column of text has numbers with a decimal comma."""
+    """Return whether a column of text has numbers with a decimal comma."""
     fractions = pc.and_(pc.match_substring(column, ","), pc.match_substring_regex(column, COMMA))
     return bool(pc.any(fractions).as_py())
 
 
 class TextNumbers:
-    """Tells whether a column of text holds numbers, seen block by block.
+    """Decide block by block whether a column of text holds numbers.
 
     Parameters
     ----------
     kind : str
-        What the head of the file says.
+        The kind of the column in the first rows of the file.
     decimal : str
-        "." or ",".
+        The decimal separator, "." or ",".
     """
 
     def __init__(self, kind: str, decimal: str) -> None:
@@ -178,7 +190,7 @@ class TextNumbers:
         self._largest = 0.0
 
     def add(self, text: pa.ChunkedArray) -> None:
-        """Look at the next cells."""
+        """Examine the next cells."""
         if not self.possible:
             return
         numbers, bad = to_numbers(text.combine_chunks(), self._decimal)
@@ -191,20 +203,20 @@ class TextNumbers:
 
     @property
     def type(self) -> pa.DataType | None:
-        """What the column is: whole numbers where float64 would round them; None for text."""
+        """The type of the column: int64 for whole numbers that float64 would round, float64, or None for text."""
         if not self.possible or not (self._some or self._kind in (NUMBER, GONE)):
             return None
         return pa.int64() if self._whole and self._largest >= 10.0**_EXACT_DIGITS else pa.float64()
 
 
 def numbers_of(text: pa.ChunkedArray, decimal: str, kind: pa.DataType) -> pa.Array:
-    """Read a column of text as the numbers that it holds."""
+    """Convert a column of text to numbers of type `kind`."""
     numbers = to_numbers(text.combine_chunks(), decimal)[0]
     return _whole(text, numbers) if pa.types.is_integer(kind) else numbers
 
 
 def _whole(text: pa.ChunkedArray, numbers: pa.Array) -> pa.Array | None:
-    """Read whole numbers to the last digit, None where some are not whole."""
+    """Convert text to int64 without rounding; return None if some cells are not whole numbers."""
     trimmed = pc.utf8_trim_whitespace(text.combine_chunks())
     try:
         return pc.if_else(pc.is_valid(numbers), trimmed, pa.scalar(None, pa.string())).cast(pa.int64())
@@ -213,7 +225,7 @@ def _whole(text: pa.ChunkedArray, numbers: pa.Array) -> pa.Array | None:
 
 
 def without_padding(dialect: Dialect, names: Sequence[str], empty: Sequence[bool]) -> list[str]:
-    """Leave out nameless empty columns at the right: trailing separators make them."""
+    """Return the names without empty, unnamed columns at the right, which trailing separators create."""
     last = len(names)
     while last > 1 and not dialect.header.names[last - 1] and empty[last - 1]:
         last -= 1

@@ -1,4 +1,4 @@
-"""How a CSV file is written: separator, decimal sign, header, found by looking at its first lines."""
+"""Detect the layout of a CSV file from its first lines: separator, decimal separator and header."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from becalm.files.csv.rates import rate_above
 from becalm.files.text.cells import GONE, NUMBER, TIME, WORDS, decimal_of, is_left_open, kind_of, split
 from becalm.files.text.csv_header import Header, find_header
 
-_SEPARATORS = (";", "\t", ",", "|", "", " ")  # in a draw the earlier one wins; "" is a file of one column
+_SEPARATORS = (";", "\t", ",", "|", "", " ")  # of equal scores the first wins; "" is a file of one column
 _HEAD_BYTES = 65_536
 _HEAD_LINES = 30
-_LOOKED_AT = 40
-_JUDGED = 300
+_SCORED_LINES = 40
+_KIND_ROWS = 300  # rows from which the kind of a column is decided
 _LINE = re.compile(rb"([^\r\n]*)(\r\n|\n|\r|$)")
 _COMMENT = ("#", "%", "//")
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """How the table is written.
+    """The layout of a table in a text.
 
     Attributes
     ----------
     separator : str
-        Between two cells; " " for runs of spaces, "" for one column.
+        The separator between two cells; " " for runs of spaces, "" for one column.
     decimal : str
-        "." or ","; "" where the head shows no fraction.
+        The decimal separator, "." or ","; "" if the first rows have no fractions.
     header : Header
-        Names and units, and where they stood.
+        Names and units, and their place in the file.
     kinds : tuple of str
-        For each column "number", "time", "missing" or "words".
+        "number", "time", "missing" or "words" for each column.
     first_line : int
         Line of the first row of data, counted from 0.
     offset : int
-        The same in bytes.
+        Position of the first row of data, in bytes.
     """
 
     separator: str
@@ -63,62 +63,62 @@ class _Line:
 
 
 def sniff(path: Path, data: bytes) -> Dialect:
-    """Decide how a CSV file is written.
+    """Detect the layout of a CSV file.
 
     Parameters
     ----------
     path : Path
-        Only for messages.
+        The file, for messages.
     data : bytes
         The text as UTF-8 without a byte-order mark.
 
     Raises
     ------
     InputError
-        If there is no table of numbers, or it can be read in two ways.
+        If there is no table of numbers, or the file can be read in two ways.
     """
     lines = _head(data)
-    told = re.match(r"^sep=([^\w\s\"]|\t)\s*$", lines[0].text, re.IGNORECASE) if lines else None
-    start = 1 if told else 0
+    stated = re.match(r"^sep=([^\w\s\"]|\t)\s*$", lines[0].text, re.IGNORECASE) if lines else None
+    start = 1 if stated else 0
     begin = max((number + 1 for number in range(start, len(lines)) if _ends_head(lines[number])), default=start)
     plain = [number for number in range(begin, len(lines)) if lines[number].plain]
     if not plain:
         raise InputError(f"{path} holds no table; a header and two or more rows of numbers are needed.")
-    separator = told[1] if told else _separator(path, [lines[number].text for number in plain])
+    separator = stated[1] if stated else _separator(path, [lines[number].text for number in plain])
     cells = {number: split(lines[number].text, separator) for number in plain}
     width = _width([cells[number] for number in plain[len(plain) // 2 :]])
-    body = [cells[number] for number in plain[-_JUDGED:] if len(cells[number]) == width]
+    body = [cells[number] for number in plain[-_KIND_ROWS:] if len(cells[number]) == width]
     kinds = _column_kinds(body, width)
     first = _first_row(path, plain, cells, kinds)
     _refuse_open_cells(path, {number: lines[number].text for number in plain if number < first}, separator, width)
     above = [line.text for line in lines[:first]]
     header = replace(find_header(above, start, separator, kinds), rate_hz=rate_above(above[start:], separator))
     _refuse_misfit(path, separator, header, width)
-    data_rows = [cells[number] for number in plain if number >= first][:_JUDGED]
+    data_rows = [cells[number] for number in plain if number >= first][:_KIND_ROWS]
     kinds = _column_kinds([row for row in data_rows if len(row) == width], width)
     decimal = _decimal(path, data_rows, kinds)
     return Dialect(separator, decimal, header, kinds, first, lines[first].offset)
 
 
 def _ends_head(line: _Line) -> bool:
-    """Tell whether LabVIEW says that its head, which has numbers in columns, ends here."""
+    """Return whether a line ends the head of a LabVIEW file, which itself has columns of numbers."""
     return line.text.startswith(("***End_of_Header***", "delta t\t"))
 
 
 def _head(data: bytes) -> list[_Line]:
     lines: list[_Line] = []
-    for found in _LINE.finditer(data):
-        if found.start() >= len(data) or (found.start() > _HEAD_BYTES and len(lines) >= _HEAD_LINES):
+    for match in _LINE.finditer(data):
+        if match.start() >= len(data) or (match.start() > _HEAD_BYTES and len(lines) >= _HEAD_LINES):
             break
-        lines.append(_Line(found[1].decode("utf-8"), found.start()))
-    if lines[-1:] and lines[0].text.startswith(";") and ";" not in lines[-1].text:  # comments as Gulf Coast writes
+        lines.append(_Line(match[1].decode("utf-8"), match.start()))
+    if lines[-1:] and lines[0].text.startswith(";") and ";" not in lines[-1].text:  # comments of Gulf Coast loggers
         return [_Line(re.sub("^;", "#", line.text), line.offset) for line in lines]
     return lines
 
 
 def _separator(path: Path, plain: Sequence[str]) -> str:
-    """Choose the separator that cuts the later lines into equally many cells, most of them numbers."""
-    later = plain[len(plain) // 2 :][:_LOOKED_AT]
+    """Return the separator that splits the later lines into the same number of cells, most of them numbers."""
+    later = plain[len(plain) // 2 :][:_SCORED_LINES]
     scores = {separator: _score(later, separator) for separator in _SEPARATORS}
     best = max(_SEPARATORS, key=lambda separator: scores[separator])
     if scores[best] == 0:
@@ -142,7 +142,7 @@ def _score(lines: Sequence[str], separator: str) -> float:
 
 
 def _one_or_two(path: Path, plain: Sequence[str]) -> str:
-    """`1,234` down a file: one column with decimal commas, or two columns; only a header can tell."""
+    """Decide with the header whether lines like `1,234` are one column with decimal commas, or two columns."""
     header = next((line for line in reversed(plain) if kind_of(line) != NUMBER), None)
     if header is None:
         raise InputError(
@@ -173,20 +173,20 @@ def _column_kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
 
 
 def _first_row(path: Path, plain: Sequence[int], cells: dict[int, list[str]], kinds: tuple[str, ...]) -> int:
-    """Find the line of the first row of data."""
+    """Return the line of the first row of data."""
     signals = [column for column, kind in enumerate(kinds) if kind in (NUMBER, TIME)]
-    found = [number for number in plain if _is_data(cells[number], signals, len(kinds))]
-    if not signals or not found:
+    rows = [number for number in plain if _is_data(cells[number], signals, len(kinds))]
+    if not signals or not rows:
         raise InputError(f"{path} has a header but no rows of numbers; two or more rows are needed.")
-    first = found[0]
+    first = rows[0]
     at = plain.index(first)
-    if at == 0 and len(found) > 1 and any(kind_of(cells[first][column]) == WORDS for column in signals):
-        return found[1]  # names that are mostly numbers
+    if at == 0 and len(rows) > 1 and any(kind_of(cells[first][column]) == WORDS for column in signals):
+        return rows[1]  # the first is a header whose names are mostly numbers
     return plain[at - 1] if at >= 2 and _is_damaged(cells[plain[at - 2]], cells[plain[at - 1]], signals) else first
 
 
 def _refuse_open_cells(path: Path, above: dict[int, str], separator: str, width: int) -> None:
-    """Refuse a quote above the table that takes the first row, or the names, into its cell."""
+    """Refuse an unclosed quote above the data, if its cell would contain the names or the first row."""
     for number, line in above.items():
         in_table = number == max(above) or line.count(separator or "\x1f") >= max(1, width - 1)
         if in_table and is_left_open(line, separator):
@@ -197,7 +197,7 @@ def _refuse_open_cells(path: Path, above: dict[int, str], separator: str, width:
 
 
 def _is_damaged(above: Sequence[str], row: Sequence[str], signals: Sequence[int]) -> bool:
-    """Tell whether a row with words and numbers below a row of names is data with a bad cell."""
+    """Return whether a row below the names is data with a bad cell: it has words and also numbers."""
     if len(above) != len(row) or not all(kind_of(cell) in (WORDS, GONE) for cell in above):
         return False
     return len(row) > signals[-1] and any(kind_of(row[column]) in (NUMBER, TIME) for column in signals)
@@ -232,6 +232,6 @@ def _decimal(path: Path, rows: Sequence[Sequence[str]], kinds: tuple[str, ...]) 
     if len(seen) > 1:
         raise InputError(
             f"{path} has decimal points ({seen['.'].strip()!r}) and decimal commas ({seen[','].strip()!r})."
-            " Save all numbers with the same decimal sign."
+            " Save all numbers with the same decimal separator."
         )
     return next(iter(seen), "")

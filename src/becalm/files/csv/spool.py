@@ -1,4 +1,4 @@
-"""CSV larger than memory: parsed block by block into a temporary table, understood as if it were read whole."""
+"""Read a CSV file larger than memory: parse it block by block into a temporary table, as if it were read whole."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def spool_csv(path: Path) -> RawTable:
     Raises
     ------
     InputError
-        As `read_csv` does.
+        As in `read_csv`.
     """
     text = TextFile(path)
     while True:
@@ -54,7 +54,7 @@ def spool_csv(path: Path) -> RawTable:
 
 
 class _Spooling:
-    """One try to read a file, in an encoding."""
+    """One attempt to read a file in an assumed encoding."""
 
     def __init__(self, path: Path, text: TextFile) -> None:
         self._path, self._text = path, text
@@ -84,8 +84,7 @@ class _Spooling:
         rows.keep(without_padding(self._dialect, self._names, empty))
         layout = text_layout(self._text.encoding, self._text.compression, self._dialect, decimal)
         raw = RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
-        told = with_end_told(raw, self._text.cut, self._last)
-        return with_rate(told, self._dialect.header.rate_hz)
+        return with_rate(with_end_told(raw, self._text.cut, self._last), self._dialect.header.rate_hz)
 
     def _body(self) -> Iterator[bytes]:
         return rows_of_text(self._last.whole_rows(self._text.lines()), self._dialect.separator)
@@ -105,7 +104,7 @@ class _Spooling:
         return rows
 
     def _parsed(self, types: dict[str, pa.DataType]) -> Iterator[pa.Table]:
-        """Parse the blocks, each by itself until one has quotes: from there, a row may go on in the next."""
+        """Parse the blocks one by one; from the first with quotes on, as a stream, because cells may span blocks."""
         import pyarrow.csv as arrow_csv
 
         body = self._body()
@@ -122,7 +121,7 @@ class _Spooling:
         return ragged(self._path, self._body, self._dialect, str(cause))
 
     def _texts(self, rows: SpooledRows) -> dict[str, str]:
-        """Return the columns of text that may yet be numbers, and what their heads say."""
+        """Return the columns of text that may be numbers, with their kinds in the first rows."""
         kinds = zip(self._names, self._dialect.kinds, strict=True)
         return {name: kind for name, kind in kinds if kind != TIME and pa.types.is_string(rows.schema.field(name).type)}
 
@@ -132,34 +131,35 @@ class _Spooling:
         return "," if any(has_decimal_commas(column) for block in blocks for column in block.columns) else "."
 
     def _with_numbers(self, rows: SpooledRows, decimal: str) -> SpooledRows:
-        """Write the table anew if columns of text turn out to be numbers."""
-        found = {name: TextNumbers(kind, decimal) for name, kind in self._texts(rows).items()}
-        for block in rows.blocks(list(found), max(1, rows.count)) if found else ():
-            for name, numbers in found.items():
+        """Convert columns of text that hold numbers: write a second table, and close the first."""
+        columns = {name: TextNumbers(kind, decimal) for name, kind in self._texts(rows).items()}
+        for block in rows.blocks(list(columns), max(1, rows.count)) if columns else ():
+            for name, numbers in columns.items():
                 numbers.add(block.column(name))
-            if not any(numbers.possible for numbers in found.values()):
+            if not any(numbers.possible for numbers in columns.values()):
                 return rows
-        types = {name: kind for name, numbers in found.items() if (kind := numbers.type) is not None}
+        types = {name: kind for name, numbers in columns.items() if (kind := numbers.type) is not None}
         if not types:
             return rows
         fields = [pa.field(field.name, types.get(field.name, field.type)) for field in rows.schema]
-        anew = SpooledRows(pa.schema(fields))
+        converted = SpooledRows(pa.schema(fields))
         try:
             for block in rows.blocks(self._names, max(1, rows.count)):
-                anew.add(pa.table([_as(block.column(n), decimal, types.get(n)) for n in self._names], anew.schema))
+                arrays = [_converted(block.column(name), decimal, types.get(name)) for name in self._names]
+                converted.add(pa.table(arrays, converted.schema))
         except BaseException:
-            anew.close()
+            converted.close()
             raise
         rows.close()
-        return anew
+        return converted
 
 
-def _as(column: pa.ChunkedArray, decimal: str, kind: pa.DataType | None) -> Any:
+def _converted(column: pa.ChunkedArray, decimal: str, kind: pa.DataType | None) -> Any:
     return column if kind is None else numbers_of(column, decimal, kind)
 
 
 def _head(lines: Iterator[bytes]) -> bytes:
-    """Return the first lines, enough to see how the table is written."""
+    """Return the first lines, enough to detect the layout of the table."""
     head = b""
     while len(head) < _HEAD_BYTES and (block := next(lines, b"")):
         head += block
@@ -171,12 +171,12 @@ def _one_batch(batch: pa.RecordBatch) -> pa.Table:
 
 
 def _quoted_block(block: bytes) -> int:
-    """Return how much is parsed at once: some rows must fit, however long they are."""
+    """Return how many bytes to parse at once: at least the whole block, so that long rows fit."""
     return max(_PARSED_BYTES, len(block))
 
 
 class _Stream(io.RawIOBase):
-    """Blocks of bytes as a file that is read once."""
+    """A file object that reads blocks of bytes once from start to end."""
 
     def __init__(self, blocks: Iterator[bytes]) -> None:
         self._blocks = blocks

@@ -1,4 +1,4 @@
-"""Tables as CSV text: the same bytes however the rows are cut into chunks."""
+"""Write tables as CSV; the bytes do not depend on how the rows are split into chunks."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _SPECIAL = '[",\r\n]'
 
 
 class CsvRows:
-    """Writes tables of one schema below each other.
+    """Write tables of one schema one after another as CSV.
 
     Parameters
     ----------
     file : binary file
-        Where to.
+        The output; it is not closed.
     packed : bool
         Whether to compress with gzip.
     """
@@ -33,13 +33,13 @@ class CsvRows:
     def __init__(self, file: IO[bytes], packed: bool = False) -> None:
         self._packed = gzip.GzipFile(filename="", fileobj=file, mode="wb", compresslevel=6, mtime=0) if packed else None
         self._file: Any = self._packed or file
-        self._begun = False
+        self._has_header = False
 
     def write(self, table: pa.Table) -> None:
-        """Write some rows; the names above the first."""
-        if not self._begun:
+        """Write some rows; the first call writes the names above them."""
+        if not self._has_header:
             self._file.write(_header(table.column_names))
-            self._begun = True
+            self._has_header = True
         _refuse_strange_types(table.schema)
         for start in range(0, table.num_rows, _ROWS):
             _write_block(table.slice(start, _ROWS), self._file)
@@ -50,7 +50,7 @@ class CsvRows:
             self._packed.close()
 
     def drop(self) -> None:
-        """Let go of the file."""
+        """Close the compressor, and ignore errors; the output is not used."""
         with suppress(OSError):
             self.close()
 
@@ -83,7 +83,7 @@ def _write_block(table: pa.Table, file: Any) -> None:
 
 
 def _plain_column(column: pa.ChunkedArray) -> pa.Array:
-    """Make a column one that CSV can hold: NaN and empty text become empty cells."""
+    """Convert a column to a type that CSV can hold; NaN and empty text become empty cells."""
     array = column.combine_chunks()
     if pa.types.is_floating(array.type):
         return _without_nan(array)
@@ -105,7 +105,7 @@ def _without_nan(array: pa.Array) -> pa.Array:
         long = (size >= _LONG) & (size <= _EXACT)
     if not long.any():
         return numbers
-    long &= values == np.round(values)  # an epoch in milliseconds: digits, not 1.7e+12
+    long &= values == np.round(values)  # such as an epoch in milliseconds: write digits, not 1.7e+12
     digits = pa.array(np.where(long, values, 0.0).astype(np.int64), mask=missing)
     if np.all(long | missing):
         return digits
@@ -122,7 +122,7 @@ def _has_special(array: pa.Array) -> bool:
 
 
 def _quoted(array: pa.Array) -> pa.Array:
-    """Write a column as text, with quotes around the cells that need them."""
+    """Convert a column to text, with quotes around the cells that need them."""
     if not pa.types.is_string(array.type):
         return _as_text(array)
     wrapped = pc.binary_join_element_wise("", pc.replace_substring(array, '"', '""'), "", '"')
@@ -130,20 +130,20 @@ def _quoted(array: pa.Array) -> pa.Array:
 
 
 def _as_text(array: pa.Array) -> pa.Array:
-    """Write numbers and times as pyarrow's own writer does."""
+    """Convert numbers and times to the same text as pyarrow's CSV writer."""
     import pyarrow.csv as arrow_csv
 
     if pa.types.is_null(array.type) or not pa.types.is_temporal(array.type):
         return array.cast(pa.string())
     text = io.BytesIO()
-    table = pa.table([array, pa.nulls(len(array))], names=["a", "b"])  # the second, so that no line is empty
+    table = pa.table([array, pa.nulls(len(array))], names=["a", "b"])  # the second column keeps lines from being empty
     arrow_csv.write_csv(table, text, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
     cells = [line[:-1] or None for line in text.getvalue().decode("utf-8").splitlines()]
     return pa.array(cells, pa.string())
 
 
 def _joined(columns: list[pa.Array]) -> bytes:
-    """Join cells to rows, and rows to text."""
+    """Join cells into rows, and rows into text."""
     how = {"null_handling": "replace", "null_replacement": ""}
     ended = pc.binary_join_element_wise(columns[-1], "", "\n", **how)
     rows = pc.binary_join_element_wise(*columns[:-1], ended, ",", **how)

@@ -1,1 +1,1 @@
-"""Folders of Parquet files that are one recording, as Spark, Hive, Delta and people leave them."""
+"""Read a folder of Parquet files as one recording, as Spark, Hive, Delta and people write them."""

@@ -1,4 +1,4 @@
-"""The log of a folder that an engine writes to, or its mark: which of its files count, wherever the folder is now."""
+"""Read the commit log or the mark of a folder; it names the files that hold the rows, even if the folder was moved."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _READERS: dict[str, Callable[[Path], Collection[Parts]]] = {
     spark_log.NAME: spark_log.committed_files,
     marks.NAME: marks.marked_files,
 }
-_WHOLE = (spark_log.NAME,)  # name files by all of their paths, which may have been moved since; others from the root on
+_WHOLE = (spark_log.NAME,)  # logs with whole paths, from before any move; other logs have paths relative to the root
 
 
 class CommitLog:
-    """What a log names.
+    """The files that a commit log names.
 
     Parameters
     ----------
     root : Path
-        The folder that it is of.
+        The folder of the log.
     named : collection of tuple of str
-        Parts of the paths of its files, as they were when the log was written.
+        The paths of the files when the log was written, each as its parts.
     whole : bool
-        Whether these are whole paths, and not from the root on.
+        Whether these are whole paths, and not relative to the root.
     """
 
     def __init__(self, root: Path, named: Collection[Parts], *, whole: bool) -> None:
@@ -36,43 +36,47 @@ class CommitLog:
         self._ends: dict[int, set[Parts]] = {}
 
     def names(self, below: Parts) -> bool:
-        """Whether it names a file, by the path from its root: all above may have been moved since."""
+        """Return whether the log names a file, given by its path from the root; the root itself may have been moved."""
         if not self._whole:
             return below in self._named
         ends = self._ends.setdefault(len(below), {one[-len(below) :] for one in self._named})
         return below in ends
 
     def missing(self, found: Collection[Parts], under: Parts) -> list[Parts]:
-        """List what it names, of some folder below its root, and is not there.
+        """Return the files of a folder that the log names and that are missing, by paths from the root.
 
         Parameters
         ----------
         found : collection of tuple of str
-            What is in that folder, by paths from the root.
+            The files that are in the folder, by paths from the root.
         under : tuple of str
-            The path from the root to that folder.
+            The path from the root to the folder.
         """
         named = self._from_root(next(iter(found), None))
         return sorted(one for one in named.difference(found) if one[: len(under)] == under)
 
-    def _from_root(self, one_found: Parts | None) -> set[Parts]:
-        """Return what it names by paths from the root; nothing where a file that was found does not tell these."""
+    def _from_root(self, present: Parts | None) -> set[Parts]:
+        """Return the named files by paths from the root.
+
+        If the log has whole paths, `present`, a file that exists, shows where the root was; if it does not, the set is
+        empty.
+        """
         if not self._whole:
             return set(self._named)
-        places = {one[: -len(one_found)] for one in self._named if one_found and one[-len(one_found) :] == one_found}
-        if len(places) != 1:
+        roots = {one[: -len(present)] for one in self._named if present and one[-len(present) :] == present}
+        if len(roots) != 1:
             return set()
-        place = places.pop()
-        return {one[len(place) :] for one in self._named if one[: len(place)] == place}
+        root = roots.pop()
+        return {one[len(root) :] for one in self._named if one[: len(root)] == root}
 
 
 def log_of(folder: Path) -> CommitLog | None:
-    """Read the log that is in a folder, if there is one.
+    """Read the log in a folder; return None if there is none.
 
     Raises
     ------
     InputError
-        If it cannot be read.
+        If the log cannot be read.
     """
     with told(folder):
         names = [name for name in _READERS if (folder / name).exists()]

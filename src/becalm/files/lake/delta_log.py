@@ -1,4 +1,4 @@
-"""The log of a Delta table: which files hold its rows now."""
+"""Read the log of a Delta table, which names the files that hold its current rows."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from urllib.parse import unquote
 from becalm.errors import InputError
 
 NAME = "_delta_log"
-"""The folder that holds it, in that of the table."""
+"""The folder of the log, in the folder of the table."""
 
 _MAPPING = "delta.columnMapping.mode"
 
 
 def live_files(root: Path) -> set[tuple[str, ...]]:
-    """Return the files that hold the rows of a table now, each as the parts of its path in it.
+    """Return the files that hold the current rows of a table, each as the parts of its path from the table's folder.
 
     Parameters
     ----------
@@ -26,41 +26,41 @@ def live_files(root: Path) -> set[tuple[str, ...]]:
     Raises
     ------
     InputError
-        If the library that reads the log is not here, the log is damaged, or the files alone do not tell the rows.
+        If deltalake is not installed, the log is damaged, or the rows cannot be read from the files alone.
     """
     try:
         library = import_module("deltalake")
     except ModuleNotFoundError as cause:
         raise InputError(
-            f"{root} is a Delta table, whose log is read by deltalake; that is not here."
+            f"{root} is a Delta table, whose log is read by deltalake; that is not installed."
             " Type: pip install 'becalm[delta]'"
         ) from cause
     try:
         table = library.DeltaTable(root)
-        told, hidden = _paths(table), _hidden(table)
-    except Exception as cause:  # what deltalake raises is of many kinds
+        paths, feature = _paths(table), _unsupported_feature(table)
+    except Exception as cause:  # deltalake raises many kinds of exceptions
         reason = " ".join(str(cause).split())[:200]
         raise InputError(f"{root} is a damaged Delta table ({reason}); copy or write it again.") from cause
-    if hidden:
+    if feature:
         raise InputError(
-            f"{root} is a Delta table with {hidden}, of which its Parquet files alone do not tell; write its rows to"
+            f"{root} is a Delta table with {feature}, which its Parquet files alone do not show; write its rows to"
             " plain Parquet with the engine that made it, and read those."
         )
-    return {PurePosixPath(unquote(path, errors="surrogateescape")).parts for path in told}
+    return {PurePosixPath(unquote(path, errors="surrogateescape")).parts for path in paths}
 
 
 def _paths(table: Any) -> list[str]:
-    """List its files as the log has them: relative URIs."""
-    found: list[str] = table.get_add_actions().column("path").to_pylist()
-    return found
+    """Return the files of a table as in its log: as relative URIs."""
+    paths: list[str] = table.get_add_actions().column("path").to_pylist()
+    return paths
 
 
-def _hidden(table: Any) -> str:
-    """Say what changes rows or names without being in the files; "" where nothing does."""
+def _unsupported_feature(table: Any) -> str:
+    """Return the feature that changes rows or names without changing the files, "" if the table uses none."""
     if table.metadata().configuration.get(_MAPPING, "none") != "none":
         return "mapped column names"
     if "deletionVectors" not in (table.protocol().reader_features or ()):
         return ""
-    if not hasattr(table, "deletion_vectors"):  # of an early release, which cannot tell
+    if not hasattr(table, "deletion_vectors"):  # early releases of deltalake cannot list them
         return "deletion vectors"
     return "deleted rows" if any(batch.num_rows for batch in table.deletion_vectors()) else ""

@@ -1,4 +1,4 @@
-"""Which files of a folder hold its rows: all Parquet in it, but what is hidden, or what a log does not name."""
+"""List the files of a folder that hold its rows: its Parquet files except hidden ones and those that a log omits."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from becalm.files.decoding import PARQUET, told
 from becalm.files.lake.commit_log import CommitLog, Parts, log_of
 
 ENDINGS = (".parquet", ".pq")
-"""Of files that hold rows."""
+"""Endings of files that hold rows."""
 
 _PARTITION = re.compile(r"[^=]+=.*", re.DOTALL)
 
 
 class Listing(NamedTuple):
-    """What a folder holds.
+    """The Parquet files of a folder.
 
     Attributes
     ----------
     files : tuple of Path
-        Its Parquet files, in the order of their names, in which numbers count as numbers.
+        The files that hold rows, sorted by name, with numbers in names in numeric order.
     notes : tuple of str
-        Which files were left out, and which are missing, as sentences.
+        Sentences for the user about files that are left out, and files that are missing.
     """
 
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()
 
 
-class _Found(NamedTuple):
+class _ParquetFile(NamedTuple):
     path: Path
     log: CommitLog | None
-    below: Parts  # from the folder of the log
+    below: Parts  # its path from the folder of the log
 
     @property
     def counts(self) -> bool:
@@ -44,10 +44,11 @@ class _Found(NamedTuple):
 
 
 def parquet_files(folder: Path) -> Listing:
-    """List the Parquet files of a folder, at any depth, that count.
+    """List the Parquet files of a folder, at any depth, that hold its rows.
 
-    What begins with `_` or `.` is not data. Where a stream of Spark, Delta, or a job of becalm keeps a log in the
-    folder, in one that it is a partition of, or in one inside of it, only files that this log names do.
+    Names that begin with `_` or `.` are not data. A log may be in the folder, in the table of which the folder is a
+    partition, or in a folder inside. If Spark, Delta or a job of becalm keeps such a log, only the files that it names
+    count.
 
     Raises
     ------
@@ -55,37 +56,37 @@ def parquet_files(folder: Path) -> Listing:
         If the folder or a log cannot be read, or no file counts.
     """
     log, under = _log_above(folder)
-    found = list(_walked(folder, log, under))
+    found = list(_walk(folder, log, under))
     files = sorted((one.path for one in found if one.counts), key=lambda path: natural(path.relative_to(folder)))
     if not files:
-        raise _nothing(folder, [one for one in found if one.log is not None])
+        raise _no_files_error(folder, [one for one in found if one.log is not None])
     logs = {one.log: () if one.log is not log else under for one in found if one.log is not None}
     return Listing(tuple(files), tuple(note for one in logs.items() for note in _notes(*one, found)))
 
 
 def is_partition(name: str) -> bool:
-    """Whether a folder is called as those that tables are split into: `key=value`."""
+    """Return whether a folder's name is that of a partition of a table: `key=value`."""
     return _PARTITION.fullmatch(name) is not None
 
 
 def is_hidden(name: str) -> bool:
-    """Whether a file or folder is no data by its name, as Spark has it: `_id=17` is a partition."""
+    """Return whether a name marks a file or folder as not data, by the rules of Spark: `_id=17` is a partition."""
     return name.startswith(".") or (name.startswith("_") and not is_partition(name))
 
 
 def natural(path: Path) -> list[list[str | int]]:
-    """Return what orders paths as people do: `part-2` before `part-10`."""
+    """Return a key that sorts paths with numbers in numeric order: `part-2` before `part-10`."""
     return [
         [int(bit) if bit.isascii() and bit.isdecimal() else bit for bit in re.split(r"([0-9]+)", part)]
         for part in path.parts
     ]
 
 
-def _nothing(folder: Path, unnamed: list[_Found]) -> InputError:
+def _no_files_error(folder: Path, unnamed: list[_ParquetFile]) -> InputError:
     if unnamed and (log := unnamed[0].log):
         return InputError(
-            f"{folder} holds no Parquet file that the log of {log.root} names: what is in it was never finished, or"
-            " was replaced since."
+            f"{folder} holds no Parquet file that the log of {log.root} names: its files were never finished, or were"
+            " replaced since."
         )
     return InputError(
         f"{folder} is a directory; give the path of one file in it, or of a folder with Parquet files, which is read as"
@@ -93,26 +94,26 @@ def _nothing(folder: Path, unnamed: list[_Found]) -> InputError:
     )
 
 
-def _notes(log: CommitLog, under: Parts, found: list[_Found]) -> Iterator[str]:
+def _notes(log: CommitLog, under: Parts, found: list[_ParquetFile]) -> Iterator[str]:
     own = [one for one in found if one.log is log]
     if unnamed := [one for one in own if not one.counts]:
         yield (
-            f"{_files(len(unnamed))} that the log of {log.root} does not name, as {unnamed[0].path.name}, left out:"
-            " never finished, or replaced since."
+            f"{_files_are(len(unnamed))} left out that the log of {log.root} does not name, such as"
+            f" {unnamed[0].path.name}: never finished, or replaced since."
         )
     if missing := log.missing({one.below for one in own if one.counts}, under):
         yield (
-            f"{_files(len(missing))} that the log of {log.root} names, as {'/'.join(missing[0])}, not there: the rows"
-            " in them are missing."
+            f"{_files_are(len(missing))} missing that the log of {log.root} names, such as {'/'.join(missing[0])}: the"
+            " rows in them are missing."
         )
 
 
-def _files(count: int) -> str:
-    return "One file" if count == 1 else f"{count:,} files"
+def _files_are(count: int) -> str:
+    return "One file is" if count == 1 else f"{count:,} files are"
 
 
 def _log_above(folder: Path) -> tuple[CommitLog | None, Parts]:
-    """Find the log that is in a folder, or in one that it is a partition of, and the path from there."""
+    """Return the log of a folder, or of the table of which it is a partition, and the path from there to the folder."""
     if log := log_of(folder):
         return log, ()
     place, under = folder.resolve(), tuple[str, ...]()
@@ -129,13 +130,13 @@ class _Place(NamedTuple):
     below: Parts
 
 
-def _walked(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Found]:
-    """Give the Parquet files of a folder and of those in it; none twice, wherever links lead to.
+def _walk(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_ParquetFile]:
+    """Yield the Parquet files of a folder and of its subfolders, each file once even if links lead to it.
 
-    Links are followed in the end, so that folders and files are found under their own names.
+    Links are followed last, so that a folder or file is listed under its own name rather than under that of a link.
     """
     seen, left = set[Path](), deque([_Place(folder, log, below)])
-    links, linked = deque[_Place](), list[_Found]()
+    links, linked = deque[_Place](), list[_ParquetFile]()
     while left or links:
         place = left.popleft() if left else links.popleft()
         if (real := place.path.resolve()) in seen:
@@ -149,24 +150,24 @@ def _walked(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Foun
                 own = log_of(path)
                 (links if path.is_symlink() else left).append(_Place(path, own or place.log, () if own else deeper))
             elif _is_parquet(path):
-                found = _Found(path, place.log, deeper)
+                file = _ParquetFile(path, place.log, deeper)
                 if path.is_symlink():
-                    linked.append(found)
+                    linked.append(file)
                 else:
                     seen.add(real / path.name)
-                    yield found
-    for found in linked:
-        if (real := found.path.resolve()) not in seen:
+                    yield file
+    for file in linked:
+        if (real := file.path.resolve()) not in seen:
             seen.add(real)
-            yield found
+            yield file
 
 
 def _is_parquet(path: Path) -> bool:
-    """Whether a file is called Parquet, or is it by its first bytes, as Hive's is, whose name has no ending."""
+    """Return whether a file is Parquet by the ending of its name or, as Hive writes names without one, its content."""
     named = path.name.lower().endswith(ENDINGS)
     with told(path):
         if named:
-            return path.is_file() or not path.exists()  # who reads a link that leads nowhere will say so
+            return path.is_file() or not path.exists()  # the reader reports a link to a missing file
         if not path.is_file():
             return False
         with path.open("rb") as file:

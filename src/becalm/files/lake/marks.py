@@ -1,4 +1,4 @@
-"""The mark that a fleet's job writes beside a sensor's output when all of it is there: which files it is made of."""
+"""Read the mark that a fleet job writes next to the complete output of a sensor; it lists the output's files."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from becalm.errors import InputError
 from becalm.files.decoding import told
 
 MARK = "becalm.json"
-"""Ends its name: `_becalm.json` in the folder of a sensor, or `_NAME.becalm.json` of one that is one file."""
+"""The end of a mark's name: `_becalm.json` in the folder of a sensor, `_NAME.becalm.json` next to a single file."""
 
 NAME = f"_{MARK}"
 """The mark of a folder."""
 
 FILES = "files"
-"""What lists them in it, by their paths from there."""
+"""The key of the list of files in a mark; paths are relative to the mark's folder."""
 
 
 def marked_files(root: Path) -> set[tuple[str, ...]]:
-    """Return the files of a finished output, each as the parts of its path from its folder.
+    """Return the files of a complete output, each as the parts of its path from `root`.
 
     Parameters
     ----------
     root : Path
-        The folder that the mark is in.
+        The folder of the mark.
 
     Raises
     ------

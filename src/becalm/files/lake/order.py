@@ -1,4 +1,4 @@
-"""The order of files of one recording: by the first stamp in each, whatever they are called."""
+"""Sort the files of a recording by the first time stamp in each, whatever their names."""
 
 from __future__ import annotations
 
@@ -18,45 +18,47 @@ from becalm.files.timing.time_column import NUMBERS, TEMPORAL, find_time, kind_o
 
 
 def order_of_time(tables: Sequence[RawTable]) -> list[int]:
-    """Sort tables of the same columns by the first time in each; of each only its first rows are read.
+    """Return the order of tables with the same columns by the first time in each; only their first rows are read.
 
-    They stay as they came where no column tells the time, or only the time of day, or a counter that starts again from
-    zero between them; so do those of equal times.
+    Tables keep their order if they have no time column, if their times are only times of day, or if their time is a
+    counter that wraps between them. Tables with equal times keep their order too.
 
     Parameters
     ----------
     tables : sequence of RawTable
-        One or more, none without rows.
+        One table or more, each with rows.
 
     Returns
     -------
     list of int
-        Which table comes where, counted from 0.
+        The numbers of the tables, counted from 0, in the order of time.
     """
     longest = max(tables, key=lambda table: table.count)
-    found = find_time(replace(longest, count=min(longest.count, HEAD_ROWS)))
-    if not found:
+    candidates = find_time(replace(longest, count=min(longest.count, HEAD_ROWS)))
+    if not candidates:
         return [*range(len(tables))]
-    kinds = [kind_of_column(longest.head.column(name)) for name in found[0]]
-    firsts = [pa.chunked_array(of_all) for of_all in zip(*[_first(t, found[0], kinds) for t in tables], strict=True)]
-    times = _times(dict(zip(found[0], firsts, strict=True)), kinds)
-    if kinds == [NUMBERS] and _wraps(tables, found[0][0], numbers(firsts[0])):
+    columns = candidates[0]
+    kinds = [kind_of_column(longest.head.column(name)) for name in columns]
+    cells = [_first_time(table, columns, kinds) for table in tables]
+    firsts = [pa.chunked_array(of_all_tables) for of_all_tables in zip(*cells, strict=True)]
+    times = _times(dict(zip(columns, firsts, strict=True)), kinds)
+    if kinds == [NUMBERS] and _wraps(tables, columns[0], numbers(firsts[0])):
         times = None
     order: list[int] = [*range(len(tables))] if times is None else pc.sort_indices(times).to_pylist()
     return order
 
 
-def _first(table: RawTable, columns: tuple[str, ...], kinds: Sequence[str]) -> list[pa.Array]:
-    """Return the cells of the first row in which all of the time is told, (1,) each; nulls where there is none."""
+def _first_time(table: RawTable, columns: tuple[str, ...], kinds: Sequence[str]) -> list[pa.Array]:
+    """Return the cells of the first row whose time columns are all present, (1,) each; nulls if there is none."""
     for block in table.blocks(columns, most_rows=HEAD_ROWS):
-        told = [_told(column, kind) for column, kind in zip(block.columns, kinds, strict=True)]
-        if (both := np.logical_and.reduce(told)).any():
-            return [column.slice(int(both.argmax()), 1).combine_chunks() for column in block.columns]
+        present = [_present(column, kind) for column, kind in zip(block.columns, kinds, strict=True)]
+        if (complete := np.logical_and.reduce(present)).any():
+            return [column.slice(int(complete.argmax()), 1).combine_chunks() for column in block.columns]
     return [pa.nulls(1, table.type_of(name)) for name in columns]
 
 
-def _told(column: pa.ChunkedArray, kind: str) -> Booleans:
-    """Say in which rows a column tells a time, (n,)."""
+def _present(column: pa.ChunkedArray, kind: str) -> Booleans:
+    """Return a mask (n,) of the rows in which a time column has a value."""
     if kind == NUMBERS:
         return np.isfinite(numbers(column))
     if kind == TEMPORAL:
@@ -65,27 +67,28 @@ def _told(column: pa.ChunkedArray, kind: str) -> Booleans:
 
 
 def _times(firsts: Mapping[str, pa.ChunkedArray], kinds: Sequence[str]) -> pa.Array | None:
-    """Return for each row what grows with its time, (n,); None where only the time of day is told, or nothing."""
+    """Return a value for each row that grows with its time, (n,); None if there is no date, or it is ambiguous."""
     only = next(iter(firsts.values()))
     if kinds in ([NUMBERS], [TEMPORAL]):
         return None if pa.types.is_time(only.type) else only
     if kinds == [clock.TIME_OF_DAY]:
         return None
     try:
-        read = [instants_of(*one) for one in zip(firsts, kinds, firsts.values(), strict=True)]
-    except TimeError:  # whether day or month comes first, only all of the rows tell
+        instants = [instants_of(*one) for one in zip(firsts, kinds, firsts.values(), strict=True)]
+    except TimeError:  # the first rows alone do not show whether the day or the month comes first
         return None
-    return pa.array(np.sum([one.ns for one in read], axis=0), mask=np.any([one.missing for one in read], axis=0))
+    ns, missing = [one.ns for one in instants], [one.missing for one in instants]
+    return pa.array(np.sum(ns, axis=0), mask=np.any(missing, axis=0))
 
 
 def instants_of(name: str, kind: str, column: pa.ChunkedArray) -> clock.Instants:
-    """Read times as text, those of day within their day."""
-    read = next(clock.ClockReader(name, kind, lambda: [column]).blocks())
-    return replace(read, ns=read.ns % clock.DAY_NS) if kind == clock.TIME_OF_DAY else read
+    """Read times from text; a time of day is given in nanoseconds since its own midnight."""
+    instants = next(clock.ClockReader(name, kind, lambda: [column]).blocks())
+    return replace(instants, ns=instants.ns % clock.DAY_NS) if kind == clock.TIME_OF_DAY else instants
 
 
 def _wraps(tables: Sequence[RawTable], name: str, firsts: Floats) -> bool:
-    """Whether a counter is seen to start again from zero, where the first stamps of tables as they came fall."""
+    """Return whether a counter wraps between the first two tables, in the given order, whose first stamps fall."""
     falls = np.flatnonzero(np.diff(firsts) < 0.0)
     if not len(falls):
         return False

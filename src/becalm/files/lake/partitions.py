@@ -1,4 +1,4 @@
-"""What the folders of a table tell: `sensor=17/date=2026-01-02`; one recording is of one sensor."""
+"""Find the sensor of a file by its partition folders, such as `sensor=17/date=2026-01-02`."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from becalm.files.lake.listing import is_partition
 _TIME = re.compile(
     r"(?:.*_)?(?:year|yr|quarter|month|week|day|date|datetime|dt|ds|hour|hr|minute|second|time|timestamp|ts)", re.DOTALL
 )
-"""Keys that tell when rows were: `date`, `event_date`, `eventDate`."""
+"""Keys of partitions by time: `date`, `event_date`, `eventDate`."""
 
 _HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
 
 
 def refuse_several(folder: Path, files: Iterable[Path]) -> None:
-    """Refuse files of several sensors: of partitions that differ in more than time.
+    """Refuse files of several sensors, that is of partitions that differ in more than time.
 
     Parameters
     ----------
     folder : Path
-        That they are in.
+        The folder of the files.
     files : iterable of Path
-        In any order.
+        The files, in any order.
 
     Raises
     ------
     InputError
-        If there are several; two are named, and what to type.
+        If there are several sensors; the message names two and says what to type.
     """
     sensors: dict[tuple[str, ...], Path] = {}
     for path in files:
@@ -39,25 +39,25 @@ def refuse_several(folder: Path, files: Iterable[Path]) -> None:
         sensors.setdefault(sensor_of(place), place)
     if len(sensors) < 2:
         return
-    told = ["/".join(sensor) or "files of none" for sensor in sensors]
-    more = f" and {len(told) - 2:,} more" if len(told) > 2 else ""
+    names = ["/".join(sensor) or "files of none" for sensor in sensors]
+    more = f" and {len(names) - 2:,} more" if len(names) > 2 else ""
     one = next(sensor for sensor in sensors if sensor)
     raise InputError(
-        f"{folder} holds several: {told[0]}, {told[1]}{more}; name one: becalm clean"
-        f" {quote(str(folder / _up_to(one[-1], sensors[one])))} -o OUT.parquet, or all of them with: becalm fleet clean"
-        f" {quote(str(folder))} -o OUT"
+        f"{folder} holds several sensors: {names[0]}, {names[1]}{more}; name one: becalm clean"
+        f" {quote(str(folder / _path_up_to(one[-1], sensors[one])))} -o OUT.parquet, or all of them with: becalm fleet"
+        f" clean {quote(str(folder))} -o OUT"
     )
 
 
 def sensor_of(place: Path) -> tuple[str, ...]:
-    """Return the parts of a path that tell of which sensor the files in it are: partitions by all but time."""
+    """Return the parts of a path that identify the sensor of its files: its partitions except those by time."""
     return tuple(part for part in place.parts if is_partition(part) and not tells_time(part))
 
 
 def tells_time(part: str) -> bool:
-    """Tell whether a partition is by time: `date=2026-01-02`, and not `sensor=17`."""
+    """Return whether a partition is by time: `date=2026-01-02`, and not `sensor=17`."""
     return _TIME.fullmatch(_HUMP.sub("_", part.partition("=")[0]).lower()) is not None
 
 
-def _up_to(last: str, place: Path) -> Path:
+def _path_up_to(last: str, place: Path) -> Path:
     return Path(*place.parts[: place.parts.index(last) + 1])

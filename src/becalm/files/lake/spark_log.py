@@ -1,4 +1,4 @@
-"""The log of a stream that Spark wrote: only files that it names were committed."""
+"""Read the log of a Spark stream, which names the files that were committed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from becalm.errors import InputError
 from becalm.files.decoding import told
 
 NAME = "_spark_metadata"
-"""The folder that holds it, in the folder that the stream writes to."""
+"""The folder of the log, in the folder that the stream writes to."""
 
 _BATCH = re.compile(r"([0-9]+)(\.compact)?")
 _VERSION = "v1"
@@ -24,7 +24,7 @@ def committed_files(root: Path) -> set[tuple[str, ...]]:
     Parameters
     ----------
     root : Path
-        The folder that the stream writes to, whose log may be where a copy of it is now.
+        The folder that the stream writes to, or a copy of it.
 
     Raises
     ------
@@ -42,17 +42,16 @@ def committed_files(root: Path) -> set[tuple[str, ...]]:
 
 
 def _batches(log: Path) -> list[Path]:
-    """List the batches to read, in order: the last one that holds all before it, and those after it."""
+    """Return the batches to read, in order: the last compacted batch, which includes all before it, and later ones."""
     with told(log):
         names = [path.name for path in log.iterdir()]
-    found = [(int(match[1]), bool(match[2])) for match in map(_BATCH.fullmatch, names) if match]
-    start = max((number for number, compact in found if compact), default=None)
-    plain = {number for number, compact in found if not compact and (start is None or number > start)}
+    batches = [(int(match[1]), bool(match[2])) for match in map(_BATCH.fullmatch, names) if match]
+    start = max((number for number, compact in batches if compact), default=None)
+    plain = {number for number, compact in batches if not compact and (start is None or number > start)}
     first = 0 if start is None else start + 1
     if missing := set(range(first, max(plain, default=first - 1))) - plain:
         raise InputError(
-            f"{log} lacks the batch {min(missing)}, so that it does not tell which files were committed; copy all of it"
-            " again."
+            f"{log} lacks the batch {min(missing)}, so the list of committed files is incomplete; copy all of it again."
         )
     return ([] if start is None else [log / f"{start}.compact"]) + [log / str(number) for number in sorted(plain)]
 
@@ -61,13 +60,13 @@ def _entries(batch: Path) -> Iterator[tuple[tuple[str, ...], str]]:
     with told(batch):
         lines = batch.read_text(encoding="utf-8").splitlines()
     if lines[:1] != [_VERSION]:
-        said = f"begins with {lines[0][:20]!r}" if lines else "is empty"
-        raise InputError(f"{batch} {said}, and not with {_VERSION!r} as the log of a stream does; copy it again.")
+        problem = f"begins with {lines[0][:20]!r}" if lines else "is empty"
+        raise InputError(f"{batch} {problem}; the log of a stream begins with {_VERSION!r}. Copy it again.")
     for line in lines[1:]:
         try:
             entry = json.loads(line)
             uri, action = entry["path"], entry["action"]
             path = PurePosixPath(unquote(urlsplit(uri).path, errors="surrogateescape"))
         except (ValueError, TypeError, KeyError, AttributeError) as cause:
-            raise InputError(f"{batch} is damaged: {line[:60]!r} names no file; copy it again.") from cause
+            raise InputError(f"{batch} is damaged: {line[:60]!r} does not name a file; copy it again.") from cause
         yield path.parts, action

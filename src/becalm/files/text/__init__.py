@@ -1,1 +1,1 @@
-"""What text says: cells as numbers, headers as names and units, and what cannot be understood."""
+"""Parse the cells and headers of text files, and report cells that cannot be parsed."""

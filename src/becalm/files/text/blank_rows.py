@@ -1,4 +1,4 @@
-"""Rows of nothing but separators, which some loggers leave at the end of a text."""
+"""Leave out rows of only separators, which some loggers write at the end of a text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ from becalm.files.source import RawTable
 
 
 def without_blank_end(raw: RawTable, found: list[tuple[str, ...]]) -> int:
-    """Return how many rows there are without blank ones at the end of a text file, if it has a time to tell them by."""
+    """Return the number of rows without blank rows at the end; only for text files with a time column.
+
+    Parameters
+    ----------
+    raw : RawTable
+        The file.
+    found : list of tuple of str
+        The candidates for the time from `find_time`; if there are none, all rows count.
+    """
     rows = raw.count
     if raw.format != "csv" or not found:
         return rows

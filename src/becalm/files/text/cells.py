@@ -1,4 +1,4 @@
-"""What a cell of text holds: a number, a time, nothing, or words."""
+"""Classify cells of text as numbers, times, missing values or words, and convert them to numbers."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from becalm.core.arrays import Booleans
 _SPELLED = ("NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "Null", "None", "#N/A", "#NA", "-", "--", "---")
 _NOT_A_NUMBER = ("-nan", "-NaN", "+nan", "-nan(ind)", "nan(ind)", "1.#QNAN", "-1.#IND", "1.#IND")
 MISSING: tuple[str, ...] = ("", *_SPELLED, *_NOT_A_NUMBER)
-"""Cells that stand for a reading that is not there."""
+"""Cells that stand for a missing measurement."""
 
 _TAIL = r"(?:[eE][+-]?[0-9]+)?"
 _ENDLESS = r"[iI][nN][fF](?:[iI][nN][iI][tT][yY])?"
 POINT = rf"^\s*[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+){_TAIL}|{_ENDLESS})\s*$"
 COMMA = rf"^\s*[+-]?(?:(?:[0-9]+(?:,[0-9]+)?|,[0-9]+){_TAIL}|{_ENDLESS})\s*$"
-"""Numbers with a decimal point and with a decimal comma; understood alike by `re` and by RE2."""
+"""Patterns of numbers with a decimal point and with a decimal comma; they mean the same to `re` and to RE2."""
 
 THOUSANDS = {
     ".": r"^\s*[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+\s*$",
     ",": r"^\s*[+-]?[0-9]{1,3}(?:\.[0-9]{3})+,[0-9]+\s*$",
 }
-"""Numbers that show both signs, so that one must part thousands, by their decimal sign."""
+"""Patterns of numbers with both point and comma, of which one separates thousands, by their decimal separator."""
 
 _DATE_LIKE = r"\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3})[-/.]\d{1,4}"
 _CLOCK_LIKE = (
@@ -43,19 +43,19 @@ NUMBER, TIME, GONE, WORDS = "number", "time", "missing", "words"
 
 
 def split(line: str, separator: str) -> list[str]:
-    """Cut a line into cells; " " stands for runs of spaces, "" for one cell."""
+    """Split a line into cells; the separator " " stands for runs of spaces, "" for a line of one cell."""
     if separator == " ":
         return line.split()
     if separator == "":
         return [line.strip().strip('"')]
     try:
         return next(csv.reader([line], delimiter=separator), [])
-    except csv.Error:  # a cell beyond the module's limit: no table has such
+    except csv.Error:  # the cell exceeds the length limit of the csv module, so this is not a table
         return [line]
 
 
 def kind_of(cell: str) -> str:
-    """Tell what one cell holds, with either decimal sign."""
+    """Return the kind of a cell; numbers may have either decimal separator."""
     if cell.strip() in _MISSING:
         return GONE
     if _POINT.match(cell) or _COMMA.match(cell) or any(one.match(cell) for one in _THOUSANDS.values()):
@@ -64,71 +64,72 @@ def kind_of(cell: str) -> str:
 
 
 def decimal_of(cell: str) -> str:
-    """Return the decimal sign that a number shows, "" for whole numbers and all else."""
+    """Return the decimal separator of a number, "" for whole numbers and other cells."""
     if "." in cell and (_POINT.match(cell) or _THOUSANDS["."].match(cell)):
         return "."
     return "," if "," in cell and (_COMMA.match(cell) or _THOUSANDS[","].match(cell)) else ""
 
 
 def is_row(line: str, separator: str, kinds: Sequence[str]) -> bool:
-    """Tell whether a line has cells enough for a row, and numbers and times where they are needed.
+    """Return whether a line has enough cells for a row, and numbers and times in most of the columns that need them.
 
-    Separators within its cells are counted as well: nobody knows which of its quotes are strays.
+    Quotes are ignored, because any of them may be a stray: separators within quotes count too.
 
     Parameters
     ----------
     line : str
-        Part of a text, without its line end.
+        A line of text without its line end.
     separator : str
-        As in `Dialect`.
+        The separator, as in `Dialect`.
     kinds : sequence of str
-        What each column holds.
+        The kind of each column.
     """
     cells = [cell.strip('" \t') for cell in (line.split(separator or "\x1f") if line else ())]
     width = len(kinds)
     if len(cells) < width:
         return False
     signals = (column for column, kind in enumerate(kinds) if kind in (NUMBER, TIME))
-    found = [{kind_of(cells[column]), kind_of(cells[column - width])} for column in signals]
-    return 2 * found.count({WORDS}) <= len(found)
+    # With extra separators, a column is tested at its place from the left and from the right.
+    cell_kinds = [{kind_of(cells[column]), kind_of(cells[column - width])} for column in signals]
+    return 2 * cell_kinds.count({WORDS}) <= len(cell_kinds)
 
 
 def is_left_open(line: str, separator: str) -> bool:
-    """Tell whether a quoted cell begins in a line and does not end in it."""
+    """Return whether a quoted cell begins in a line and does not end in it."""
     try:
         return len(list(csv.reader([line + "\n", "next"], delimiter=separator or "\x1f"))) == 1
-    except csv.Error:  # a cell beyond the module's limit
+    except csv.Error:  # the cell exceeds the length limit of the csv module
         return False
 
 
 def to_numbers(text: pa.Array, decimal: str) -> tuple[pa.Array, Booleans]:
-    """Read a column of text as numbers.
+    """Convert a column of text to numbers.
 
     Parameters
     ----------
     text : pyarrow.Array of str
         The cells.
     decimal : str
-        "." or ",".
+        The decimal separator, "." or ",".
 
     Returns
     -------
     pyarrow.Array of float64
-        The numbers, null where a cell is missing or no number.
+        The numbers, null where a cell is missing or is not a number.
     (N,) bool array
         True where a cell is neither a number nor missing.
     """
     trimmed = pc.utf8_trim_whitespace(text.cast(pa.string()))
-    parted = pc.match_substring_regex(trimmed, THOUSANDS["," if decimal == "," else "."])
-    if pc.any(parted).as_py():
-        whole = pc.replace_substring(trimmed, "." if decimal == "," else ",", "")
-        trimmed = pc.if_else(parted, whole, trimmed)
-    gone = pc.fill_null(pc.is_in(trimmed, value_set=pa.array(MISSING)), True)
+    has_thousands = pc.match_substring_regex(trimmed, THOUSANDS["," if decimal == "," else "."])
+    if pc.any(has_thousands).as_py():
+        joined = pc.replace_substring(trimmed, "." if decimal == "," else ",", "")
+        trimmed = pc.if_else(has_thousands, joined, trimmed)
+    missing = pc.fill_null(pc.is_in(trimmed, value_set=pa.array(MISSING)), True)
     fits = pc.fill_null(pc.match_substring_regex(trimmed, COMMA if decimal == "," else POINT), False)
     plain = pc.replace_substring_regex(trimmed, r"^\+", "")
     if decimal == ",":
         plain = pc.replace_substring(plain, ",", ".")
-    readable = pc.and_(fits, pc.invert(gone))
+    readable = pc.and_(fits, pc.invert(missing))
     numbers = pc.if_else(readable, plain, pa.scalar(None, pa.string())).cast(pa.float64())
-    bad = ~(np.asarray(gone) | np.asarray(fits))
+    bad = ~(np.asarray(missing) | np.asarray(fits))
     return numbers, bad

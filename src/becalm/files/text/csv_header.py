@@ -1,4 +1,4 @@
-"""Names and units above the rows of a CSV file."""
+"""Find the names and units of columns in the lines above the rows of a CSV file."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ _COMMENT = ("#", "%", "//")
 
 @dataclass(frozen=True)
 class Header:
-    """What stands above the rows.
+    """The header of a table.
 
     Attributes
     ----------
     names : tuple of str
-        One for each column, "" where none is given.
+        A name for each column, "" if the file gives none.
     units : tuple of str
-        From a row of units, "" where none is given.
+        A unit for each column from a row of units, "" if the file gives none.
     rows : int
-        Rows of names and units.
+        Number of rows of names and units.
     skipped : int
-        Other lines above the data that are not blank.
+        Number of other lines above the data that are not blank.
     given : int
-        How many cells the row of names has; 0 for no header.
+        Number of cells in the row of names; 0 if there is no header.
     fits : bool
-        Whether that is one a column; columns at the right that hold nothing need none.
+        Whether there is one name per column; empty columns at the right need no name.
     rate_hz : float, optional
-        Of the rows, where the lines above tell it.
+        The sample rate in Hz, if the lines above the data give it.
     """
 
     names: tuple[str, ...]
@@ -52,28 +52,28 @@ def find_header(above: Sequence[str], start: int, separator: str, kinds: tuple[s
     above : sequence of str
         All lines above the first row of data.
     start : int
-        Lines at the top that are known to be no header (`sep=;`).
+        Number of lines at the top that are not part of the header (`sep=;`).
     separator : str
-        Between two cells.
+        The separator between two cells.
     kinds : tuple of str
-        What each column holds.
+        The kind of each column.
     """
     width = len(kinds)
     filled = [number for number in range(start, len(above)) if above[number].strip()]
     plain = [number for number in filled if not above[number].strip().startswith(_COMMENT)]
-    rows = [_filled(_cut(above[number], separator, width), kinds) for number in plain]
+    rows = [_with_blank_names(_cells(above[number], separator, width), kinds) for number in plain]
     if not rows or (width > 1 and len(rows[-1]) < 2 and rows[-1] != [""]):
-        rows = _commented(above, filled, separator, width)
+        rows = _names_in_comment(above, filled, separator, width)
     if not rows:
         return Header(("",) * width, ("",) * width, 0, len(filled) + start, 0)
-    if known := logger_header([_cut(above[number], separator, width) for number in plain] or rows, width):
-        return _header(known.names, known.units, known.used, (len(filled) + start, width))
+    if logger := logger_header([_cells(above[number], separator, width) for number in plain] or rows, width):
+        return _header(logger.names, logger.units, logger.used, (len(filled) + start, width))
     together = next((back for back in range(1, len(plain)) if plain[-back] - plain[-back - 1] > 1), len(plain))
     return _read(rows, kinds, len(filled) + start, together)
 
 
 def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Give every column a name of its own: `column_3` where there is none, `x_2` for a second `x`."""
+    """Return unique names: `column_3` for a column without a name, `x_2` for a second `x`."""
     taken = set(names)
     used: set[str] = set()
     out = []
@@ -96,45 +96,45 @@ def _read(rows: list[list[str]], kinds: tuple[str, ...], lines: int, together: i
     if len(rows) > 1 and _are_units(rows[-1]) and len(rows[-1]) == len(rows[-2]) == width:
         units = [tidy_unit(cell) for cell in rows.pop()]
         used += 1
-    elif len(rows) > 1 and _are_above(rows[-2], rows[-1], width):
+    elif len(rows) > 1 and _are_units_above(rows[-2], rows[-1], width):
         units = [tidy_unit(cell) for cell in rows.pop(-2)]
         used += 1
     names = rows[-1]
-    two_storeys = together > used and len(rows) > 1 and len(rows[-2]) == len(names) == width
-    if two_storeys and _belong_together(rows[-2], names, len(rows) == 2):
+    maybe_two_rows = together > used and len(rows) > 1 and len(rows[-2]) == len(names) == width
+    if maybe_two_rows and _belong_together(rows[-2], names, len(rows) == 2):
         names = [_joined(upper, lower) for upper, lower in zip(rows[-2], names, strict=True)]
         used += 1
     return _header(names, units, used, (lines, width))
 
 
 def _header(names: Sequence[str], units: Sequence[str], used: int, size: tuple[int, int]) -> Header:
-    """Put a header together; `size`: lines above the table that are not blank, and its columns."""
+    """Return a header; `size` is the number of lines above the table that are not blank, and the number of columns."""
     lines, width = size
     padded = tuple(_padded(names, width)), tuple(_padded(units, width))
     return Header(*padded, used, lines - used, len(names), len(names) == width)
 
 
-def _cut(line: str, separator: str, width: int) -> list[str]:
+def _cells(line: str, separator: str, width: int) -> list[str]:
     cells = [cell.strip() for cell in split(line, separator)]
     while len(cells) > width and not cells[-1]:
         cells.pop()
     return cells
 
 
-def _filled(cells: list[str], kinds: Sequence[str]) -> list[str]:
-    """Add blank cells where the columns at the right hold nothing: trailing separators make them."""
+def _with_blank_names(cells: list[str], kinds: Sequence[str]) -> list[str]:
+    """Add blank names for empty columns at the right, which trailing separators create."""
     empty = all(kind == GONE for kind in kinds[len(cells) :])
     return _padded(cells, len(kinds)) if len(cells) > 1 and empty else cells
 
 
-def _commented(above: Sequence[str], filled: Sequence[int], separator: str, width: int) -> list[list[str]]:
-    """Names behind a `#` in the line right above the data, as numpy writes them."""
+def _names_in_comment(above: Sequence[str], filled: Sequence[int], separator: str, width: int) -> list[list[str]]:
+    """Return the names in a comment right above the data, as numpy writes them after a `#`."""
     if not filled:
         return []
     last = above[filled[-1]].strip()
     if not last.startswith(_COMMENT):
         return []
-    cells = _cut(last.lstrip("#%/").strip(), separator, width)
+    cells = _cells(last.lstrip("#%/").strip(), separator, width)
     named = len(cells) == width or (len(cells) == width + 1 and cells[0] == "Headers")
     return [cells] if named and not any(kind_of(cell) == NUMBER for cell in cells) else []
 
@@ -144,13 +144,13 @@ def _are_units(row: Sequence[str]) -> bool:
     return bool(filled) and any(cell not in ("-", "--") for cell in filled) and all(map(looks_like_unit, filled))
 
 
-def _are_above(upper: Sequence[str], names: Sequence[str], width: int) -> bool:
-    """Tell whether units stand above the names, all different."""
+def _are_units_above(upper: Sequence[str], names: Sequence[str], width: int) -> bool:
+    """Return whether a row of units is above a row of names, and the names are all different."""
     return len(upper) == len(names) == width == len(set(names)) and _are_units(upper) and not _are_units(names)
 
 
 def _belong_together(upper: Sequence[str], lower: Sequence[str], at_top: bool) -> bool:
-    """Tell whether two rows are one header in two storeys, and not a note above a header."""
+    """Return whether two rows together make the names, instead of a note above a row of names."""
     repeated = max(Counter(cell for cell in lower if cell).values(), default=0) > 1
     if repeated or any(kind_of(cell) == NUMBER for cell in upper):  # a note has numbers: "Sample rate, 100"
         return repeated

@@ -1,4 +1,4 @@
-"""What stands above the rows of loggers and oscilloscopes that write a head of their own kind."""
+"""Read the special headers that some loggers and oscilloscopes write above the rows."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import NamedTuple
 from becalm.files.unit_spelling import tidy_unit
 
 _STATION, _LABVIEW, _X = "TOA5", "LabVIEW Measurement", "X_Value"
-_CAMPBELL_ROWS = 4  # the station, names, units, and what was stored of each
-_NO_UNITS = ("TS", "RN", "Sequence", "unix time")  # a stamp, and the number of the record
-_COMMENT = "Comment"  # a name above cells that rows without a comment leave out
-_DEVICE = re.compile(r"calc|[0-9]+: ?\w+")  # where a channel of RaceChrono comes from
-_STEP = re.compile(r"t(?:0|Inc)\s*=.*")  # in Rigol's row of names, above nothing
+_CAMPBELL_ROWS = 4  # the station, names, units, and how each value was processed
+_NO_UNITS = ("TS", "RN", "Sequence", "unix time")  # texts in the row of units of stamps and record numbers
+_COMMENT = "Comment"  # a name without a cell in rows that have no comment
+_DEVICE = re.compile(r"calc|[0-9]+: ?\w+")  # the source of a channel in files of RaceChrono
+_STEP = re.compile(r"t(?:0|Inc)\s*=.*")  # in Rigol's row of names, without cells below
 
 Rows = Sequence[Sequence[str]]
 
 
 class LoggerHeader(NamedTuple):
-    """Names and units of columns, and how many rows at the end of a head hold them."""
+    """Names and units of columns, and the number of rows at the end of a header that hold them."""
 
     names: list[str]
     units: list[str]
@@ -27,16 +27,16 @@ class LoggerHeader(NamedTuple):
 
 
 def logger_header(rows: Rows, width: int) -> LoggerHeader | None:
-    """Return what a head of a known kind says, None if no such logger wrote this.
+    """Return the names and units in the header of a known logger, None for other headers.
 
     Parameters
     ----------
     rows : sequence of sequence of str
         The cells of all lines above the data that are not blank.
     width : int
-        Columns of the table.
+        Number of columns of the table.
     """
-    return next((known for kind in _KINDS if (known := kind(rows, width))), None)
+    return next((header for kind in _KINDS if (header := kind(rows, width))), None)
 
 
 def _campbell(rows: Rows, width: int) -> LoggerHeader | None:
@@ -48,13 +48,13 @@ def _campbell(rows: Rows, width: int) -> LoggerHeader | None:
 def _labview(rows: Rows, width: int) -> LoggerHeader | None:
     if rows[0][0] != _LABVIEW:
         return None
-    told = {row[0]: row[1:] for row in rows}
+    entries = {row[0]: row[1:] for row in rows}
     names = list(rows[-1])
     if len(names) == width + 1 and names[-1] == _COMMENT:
         names.pop()
-    first = "s" if "Time" in told.get("X_Dimension", ()) else ""
-    left = iter(_units(told.get("Y_Unit_Label", ())))
-    return LoggerHeader(names, [first if name == _X else next(left, "") for name in names], 1)
+    first = "s" if "Time" in entries.get("X_Dimension", ()) else ""
+    units = iter(_units(entries.get("Y_Unit_Label", ())))
+    return LoggerHeader(names, [first if name == _X else next(units, "") for name in names], 1)
 
 
 def _racechrono(rows: Rows, width: int) -> LoggerHeader | None:
@@ -64,7 +64,7 @@ def _racechrono(rows: Rows, width: int) -> LoggerHeader | None:
 
 
 def _inca(rows: Rows, width: int) -> LoggerHeader | None:
-    """Return the names, and the units that stand below what numbers they were."""
+    """Read a header of INCA: the row of names begins with `time`, and the last row holds the units."""
     first = next((number for number, row in enumerate(rows) if row[0] == "time" and len(row) == width), 0)
     if not rows[0][0].startswith("ETASAsciiItem") or not first or len(rows[-1]) != width:
         return None
@@ -88,7 +88,7 @@ def _rigol(rows: Rows, width: int) -> LoggerHeader | None:
 
 
 def _gulf_coast(rows: Rows, width: int) -> LoggerHeader | None:
-    """Return what Gulf Coast Data Concepts call columns; their times are seconds."""
+    """Read a header of Gulf Coast Data Concepts; their times are in seconds."""
     if rows[-1][0] != "Headers" or len(rows[-1]) != width + 1:
         return None
     return LoggerHeader(list(rows[-1][1:]), ["s"] if rows[-1][1].lower() == "time" else [], 1)

@@ -1,1 +1,1 @@
-"""When rows were: the time column, what it says, and what loggers did to it."""
+"""Find the time of rows: choose the time column, read it, and correct what loggers do to it."""

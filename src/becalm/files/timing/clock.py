@@ -1,4 +1,4 @@
-"""Dates and times of day as text, read without being told the pattern."""
+"""Read dates and times of day from text whose format is not known in advance."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Instants:
     kind : str
         "date-time", "date" or "time of day".
     ns : (N,) int64 array
-        Nanoseconds since 1970 (UTC where a zone is given), or since the first midnight.
+        Nanoseconds since 1970 (UTC if a zone is given), or since the first midnight.
     missing : (N,) bool array
-        Where a cell is empty.
+        True where a cell is empty.
     zoned : bool
-        Whether the cells give a time zone.
+        Whether cells give a time zone.
     """
 
     kind: str
@@ -50,12 +50,12 @@ class Instants:
     zoned: bool = False
 
     def cut(self, start: int, stop: int | None) -> Instants:
-        """Return some of the rows."""
+        """Return the rows from `start` up to `stop`."""
         return Instants(self.kind, self.ns[start:stop], self.missing[start:stop], self.zoned)
 
 
 def kind_of_text(column: pa.ChunkedArray) -> str:
-    """Tell by the most of its first cells whether a column of text holds times; "" if not."""
+    """Return the kind of time that most of the first cells of a column of text hold; "" if they are not times."""
     some = [cell for cell in column.slice(0, 200).to_pylist() if cell and cell.strip()][:50]
     kinds = Counter(_kind_of_cell(cell) for cell in some)
     kind, count = kinds.most_common(1)[0] if kinds else ("", 0)
@@ -63,30 +63,30 @@ def kind_of_text(column: pa.ChunkedArray) -> str:
 
 
 def _kind_of_cell(cell: str) -> str:
-    found = _COMPILED.match(cell)
-    if not found:
+    match = _COMPILED.match(cell)
+    if not match:
         return ""
-    if found["a"] is None:
-        return TIME_OF_DAY if found["h"] is not None else ""
-    return DATE_TIME if found["h"] is not None else DATE
+    if match["a"] is None:
+        return TIME_OF_DAY if match["h"] is not None else ""
+    return DATE_TIME if match["h"] is not None else DATE
 
 
 class ClockReader:
-    """Reads a column of dates, times of day, or both, block by block.
+    """Read a column of dates, times of day, or both, block by block.
 
     Parameters
     ----------
     name : str
-        The column, for messages.
+        The name of the column, for messages.
     kind : str
-        What its first cells hold.
+        The kind of its first cells, from `kind_of_text`.
     column : callable
-        Gives the column in blocks; called for each pass.
+        Returns the column in blocks; it is called for each pass over the column.
 
     Raises
     ------
     TimeError
-        If a cell is no time, now or while the blocks are read, or day and month cannot be told apart.
+        If a cell is not a time, here or while blocks are read, or if day and month cannot be distinguished.
     """
 
     def __init__(self, name: str, kind: str, column: Callable[[], Iterable[pa.ChunkedArray]]) -> None:
@@ -99,27 +99,27 @@ class ClockReader:
             self._order = dates.order(name)
 
     def blocks(self) -> Iterator[Instants]:
-        """Read the column."""
+        """Yield the times of the column block by block."""
         midnights, row = Midnights(), 0
         for block in self._column():
             text, parts, missing = _parts(block)
-            broken = ~missing & np.asarray(pc.is_null(parts))
+            bad = ~missing & np.asarray(pc.is_null(parts))
             ns = np.zeros(len(text), np.int64)
             zones = _field(parts, "zone")
             if self._kind != TIME_OF_DAY:
-                days, wrong = _days(parts, ~missing & ~broken, self._order)
+                days, wrong = _days(parts, ~missing & ~bad, self._order)
                 ns += days * DAY_NS
-                broken |= wrong & ~missing
+                bad |= wrong & ~missing
             if self._kind != DATE:
                 clock, wrong = _time_of_day(parts)
                 ns += clock - _zone_ns(zones)
-                broken |= wrong & ~missing
-            if broken.any():
-                at = int(np.flatnonzero(broken)[0])
+                bad |= wrong & ~missing
+            if bad.any():
+                at = int(np.flatnonzero(bad)[0])
                 raise TimeError(
                     f"Row {row + at + 1} of the time column {self._name!r} holds {text[at].as_py()!r}, which is not a"
-                    f" {self._kind} as the rows before it. Mend the cell, name another column with --time, or count"
-                    " rows with --rate HZ."
+                    f" {self._kind} like the rows before it. Correct the cell, name another column with --time, or"
+                    " count rows with --rate HZ."
                 )
             if self._kind == TIME_OF_DAY:
                 ns = midnights.passed(ns, missing)
@@ -128,14 +128,14 @@ class ClockReader:
 
 
 def _parts(block: pa.ChunkedArray) -> tuple[pa.Array, pa.Array, Booleans]:
-    """Take the cells apart; also the cells, and where they are empty."""
+    """Return the cells as text, their parts by the names in `_PATTERN`, and a mask of empty cells."""
     text = block.combine_chunks().cast(pa.string())
     missing = np.asarray(pc.fill_null(pc.equal(pc.utf8_trim_whitespace(text), ""), True))
     return text, pc.extract_regex(text, _PATTERN), missing
 
 
 def _all_years_first(column: Iterable[pa.ChunkedArray]) -> bool:
-    """Tell whether all dates begin with a year of four digits, as nearly all do."""
+    """Return whether all dates begin with a year of four digits."""
     for block in column:
         first = pc.or_(pc.match_substring_regex(block, r"^\s*[0-9]{4}[-/.]"), pc.match_substring_regex(block, r"^\s*$"))
         if not pc.all(first, min_count=0).as_py():
@@ -148,13 +148,13 @@ def _field(parts: pa.Array, name: str) -> pa.Array:
 
 
 def _whole(text: pa.Array, empty: int = 0) -> Integers:
-    """Read whole numbers; `empty` where there is none."""
+    """Convert text to whole numbers; an empty text becomes `empty`."""
     filled = pc.if_else(pc.equal(text, ""), str(empty), text)
     return np.asarray(filled.cast(pa.int64()))
 
 
 class _Dates:
-    """What all dates of a column say about the order of day, month and year."""
+    """Collect from all dates of a column what they show about the order of day, month and year."""
 
     def __init__(self) -> None:
         self._some = self._named = self._day_wrong = self._month_wrong = False
@@ -164,7 +164,7 @@ class _Dates:
         self._last: int | None = None
 
     def add(self, parts: pa.Array, missing: Booleans) -> None:
-        """Look at the next dates."""
+        """Examine the next dates."""
         present = ~missing & ~np.asarray(pc.is_null(parts))
         year_first = np.asarray(pc.utf8_length(_field(parts, "a"))) == 4
         self._mark = self._mark or next((mark for mark in _field(parts, "mark").to_pylist() if mark), "")
@@ -183,13 +183,19 @@ class _Dates:
         self._last = last
 
     def order(self, name: str) -> str:
-        """Decide the order."""
+        """Return the order of day, month and year.
+
+        Raises
+        ------
+        TimeError
+            If both orders of day and month are possible and give different steps between rows.
+        """
         if self._first_years:
             return MIXED if self._last_years else YEAR_FIRST
         if self._named or not self._day_wrong:
             if self._named or self._month_wrong or self._mark == "." or self._same:
                 return DAY_FIRST
-            if self._halves:  # AM and PM are written where the month comes first
+            if self._halves:  # countries that write AM and PM put the month first
                 return MONTH_FIRST
             raise TimeError(
                 f"The dates in {name!r} can be read day first or month first, and the two differ. "
@@ -199,7 +205,7 @@ class _Dates:
 
 
 def _days(parts: pa.Array, present: Booleans, order: str) -> tuple[Integers, Booleans]:
-    """Days since 1970 and where the date does not exist."""
+    """Return days since 1970, and a mask of dates that do not exist."""
     first, last = _field(parts, "a"), _field(parts, "c")
     if not present.any():
         return np.zeros(len(first), np.int64), ~present
@@ -218,12 +224,12 @@ def _month_numbers(middle: pa.Array) -> tuple[pa.Array, bool]:
         return middle, False
     for number, month in enumerate(_MONTHS, start=1):
         lower = pc.if_else(pc.equal(lower, month), str(number), lower)
-    known = pc.match_substring_regex(lower, "^[0-9]*$")
-    return pc.if_else(known, lower, "0"), True
+    is_number = pc.match_substring_regex(lower, "^[0-9]*$")
+    return pc.if_else(is_number, lower, "0"), True
 
 
 def _civil(year: Integers, month: Integers, day: Integers) -> tuple[Integers, Booleans]:
-    """Days since 1970 of calendar dates, and where there is no such date."""
+    """Return days since 1970 of calendar dates, and a mask of dates that do not exist."""
     wrong = (month < 1) | (month > 12) | (day < 1) | (day > 31) | (year < 1700) | (year > 2200)
     safe_year, safe_month = np.where(wrong, 1970, year), np.where(wrong, 1, month)
     months = (safe_year - 1970).astype("datetime64[Y]").astype("datetime64[M]") + (safe_month - 1)
@@ -233,7 +239,7 @@ def _civil(year: Integers, month: Integers, day: Integers) -> tuple[Integers, Bo
 
 
 def _time_of_day(parts: pa.Array) -> tuple[Integers, Booleans]:
-    """Nanoseconds since midnight, and where there is no such time."""
+    """Return nanoseconds since midnight, and a mask of times that do not exist."""
     hour, minute, second = (_whole(_field(parts, part), -1) for part in "hms")
     second = np.where(second == -1, 0, second)
     wrong = (hour < 0) | (hour > 23) | (minute < 0) | (minute > 59) | (second > 60)
@@ -246,7 +252,7 @@ def _time_of_day(parts: pa.Array) -> tuple[Integers, Booleans]:
 
 
 def _zone_ns(zones: pa.Array) -> Integers:
-    """How far each cell's zone is ahead of UTC, in nanoseconds."""
+    """Return how far the time zone of each cell is ahead of UTC, in nanoseconds."""
     coded = zones.dictionary_encode()
     ahead = np.array([_offset_ns(zone) for zone in coded.dictionary.to_pylist()] or [0], np.int64)
     return np.asarray(ahead[np.asarray(coded.indices)])
@@ -261,7 +267,7 @@ def _offset_ns(zone: str) -> int:
 
 
 class Midnights:
-    """Adds a day wherever the clock jumps back by more than half a day."""
+    """Add a day to times of day wherever they jump back by more than half a day."""
 
     def __init__(self) -> None:
         self._last: int | None = None
@@ -269,12 +275,12 @@ class Midnights:
 
     def passed(self, ns: Integers, missing: Booleans) -> Integers:
         """Return the next times of day, in nanoseconds since the first midnight."""
-        known = np.flatnonzero(~missing)
-        if not len(known):
+        present = np.flatnonzero(~missing)
+        if not len(present):
             return ns
         out = ns.copy()
-        before = ns[known[0]] if self._last is None else self._last
-        days = self._days + np.cumsum(np.diff(ns[known], prepend=before) < -DAY_NS // 2)
-        out[known] += days * DAY_NS
-        self._last, self._days = int(ns[known[-1]]), int(days[-1])
+        before = ns[present[0]] if self._last is None else self._last
+        days = self._days + np.cumsum(np.diff(ns[present], prepend=before) < -DAY_NS // 2)
+        out[present] += days * DAY_NS
+        self._last, self._days = int(ns[present[-1]]), int(days[-1])
         return out

@@ -1,4 +1,4 @@
-"""Which column is the time."""
+"""Find the time column of a table."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _LIKE = re.compile(r"^(?:time|timestamp|elapsed|zeit)(?:since|stamp|from|utc|loc
 _UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", "h", "-", "1")
 _NEARLY_EVEN = 0.5
 COUNT = "or give --rate HZ to count rows at a known rate"
-"""The end of every sentence about a time that cannot be used."""
+"""The end of every message about a time that cannot be used."""
 
 TIME_OPTION = Asker("--time")
 
@@ -36,7 +36,7 @@ NUMBERS, TEMPORAL, NO_TIME = "numbers", "temporal", ""
 
 
 def kind_of_column(column: pa.ChunkedArray) -> str:
-    """Tell how a column could serve as time: "numbers", "temporal", a kind of text, or "" for not at all."""
+    """Return how a column can be read as a time: "numbers", "temporal", a kind of text, or "" if it cannot."""
     kind = column.type
     if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind):
         return NUMBERS
@@ -48,7 +48,7 @@ def kind_of_column(column: pa.ChunkedArray) -> str:
 
 
 def is_time_name(header: str) -> bool:
-    """Tell whether a header says time, in one of the usual languages."""
+    """Return whether a header is a name for time, in one of the usual languages."""
     bare, unit = parse_header(header)
     if unit and unit not in _UNITS_OF_TIME:
         return False
@@ -57,7 +57,7 @@ def is_time_name(header: str) -> bool:
 
 
 def numbers(column: pa.ChunkedArray) -> Floats:
-    """Return a numeric column as float64, NaN where a cell is missing; the file's own memory where it can be."""
+    """Return a numeric column as float64, (n,), NaN where a cell is missing; without a copy if possible."""
     if pa.types.is_float16(column.type):
         column = column.cast(pa.float32())
     column = column.cast(pa.float64(), safe=False)
@@ -66,7 +66,7 @@ def numbers(column: pa.ChunkedArray) -> Floats:
 
 
 def find_time(raw: RawTable) -> list[tuple[str, ...]]:
-    """List what could be the time: each entry is a column, or a date and a time of day together."""
+    """Return the columns that may be the time; each entry is a column, or a date and a time of day together."""
     kinds = {name: kind_of_column(raw.head.column(name)) for name in raw.names}
     named = [name for name, kind in kinds.items() if kind and is_time_name(name)]
     if not named:
@@ -77,24 +77,24 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     if len(dates) == len(times) == 1:
         rest: list[tuple[str, ...]] = [(name,) for name in named if name not in (*dates, *times)]
         return [(dates[0], times[0]), *rest]
-    found: list[tuple[str, ...]] = [(name,) for name in named if kinds[name] != clock.DATE] or [
+    candidates: list[tuple[str, ...]] = [(name,) for name in named if kinds[name] != clock.DATE] or [
         (name,) for name in named
     ]
-    found = found or ([] if spoilt_times(raw) else _first_column(raw, kinds))
-    return found + [(name,) for name in _namesakes(raw, found, kinds)]
+    candidates = candidates or ([] if spoilt_times(raw) else _first_column(raw, kinds))
+    return candidates + [(name,) for name in _namesakes(raw, candidates, kinds)]
 
 
 def _is_empty(raw: RawTable, name: str) -> bool:
-    """Whether a column's first rows tell nothing, so that another column is the time if there is one."""
+    """Return whether the first rows of a column are empty; another column is then preferred as the time."""
     column = raw.head.column(name)
     return bool(column.null_count == len(column))
 
 
-def _namesakes(raw: RawTable, found: list[tuple[str, ...]], kinds: dict[str, str]) -> list[str]:
-    """List columns that the file calls as it calls the time, and that tell another one: `X [s]` for each sensor."""
-    if len(found) != 1 or kinds[found[0][0]] != NUMBERS:
+def _namesakes(raw: RawTable, candidates: list[tuple[str, ...]], kinds: dict[str, str]) -> list[str]:
+    """Return columns with the same name as the only candidate but other values, such as `X [s]` for each sensor."""
+    if len(candidates) != 1 or kinds[candidates[0][0]] != NUMBERS:
         return []
-    first = found[0][0]
+    first = candidates[0][0]
     alike = [name for name in raw.names if name.startswith(f"{first}_") and name[len(first) + 1 :].isdecimal()]
     return [name for name in alike if kinds[name] == NUMBERS and not _same(raw, first, name)]
 
@@ -105,7 +105,7 @@ def _same(raw: RawTable, one: str, other: str) -> bool:
 
 
 def spoilt_times(raw: RawTable) -> list[str]:
-    """List columns that are called time and would be, but for cells that are no numbers."""
+    """Return columns whose names mean time but that have a few cells that are not numbers."""
     return [name for name in raw.names if is_time_name(name) and _is_spoilt(raw, name)]
 
 
@@ -114,7 +114,7 @@ def _is_spoilt(raw: RawTable, name: str) -> bool:
 
 
 def spoilt(raw: RawTable, name: str) -> InputError:
-    """Name the first cell of a time column that is no number."""
+    """Return the error that names the first cell of a time column that is not a number."""
     return bad_cell(raw, name, find_bad_cells(raw, name), f", name another time column with --time, {COUNT}")
 
 
@@ -122,12 +122,12 @@ def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]
     name = raw.names[0]
     if kinds[name] != NUMBERS or len(raw.names) < 2:
         return []
-    seen = Numbers(raw.count)
+    statistics = Numbers(raw.count)
     for column in raw.column(name):
-        seen.add(numbers(column))
-        if not seen.rises:
+        statistics.add(numbers(column))
+        if not statistics.rises:
             return []
-    steps = seen.steps
+    steps = statistics.steps
     if not len(steps):
         return []
     median = np.median(steps)
@@ -143,16 +143,16 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
     raw : RawTable
         The file.
     found : list of tuple of str
-        What `find_time` found in it.
+        The candidates from `find_time`.
     asked : str, optional
-        The column that a person named.
+        The column that the user names.
 
     Raises
     ------
     UsageError
         If `asked` is not a column.
     InputError
-        If there is no time, or more than one, or a cell of it is no number.
+        If there is no time or more than one, or a cell of it is not a number.
     """
     if asked is not None:
         return (named_column(raw, asked, TIME_OPTION),)
@@ -160,7 +160,7 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
         for name in spoilt_times(raw):
             raise spoilt(raw, name)
         raise InputError(
-            "There is no time column (none is called time, and the first does not rise evenly)."
+            "There is no time column (no name means time, and the first column does not rise evenly)."
             " Name it with --time COLUMN, " + COUNT + "."
         )
     if len(found) > 1:
@@ -170,12 +170,12 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
 
 
 def named_column(raw: RawTable, asked: str, asker: Asker) -> str:
-    """Find a column by its header, or by its header without the unit.
+    """Return the name of a column, given with or without its unit.
 
     Raises
     ------
     UsageError
-        If there is none, or more than one.
+        If no column has that name, or more than one.
     """
     names = raw.names
     if asked in names:
@@ -184,6 +184,6 @@ def named_column(raw: RawTable, asked: str, asker: Asker) -> str:
     if len(bare) == 1:
         return bare[0]
     if bare:
-        raise UsageError(f"{asker.name} {asked!r} fits {', '.join(map(repr, bare))}; write one of these in full.")
+        raise UsageError(f"{asker.name} {asked!r} matches {', '.join(map(repr, bare))}; write one of these in full.")
     listed = ", ".join(map(repr, names[:20])) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
-    raise UsageError(f"{asker.name} names {asked!r}, which is not a column; there are {listed}.{asker.way_out}")
+    raise UsageError(f"{asker.name} names {asked!r}, which is not a column; the columns are {listed}.{asker.way_out}")

@@ -1,4 +1,4 @@
-"""The seconds in a time column: numbers with a unit, counts since 1970, dates, times of day."""
+"""Read a time column in seconds: numbers with a unit, counts since 1970, dates, times of day."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Stamps:
     Parameters
     ----------
     spool : Spool
-        Numbers as in the file.
+        The numbers of the file.
     in_seconds : callable
-        Makes seconds of them.
+        Converts an array of these numbers to seconds.
     """
 
     def __init__(self, spool: Spool, in_seconds: Callable[[Any], Floats] = np.asarray) -> None:
@@ -50,33 +50,33 @@ class Stamps:
         return self._in_seconds(self._spool.read(start, stop))
 
     def blocks(self) -> Iterator[Floats]:
-        """Give the seconds of all rows in small blocks."""
+        """Yield the seconds of all rows in small blocks."""
         return map(self._in_seconds, self._spool.blocks())
 
 
 def read_time(raw: RawTable, columns: tuple[str, ...], as_written: bool = False) -> tuple[Stamps, TimeLayout]:
-    """Read the time in seconds: as in the file, or since the first row where the file gives dates.
+    """Read the time in seconds: as in the file, or, for dates, since the first row.
 
-    Wraps of counters are undone, and hours of summer time too, unless stamps are to stay as written.
+    Wraps of counters are undone. Shifts by summer time are undone too, unless `as_written`.
 
     Raises
     ------
     TimeError
-        If the cells are not times, or their unit cannot be known.
+        If the cells are not times, or their unit is unknown.
     """
-    stamps, layout = _as_written(raw, columns)
+    stamps, layout = _read_stamps(raw, columns)
     if as_written or layout.kind != clock.DATE_TIME or not layout.start or layout.start.endswith("Z"):
         return stamps, layout
-    mended, layout = on_one_clock(stamps, layout)
-    if mended is None:
+    corrected, layout = on_one_clock(stamps, layout)
+    if corrected is None:
         return stamps, layout
     stamps.close()
-    return Stamps(mended), layout
+    return Stamps(corrected), layout
 
 
-def _as_written(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayout]:
+def _read_stamps(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayout]:
     if len(columns) == 2:
-        return _written(raw, columns, clock.DATE_TIME, _date_and_time(raw, *columns))
+        return _from_text(raw, columns, clock.DATE_TIME, _date_and_time(raw, *columns))
     name = columns[0]
     kind = kind_of_column(raw.head.column(name))
     if kind == NUMBERS:
@@ -87,7 +87,7 @@ def _as_written(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLa
         if meant_as_numbers(raw, name):
             raise spoilt(raw, name)
         raise TimeError(f"The column {name!r} does not hold times; name another with --time, {COUNT}.")
-    return _written(raw, columns, kind, _reader(raw, name, kind).blocks())
+    return _from_text(raw, columns, kind, _reader(raw, name, kind).blocks())
 
 
 def _reader(raw: RawTable, name: str, kind: str) -> clock.ClockReader:
@@ -96,15 +96,15 @@ def _reader(raw: RawTable, name: str, kind: str) -> clock.ClockReader:
 
 def _date_and_time(raw: RawTable, date: str, time: str) -> Iterator[clock.Instants]:
     dates, times = _reader(raw, date, clock.DATE).blocks(), _reader(raw, time, clock.TIME_OF_DAY).blocks()
-    for day, of_day in _in_step(dates, times):
+    for day, of_day in _aligned_blocks(dates, times):
         ns, missing = day.ns + of_day.ns % clock.DAY_NS, day.missing | of_day.missing
         yield clock.Instants(clock.DATE_TIME, ns, missing, of_day.zoned)
 
 
-def _in_step(
+def _aligned_blocks(
     first: Iterator[clock.Instants], second: Iterator[clock.Instants]
 ) -> Iterator[tuple[clock.Instants, clock.Instants]]:
-    """Pair blocks of two columns; each is cut where either ends."""
+    """Yield pairs of blocks of two columns with equal numbers of rows."""
     one, other = next(first, None), next(second, None)
     while one is not None and other is not None:
         count = min(len(one.ns), len(other.ns))
@@ -113,7 +113,7 @@ def _in_step(
         other = other.cut(count, None) if len(other.ns) > count else next(second, None)
 
 
-def _written(
+def _from_text(
     raw: RawTable, columns: tuple[str, ...], kind: str, blocks: Iterator[clock.Instants]
 ) -> tuple[Stamps, TimeLayout]:
     since, zoned = _SinceFirst(1e9), False
@@ -131,7 +131,7 @@ def _written(
 
 
 class _SinceFirst:
-    """Seconds since the first tick that is not missing."""
+    """Convert ticks to seconds since the first tick that is not missing."""
 
     def __init__(self, per_second: float) -> None:
         self._per_second = per_second
@@ -183,17 +183,17 @@ def _ticks(column: pa.ChunkedArray) -> tuple[Integers, Booleans]:
 def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
     bare, unit = parse_header(name)
     unit = raw.units.get(name, "") or unit or IMPLIED.get(bare.lower(), "")
-    seen = Numbers(raw.count)
+    statistics = Numbers(raw.count)
     exact = pa.types.is_integer(raw.type_of(name)) and not any(column.null_count for column in raw.column(name))
     notes: tuple[str, ...] = ()
-    spool = Spool(_as_they_are(raw, name, seen, exact), raw.count)
-    if seen.falls:
+    spool = Spool(_examined_blocks(raw, name, statistics, exact), raw.count)
+    if statistics.falls:
         spool, notes = without_wraps(name, spool)
-        seen = _seen(spool) if notes else seen
-    epoch = _epoch(seen, unit)
+        statistics = _statistics(spool) if notes else statistics
+    epoch = _epoch(statistics, unit)
     if epoch:
-        start = str(np.datetime64(int(seen.first_known / PER_SECOND[epoch] * 1e6), "us")) + "Z"
-        return Stamps(spool, _epoch_seconds(spool, seen, epoch, exact)), TimeLayout(
+        start = str(np.datetime64(int(statistics.first_known / PER_SECOND[epoch] * 1e6), "us")) + "Z"
+        return Stamps(spool, _epoch_seconds(spool, statistics, epoch, exact)), TimeLayout(
             (name,), "epoch", epoch, start, notes
         )
     if unit in PER_SECOND:
@@ -203,7 +203,7 @@ def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
     if unit in SECONDS:
         return Stamps(spool, lambda values: values * SECONDS[unit]), TimeLayout((name,), "numbers", unit, notes=notes)
     try:
-        _refuse_unknown_unit(name, seen)
+        _refuse_unknown_unit(name, statistics)
     except TimeError:
         spool.close()
         raise
@@ -212,59 +212,60 @@ def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
     )
 
 
-def _seen(spool: Spool) -> Numbers:
-    seen = Numbers(spool.count)
+def _statistics(spool: Spool) -> Numbers:
+    statistics = Numbers(spool.count)
     for block in spool.blocks():
-        seen.add(np.asarray(block, np.float64))
-    return seen
+        statistics.add(np.asarray(block, np.float64))
+    return statistics
 
 
-def _as_they_are(raw: RawTable, name: str, seen: Numbers, exact: bool) -> Iterator[Floats | Integers]:
-    """Look at each block on its way to the spool."""
+def _examined_blocks(raw: RawTable, name: str, statistics: Numbers, exact: bool) -> Iterator[Floats | Integers]:
+    """Yield the blocks of a column, and add each to the statistics; `exact` columns are int64, others float64."""
     for column in raw.column(name):
         if pa.types.is_float32(column.type):
-            column = column.cast(pa.string())  # its shortest decimals: 0.01, not 0.009999999776
+            column = column.cast(pa.string())  # to the shortest decimal: 0.01, not 0.009999999776
         values = numbers(column)
         if not np.isfinite(values).all():
             values = np.where(np.isfinite(values), values, np.nan)
-        seen.add(values)
+        statistics.add(values)
         yield np.asarray(column.to_numpy()).astype(np.int64) if exact else values
 
 
-def _epoch(seen: Numbers, unit: str) -> str:
-    """Return the unit of a count since 1970, "" if the numbers are none."""
-    moved = seen.steps
-    if not len(moved):
+def _epoch(statistics: Numbers, unit: str) -> str:
+    """Return the unit of a count since 1970, "" if the numbers are not such a count."""
+    steps = statistics.steps
+    if not len(steps):
         return ""
-    middle, step = float(np.median(seen.values)), abs(float(np.median(moved)))
+    middle, step = float(np.median(statistics.values)), abs(float(np.median(steps)))
     for name, low, high in EPOCHS:
         if low <= middle <= high and unit in ("", name):
             return name if step <= 3600.0 * PER_SECOND[name] else ""
     return ""
 
 
-def _epoch_seconds(spool: Spool, seen: Numbers, unit: str, exact: bool) -> Callable[[Any], Floats]:
+def _epoch_seconds(spool: Spool, statistics: Numbers, unit: str, exact: bool) -> Callable[[Any], Floats]:
     per_second = PER_SECOND[unit]
     if exact:
         first = spool.read(0, 1)[0]
         return lambda ticks: np.asarray((ticks - first) / per_second, np.float64)
-    return lambda values: np.round((values - seen.first_known) / per_second, 6)  # an epoch in float64 holds no more
+    # In float64, an epoch is exact to about a microsecond.
+    return lambda values: np.round((values - statistics.first_known) / per_second, 6)
 
 
-def _refuse_unknown_unit(name: str, seen: Numbers) -> None:
-    if seen.counts:
+def _refuse_unknown_unit(name: str, statistics: Numbers) -> None:
+    if statistics.counts:
         raise TimeError(f"The time column {name!r} only counts rows, so the rate is unknown; give it with --rate HZ.")
-    steps = seen.steps
-    if not len(steps) or seen.falls or not (np.median(steps) > 0):
-        return  # the time base says what is wrong with it
+    steps = statistics.steps
+    if not len(steps) or statistics.falls or not (np.median(steps) > 0):
+        return  # the time base refuses such stamps with a message of its own
     median = float(np.median(steps))
-    first = seen.first
+    first = statistics.first
     if any(low <= first <= high for low, high in _DAY_COUNTS) and 0.0 < median < _TEN_SECONDS:
         raise TimeError(
             f"The time column {name!r} has no unit and looks like days (an Excel or MATLAB date: {first:.6f})."
             f" Write it as YYYY-MM-DD hh:mm:ss.fff, or name it '{name} (s)' if it is seconds, {COUNT}."
         )
-    if not 0.0 < median < 1.0 or seen.whole:
+    if not 0.0 < median < 1.0 or statistics.whole:
         raise TimeError(
             f"The time column {name!r} has no unit and steps of {median:.6g}: seconds, milliseconds or ticks?"
             f" Put the unit in its name (as in '{name} (ms)'), {COUNT}."
