@@ -125,7 +125,7 @@ def test_a_stream_that_was_made_anew_is_told(server: Broker) -> None:
     heard.source.close()
     assert heard.numbers == list(range(10))
     assert [loss.kind for loss in heard.losses] == [LossKind.GAP]
-    assert "made anew" in heard.losses[0].says
+    assert "created again" in heard.losses[0].says
 
 
 def test_a_stream_may_begin_now(server: Broker) -> None:
