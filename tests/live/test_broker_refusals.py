@@ -48,10 +48,10 @@ def test_a_wrong_password_is_told(guarded: Guarded, word: str | None, monkeypatc
     if word is not None:
         monkeypatch.setenv(wire.variable("USER"), "lab")
         monkeypatch.setenv(wire.variable("PASSWORD"), word)
-    with pytest.raises(InputError, match=rf"refuses who comes.*{wire.variable('PASSWORD')}") as told:
+    with pytest.raises(InputError, match=rf"refuses the login.*{wire.variable('PASSWORD')}") as told:
         wire.source(port, guarded.options).open("")
     assert "staple" not in str(told.value)
-    with pytest.raises(InputError, match="refuses who comes"):
+    with pytest.raises(InputError, match="refuses the login"):
         wire.sink(port, guarded.options).open(HEAD)
 
 

@@ -77,9 +77,7 @@ class UdpSource:
         self._dropped = 0
         self._pending_losses: tuple[Loss, ...] = ()
         self._small_buffer = False
-        self._reading = (
-            threading.Lock()
-        )  # held by read, so that close does not close a socket that select is waiting for
+        self._reading = threading.Lock()  # held by read, so that close waits until select has returned
         self._wake: socket.socket | None = None
         self._woken: socket.socket | None = None
 
@@ -169,9 +167,7 @@ class UdpSource:
         if sys.platform == "linux":
             with suppress(PermissionError):  # only root may exceed the limit
                 opened.setsockopt(socket.SOL_SOCKET, _BUFFER_FORCED, self._buffer)
-            granted = (
-                opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2
-            )  # Linux doubles the value for its own use
+            granted = opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux returns twice the size
         if granted >= self._buffer or self._small_buffer:
             return ()
         self._small_buffer = True
