@@ -157,6 +157,6 @@ class Keeping:
         self._outlets.keeper.close()
         self._in_doubt = True
 
-    def _record(self, kind: LossKind, says: str) -> None:
-        self._watch.state("full" if kind is LossKind.STORAGE else "away", says)
-        self._losses.append(Loss(kind, None, says))
+    def _record(self, kind: LossKind, message: str) -> None:
+        self._watch.state("full" if kind is LossKind.STORAGE else "away", message)
+        self._losses.append(Loss(kind, None, message))

@@ -72,8 +72,8 @@ class BlockQueue:
                 return None
             block = self._blocks.popleft()
             if self._dropped:
-                says = f"Rows arrived faster than they could be filtered; the {self._dropped} oldest were dropped."
-                lost = Loss(LossKind.DROPPED, self._dropped, says)
+                text = f"Rows arrived faster than they could be filtered; the {self._dropped} oldest were dropped."
+                lost = Loss(LossKind.DROPPED, self._dropped, text)
                 block = replace(block, losses=(*self._losses, lost, *block.losses))
                 self._dropped, self._losses = 0, []
             if self._dropped_steps and block.elapsed is not None:

@@ -33,7 +33,7 @@ class BackOff:
 
 
 class Reader:
-    """Reads a source in a thread of its own.
+    """Reads a source in a separate thread.
 
     Parameters
     ----------

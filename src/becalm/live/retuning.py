@@ -58,9 +58,9 @@ class Retuning:
                 watch.tuned(made.toml)
                 self._heard("")
 
-    def _refuse(self, says: str, watch: Watch) -> None:
-        watch.refused(says)
-        self._heard(says)
+    def _refuse(self, message: str, watch: Watch) -> None:
+        watch.refused(message)
+        self._heard(message)
 
     def _begin(self, stream: Stream) -> None:
         *older, (recipe, self._heard) = (self._requests.popleft() for _ in range(len(self._requests)))

@@ -30,7 +30,7 @@ _HEALTH_S = 1.0
 
 @dataclass
 class Runner:
-    """Runs a stream.
+    """Runs a stream, from its source through its filters to its sinks.
 
     Attributes
     ----------
@@ -117,11 +117,11 @@ class Runner:
             self.source = self.beginning.timed(begun.stream.recipe)
         self._position = last.position
         if not self.source.replays:
-            says = (
+            message = (
                 "becalm was not running for a while; rows sent in that time are lost, unless the sender stores them and"
                 " sends them again."
             )
-            self._losses.append(Loss(LossKind.GAP, None, says))
+            self._losses.append(Loss(LossKind.GAP, None, message))
         return begun
 
     def _begin(self) -> Begun | None:

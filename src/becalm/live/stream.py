@@ -81,7 +81,7 @@ class Stream:
         return self._clock.last_s
 
     def opened(self) -> None:
-        """Tell the clock that the source was opened again."""
+        """Notify the clock that the source was opened again."""
         self._clock.opened()
 
     def take(self, block: Block) -> Output:
@@ -279,8 +279,8 @@ def _losses_of_left_out_rows(codes: Codes) -> list[Loss]:
         return []
     counts = {code: int(np.count_nonzero(codes == code)) for code in _LEFT_OUT}
     return [
-        Loss(kind, counts[code], f"{counts[code]} rows {says}; they were left out.")
-        for code, (kind, says) in _LEFT_OUT.items()
+        Loss(kind, counts[code], f"{counts[code]} rows {text}; they were left out.")
+        for code, (kind, text) in _LEFT_OUT.items()
         if counts[code]
     ]
 

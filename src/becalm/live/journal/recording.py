@@ -25,8 +25,8 @@ def record(connection: sqlite3.Connection, done: Iterable[Rolled]) -> None:
         put(connection, rolled.row._replace(number=(last or 0) + 1))
         for hole in rolled.holes:
             put(connection, hole)
-            says = f"{told((hole.first_row, hole.end_row)).capitalize()} were committed and could not be read again."
-            put(connection, LossRow.of(hole.first_row, Loss(LossKind.STORAGE, hole.end_row - hole.first_row, says)))
+            text = f"{told((hole.first_row, hole.end_row)).capitalize()} were committed and could not be read again."
+            put(connection, LossRow.of(hole.first_row, Loss(LossKind.STORAGE, hole.end_row - hole.first_row, text)))
 
 
 def remove_rolled(connection: sqlite3.Connection, most: int) -> None:

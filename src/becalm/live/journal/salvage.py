@@ -117,8 +117,8 @@ def _losses(plan: Plan, mark: Mark | None, why: str) -> list[LossRow]:
         for gap in plan.gaps
     ]
     if mark is None:
-        says = f"It is unknown whether rows after row {plan.end - 1} were committed: {why}."
-        losses.append(LossRow.of(plan.end, Loss(LossKind.STORAGE, None, says)))
+        text = f"It is unknown whether rows after row {plan.end - 1} were committed: {why}."
+        losses.append(LossRow.of(plan.end, Loss(LossKind.STORAGE, None, text)))
     elif mark.checkpoint.rows > plan.end:
         losses.append(LossRow.of(plan.end, _end_lost((plan.end, mark.checkpoint.rows), why)))
     elif not plan.gaps:
@@ -128,8 +128,8 @@ def _losses(plan: Plan, mark: Mark | None, why: str) -> list[LossRow]:
 
 def _end_lost(rows: Span, why: str) -> Loss:
     first, end = rows
-    says = f"{told(rows).capitalize()} were committed and are lost: {why}. A source that can replay sends them again."
-    return Loss(LossKind.STORAGE, end - first, says)
+    text = f"{told(rows).capitalize()} were committed and are lost: {why}. A source that can replay sends them again."
+    return Loss(LossKind.STORAGE, end - first, text)
 
 
 def _finish(folder: Path) -> None:

@@ -72,17 +72,17 @@ class Lines:
         UsageError
             If the options do not fit the lines.
         """
-        taken = self._taken(self._whole_lines(data))
+        taken = self._parse(self._complete_lines(data))
         return self._block(taken, came_s)
 
     def finish(self, came_s: float) -> Block | None:
         """Parse the rest at the end; a last line without a line end is counted as garbled, unless it is whole JSON."""
         last = bytes(self._half)
         self._half.clear()
-        whole = last.lstrip().startswith(b"{") and last.rstrip().endswith(b"}")
-        if last.strip() and not whole:
-            self._bad.add(last, "it has no line end and may be cut short")
-        taken = self._taken([last] if whole else [])
+        is_json = last.lstrip().startswith(b"{") and last.rstrip().endswith(b"}")
+        if last.strip() and not is_json:
+            self._bad.add(last, "it has no line end and may be incomplete")
+        taken = self._parse([last] if is_json else [])
         for line in self._above:
             self._count_unparsed(line)
         self._above = []
@@ -97,7 +97,7 @@ class Lines:
         self._skipping, self._within = False, True
         self._counted = 0
 
-    def _whole_lines(self, data: bytes) -> list[bytes]:
+    def _complete_lines(self, data: bytes) -> list[bytes]:
         """Return the complete lines, without their line ends."""
         if self._skipping:
             ends = [at for at in (data.find(b"\n"), data.find(b"\r")) if at >= 0]
@@ -105,7 +105,7 @@ class Lines:
                 return []
             data, self._skipping = data[min(ends) + 1 :], False
         end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
-        whole = bytes(self._half) + data[:end] if end else b""
+        complete = bytes(self._half) + data[:end] if end else b""
         if end:
             self._half.clear()
         self._half += data[end:]
@@ -113,9 +113,9 @@ class Lines:
             self._bad.add(bytes(self._half[: _SHOWN + 1]), _TOO_LONG)
             self._half.clear()
             self._skipping = True
-        return whole.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")[:-1]
+        return complete.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")[:-1]
 
-    def _taken(self, lines: list[bytes]) -> Taken:
+    def _parse(self, lines: list[bytes]) -> Taken:
         if max(map(len, lines), default=0) > LONGEST_LINE:
             for line in lines:
                 if len(line) > LONGEST_LINE:

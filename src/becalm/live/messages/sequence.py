@@ -204,8 +204,8 @@ class Sequence:
     def _begin(self, batch: MessageRows) -> None:
         self.rest()  # release the batches of the previous run
         seq = _number(batch)
-        says = f"The sender restarted at row {seq}; the last row of its previous run was {(self._next or 0) - 1}."
-        self._restarts.append(Loss(LossKind.GAP, None, says))
+        text = f"The sender restarted at row {seq}; the last row of its previous run was {(self._next or 0) - 1}."
+        self._restarts.append(Loss(LossKind.GAP, None, text))
         self._next, self._newest_s, self._began = seq, -np.inf, (seq, batch.arrived_s)
         self._missed.clear()
         self._append(batch)

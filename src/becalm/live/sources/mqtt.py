@@ -100,8 +100,8 @@ class MqttSource:
         self._link = link = MqttLink(self._remote, self._session, on_message=self._on_message)
         link.connect(reached=self._reached)
         if (position or self._reached) and not link.remembered:
-            says = f"{self._remote.host} no longer has this client's session; messages that it held for it are lost."
-            self._pending_losses += (Loss(LossKind.GAP, None, says),)
+            text = f"{self._remote.host} no longer has this client's session; messages that it held for it are lost."
+            self._pending_losses += (Loss(LossKind.GAP, None, text),)
         self._reached = True
         link.subscribe(self._topic)
 

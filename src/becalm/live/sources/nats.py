@@ -129,14 +129,14 @@ class NatsSource:
             return max(self._began, begins)
         after = int(fields["message"]) + 1
         if fields.get("created") != self._created:
-            says = f"The stream {self._name} was created again since message {after - 1}; it is read from its start."
-            self._pending_losses += (Loss(LossKind.GAP, None, says),)
+            text = f"The stream {self._name} was created again since message {after - 1}; it is read from its start."
+            self._pending_losses += (Loss(LossKind.GAP, None, text),)
             return begins
         if after > ends + 1:
-            says = f"The stream {self._name} lost its messages {ends + 1} to {after - 1}, which had been read."
-            self._pending_losses += (Loss(LossKind.GAP, None, says),)
+            text = f"The stream {self._name} lost its messages {ends + 1} to {after - 1}, which had been read."
+            self._pending_losses += (Loss(LossKind.GAP, None, text),)
             return ends + 1
         if after < begins:
-            says = f"Messages {after} to {begins - 1} of the stream {self._name} were deleted before they were read."
-            self._pending_losses += (Loss(LossKind.MISSING, None, says),)
+            text = f"Messages {after} to {begins - 1} of the stream {self._name} were deleted before they were read."
+            self._pending_losses += (Loss(LossKind.MISSING, None, text),)
         return max(after, begins)

@@ -190,12 +190,12 @@ def _fitting_rows(rate_hz: float, speed: float) -> int:
 
 def _fingerprint(path: Path) -> dict[str, int | str]:
     """Return the size of a file and a hash of its first and last bytes, which identify it."""
-    whole = path / BAG if path.is_dir() else path
-    if whole.exists() and not whole.is_file():
+    file_path = path / BAG if path.is_dir() else path
+    if file_path.exists() and not file_path.is_file():
         raise InputError(f"{path} is not a file, so it cannot be replayed; to read from a pipe, use stdin:.")
     try:
-        with whole.open("rb") as file:
-            size = whole.stat().st_size
+        with file_path.open("rb") as file:
+            size = file_path.stat().st_size
             ends = hashlib.sha256(file.read(_HEAD_BYTES))
             file.seek(max(0, size - _HEAD_BYTES))
             ends.update(file.read(_HEAD_BYTES))

@@ -171,11 +171,11 @@ class UdpSource:
         if granted >= self._buffer or self._small_buffer:
             return ()
         self._small_buffer = True
-        says = (
+        text = (
             f"The kernel grants a buffer of {granted} bytes instead of {self._buffer}: longer bursts are dropped. "
             f"Type sysctl -w net.core.rmem_max={self._buffer}, or set buffer={granted}."
         )
-        return (Loss(LossKind.DROPPED, 0, says),)
+        return (Loss(LossKind.DROPPED, 0, text),)
 
     def _received(self, opened: socket.socket) -> list[tuple[bytes, float]]:
         """Return all datagrams in the buffer, each with the time at which the kernel received it."""
@@ -205,8 +205,8 @@ class UdpSource:
         self._dropped = words[8]
         if not new:
             return ()
-        says = f"The kernel dropped {new} datagrams, which arrived faster than they were read."
-        return (Loss(LossKind.DROPPED, new, says),)
+        text = f"The kernel dropped {new} datagrams, which arrived faster than they were read."
+        return (Loss(LossKind.DROPPED, new, text),)
 
 
 def _error_of(cause: OSError, host: str, port: int) -> InputError | AwayError:
