@@ -55,8 +55,8 @@ def test_a_stream_into_its_own_lake_leaves_nothing_there(lake: Path, run: Run) -
         ((), "--recipe R.toml"),
         (("--recipe", "r.toml", "--recipes", "."), "--recipe R.toml"),
         (("--recipe", "none.toml"), "none.toml"),
-        (("--recipe", "r.toml", "--every", "soon"), "--every soon is no time"),
-        (("--recipe", "r.toml", "--lateness", "-5s"), "--lateness -5s is no time"),
+        (("--recipe", "r.toml", "--every", "soon"), "--every soon is not a time"),
+        (("--recipe", "r.toml", "--lateness", "-5s"), "--lateness -5s is not a time"),
         (("--recipe", "r.toml", "--conf", "nothing"), "--conf nothing has no value"),
     ],
 )

@@ -57,7 +57,7 @@ def test_what_is_lost_among_too_few_rows_to_learn_from_is_told() -> None:
     lost = Loss(LossKind.GARBLED, 7, "Noise.")
     source = ListSource(lambda row: [replace(blocks_of(VALUES[:9], 9)[0], losses=(lost,))])
     runner = runner_of(source, MemoryKeeper())
-    with pytest.raises(InputError, match="9 rows came"):
+    with pytest.raises(InputError, match="Only 9 rows arrived"):
         runner.run()
     assert runner.watch.meter.status()["losses"]["garbled"]["rows"] == 7
 

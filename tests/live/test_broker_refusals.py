@@ -48,10 +48,10 @@ def test_a_wrong_password_is_told(guarded: Guarded, word: str | None, monkeypatc
     if word is not None:
         monkeypatch.setenv(wire.variable("USER"), "lab")
         monkeypatch.setenv(wire.variable("PASSWORD"), word)
-    with pytest.raises(InputError, match=rf"refuses who comes.*{wire.variable('PASSWORD')}") as told:
+    with pytest.raises(InputError, match=rf"refuses the login.*{wire.variable('PASSWORD')}") as told:
         wire.source(port, guarded.options).open("")
     assert "staple" not in str(told.value)
-    with pytest.raises(InputError, match="refuses who comes"):
+    with pytest.raises(InputError, match="refuses the login"):
         wire.sink(port, guarded.options).open(HEAD)
 
 
@@ -97,8 +97,8 @@ def test_nobody_there_is_away(wire: Wire) -> None:
         (MQTT, "mqtt://broker:99999/topic", "no port from"),
         (MQTT, "mqtt://lab:horse@broker/topic", "BECALM_MQTT_PASSWORD"),
         (MQTT, "mqtt://broker/topic?qos=2", "no option 'qos'"),
-        (MQTT, "mqtt://broker/topic?version=4", "none of 5, 3.1.1"),
-        (MQTT, "mqtt://broker/topic?tls=maybe", "none of 0, 1"),
+        (MQTT, "mqtt://broker/topic?version=4", "not one of 5, 3.1.1"),
+        (MQTT, "mqtt://broker/topic?tls=maybe", "not one of 0, 1"),
         (NATS, "nats:PUMP", "names no host"),
         (NATS, "nats://server?subject=a", "names no stream"),
         (NATS, "nats://server/plant.pump?subject=a", "'plant.pump'"),
@@ -117,7 +117,7 @@ def test_addresses_that_cannot_be_are_told(wire: Wire, address: str, says: str) 
     ("wire", "position"), [(MQTT, '{"row": 7}'), (MQTT, "what?"), (NATS, '{"blocks": 7}'), (NATS, "what?")]
 )
 def test_a_position_of_another_source_is_told(wire: Wire, position: str) -> None:
-    with pytest.raises(InputError, match=f"no position of {wire.kind}"):
+    with pytest.raises(InputError, match=f"not a position of {wire.kind}"):
         wire.source(1).open(position)
 
 

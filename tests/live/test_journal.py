@@ -122,7 +122,7 @@ def test_units_may_be_told_later_and_a_head_without_rows_binds_nobody(tmp_path: 
 
 def test_columns_of_one_name_are_refused(tmp_path: Path) -> None:
     head = Head(("a", "a_raw"), ("", ""), 1.0, "")
-    with pytest.raises(UsageError, match="another name at its source"), journal_in(tmp_path, head=head):
+    with pytest.raises(UsageError, match="rename a channel at its source"), journal_in(tmp_path, head=head):
         pass
 
 
@@ -144,7 +144,7 @@ def test_a_second_process_is_refused_until_the_first_is_gone(tmp_path: Path) -> 
         assert first.stdout is not None
         assert first.stdout.readline() == b"there\n"
         second = Journal(Address.parsed(f"journal:{tmp_path}"))
-        with pytest.raises(UsageError, match="Another becalm writes the journal"):
+        with pytest.raises(UsageError, match="Another becalm process writes the journal"):
             second.last()
         first.kill()
     assert second.last() == checkpoint_at(100)
@@ -157,9 +157,9 @@ def test_a_second_process_is_refused_until_the_first_is_gone(tmp_path: Path) -> 
     ("address", "said"),
     [
         ("journal:", "needs a folder"),
-        ("journal:d?rol=1h", "no option 'rol'; it has roll, keep"),
-        ("journal:d?roll=0s", "roll is from 1s to 30d"),
-        ("journal:d?keep=often", "is no time"),
+        ("journal:d?rol=1h", "no option 'rol'; its options are roll, keep"),
+        ("journal:d?roll=0s", "roll must be from 1s to 30d"),
+        ("journal:d?keep=often", "is not a time"),
     ],
 )
 def test_an_address_that_cannot_be_is_refused(address: str, said: str) -> None:

@@ -62,7 +62,7 @@ def test_verify_is_content_and_then_finds_what_changed(journal: Path, run: Run) 
     path.write_bytes(content)
     ran = run("journal", journal, "verify")
     assert ran.returncode == 3
-    assert "22.parquet, which holds rows 0 to 27999, is not what was written." in ran.stderr
+    assert "22.parquet, which holds rows 0 to 27999, differs from what was written." in ran.stderr
 
 
 def test_a_damaged_database_is_told_by_every_command(journal: Path, run: Run, tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_words_the_wrong_way_round_are_told_the_right_way(run: Run) -> None:
         (["export", "-o", "out.doc"], "out.doc"),
         (["export", "-o", "o.csv", "--from", "yesterday"], "--from yesterday is no time"),
         (["prune"], "needs --older"),
-        (["prune", "--older", "old"], "--older old is no time"),
+        (["prune", "--older", "old"], "--older old is not a time"),
     ],
 )
 def test_mistakes_are_sentences(words: list[str], said: str, journal: Path, run: Run) -> None:

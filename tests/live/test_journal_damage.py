@@ -163,7 +163,7 @@ def test_a_file_that_is_gone_or_noise(name: str, harm: Callable[[Path], None], k
 def test_a_database_without_rows_or_mark_that_is_damaged_is_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / DATABASE).write_bytes(b"noise" * 1000)
     journal = Journal(Address.parsed(f"journal:{tmp_path}"))
-    with pytest.raises(JournalError, match=r"nothing tells where its stream stood.*--sink journal:OTHER"):
+    with pytest.raises(JournalError, match=r"no checkpoint from which its stream could continue.*--sink journal:OTHER"):
         journal.last()
     assert (tmp_path / DATABASE).read_bytes() == b"noise" * 1000
 
@@ -179,8 +179,8 @@ def test_without_a_mark_what_is_cut_is_refused_or_told_as_not_known(seed: int, k
         said = goes_on(tmp_path)[-1].says
     except JournalError as cause:
         said = str(cause)
-    refused = "nothing tells where its stream stood" in said
-    assert refused or "is not known" in said
+    refused = "no checkpoint from which its stream could continue" in said
+    assert refused or "It is unknown" in said
     assert refused != bool(list(tmp_path.glob("*.damaged*")))
 
 
@@ -254,7 +254,7 @@ def test_verify_finds_a_parquet_file_that_changed_or_is_gone(killed: Path, tmp_p
     second.unlink()
     said = found_in(tmp_path)
     assert len(said) == 2
-    assert "is not what was written" in said[0]
+    assert "differs from what was written" in said[0]
     assert "cannot be read: No such file" in said[1]
     with open_journal(tmp_path) as reader, pytest.raises(JournalError, match="cannot be read"):
         list(reader.tables())

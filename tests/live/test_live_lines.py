@@ -162,7 +162,7 @@ def test_a_bad_cell_is_a_missing_reading() -> None:
         _rows(blocks), [[2.0, 3.0], [np.nan, 5.0], [np.nan] * 2, [1e300, np.inf], [np.nan, 7.0]]
     )
     assert _lost(blocks) == 2
-    assert "'2,x1,5': 'a' is no number" in blocks[0].losses[0].says
+    assert "'2,x1,5': 'a' is not a number" in blocks[0].losses[0].says
 
 
 def test_a_first_row_with_a_bad_cell_hides_no_channel() -> None:
@@ -229,8 +229,8 @@ def test_after_a_break_a_half_line_is_left_out() -> None:
 @pytest.mark.parametrize(
     ("told", "text", "said"),
     [
-        ({"time": "when"}, b"time,a\n1,2\n", "names 'when', which is no column"),
-        ({"channels": ("z",)}, b"time,a\n1,2\n", "names 'z', which is no column"),
+        ({"time": "when"}, b"time,a\n1,2\n", "names 'when', which is not a column"),
+        ({"channels": ("z",)}, b"time,a\n1,2\n", "names 'z', which is not a column"),
         ({}, b"time,utc,a\n1,2,3\n", "2 columns could be the time"),
         ({}, b"time,a\n12:00:01,2\n", "have no ISO date"),
     ],

@@ -77,7 +77,7 @@ def test_one_who_never_answers_is_away(monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         silent.listen()
-        with pytest.raises(AwayError, match="does not answer as an MQTT broker does"):
+        with pytest.raises(AwayError, match="does not answer like an MQTT broker"):
             source_of(int(silent.getsockname()[1])).open("")
 
 

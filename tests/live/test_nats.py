@@ -80,7 +80,7 @@ def test_what_was_stored_and_not_acknowledged_is_not_stored_twice(server: Broker
     assert isinstance(sink, NatsSink)
     with both_open(source_of(server), sink) as heard:
         assert isinstance(sink._line, _NatsLine)
-        sink._line._told = lambda *_: None  # the acknowledgements are lost
+        sink._line._on_result = lambda *_: None  # the acknowledgements are lost
         sink.write(output(0, 5))
         sink.write(output(5, 5))
         heard.until(lambda: len(heard.numbers) >= 10)
@@ -125,7 +125,7 @@ def test_a_stream_that_was_made_anew_is_told(server: Broker) -> None:
     heard.source.close()
     assert heard.numbers == list(range(10))
     assert [loss.kind for loss in heard.losses] == [LossKind.GAP]
-    assert "made anew" in heard.losses[0].says
+    assert "created again" in heard.losses[0].says
 
 
 def test_a_stream_may_begin_now(server: Broker) -> None:

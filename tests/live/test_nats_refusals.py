@@ -71,14 +71,14 @@ def test_no_secret_goes_to_one_who_does_not_speak_tls(monkeypatch: pytest.Monkey
         door.listen()
         thread = threading.Thread(target=server, args=(door,))
         thread.start()
-        with pytest.raises(InputError, match="does not speak TLS"):
+        with pytest.raises(InputError, match="does not use TLS"):
             source_of(int(door.getsockname()[1]), "&tls=1").open("")
         thread.join()
     assert heard == b""
 
 
 def test_tls_to_one_who_does_not_speak_it_is_told(server: Broker) -> None:
-    with pytest.raises(InputError, match="does not speak TLS"):
+    with pytest.raises(InputError, match="does not use TLS"):
         source_of(server.port, "&tls=1").open("")
 
 

@@ -58,7 +58,7 @@ def bereft(server: Broker, *others: str) -> Sink:
 
 def test_a_subject_that_nobody_stores_any_more_is_away(server: Broker) -> None:
     sink = bereft(server)
-    with pytest.raises(AwayError, match=r"nobody stores what is published to plant\.pump"):
+    with pytest.raises(AwayError, match=r"messages published to plant\.pump are not stored"):
         sink.flush()
     with pytest.raises(InputError, match="has no stream"):
         sink.open(HEAD)

@@ -136,7 +136,7 @@ def test_a_device_that_stops_is_away(source: NiSource) -> None:
     ("failure", "kind", "said"),
     [
         (errors.DaqError("Device identifier is invalid.", -200220), AwayError, "cannot be reached: Device"),
-        (errors.DaqError("The rate is too high.", -200077), UsageError, "cannot do that: The rate"),
+        (errors.DaqError("The rate is too high.", -200077), UsageError, "does not support these settings: The rate"),
     ],
 )
 def test_what_the_driver_refuses_is_said(

@@ -69,7 +69,7 @@ def test_a_missing_database_is_no_reason_to_wait(server: PostgresServer) -> None
 @pytest.mark.parametrize(
     ("address", "said"),
     [
-        ("postgres://u:hidden@h/d?table=t", "holds a password"),
+        ("postgres://u:hidden@h/d?table=t", "contains a password"),
         ("postgres://u@h/d", "a table"),
         ("postgres://u@h?table=t", "a database"),
         ("postgres:h/d?table=t", "write postgres://"),

@@ -111,7 +111,7 @@ def test_a_changed_file_is_not_taken_for_the_old(drive: Path) -> None:
     drive.write_text(text[:-3] + "9" + text[-2:], encoding="utf-8")
     with pytest.raises(InputError, match="is not the file that the stream stopped in"):
         source.open(position)
-    with pytest.raises(InputError, match="is no position of replay:"):
+    with pytest.raises(InputError, match="is not a position of replay:"):
         source.open("17")
 
 

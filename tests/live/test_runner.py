@@ -180,7 +180,7 @@ def test_without_a_recipe_it_learns_one_and_loses_no_row() -> None:
 
 
 def test_too_few_rows_to_learn_from_are_told() -> None:
-    with pytest.raises(InputError, match="64 are needed"):
+    with pytest.raises(InputError, match="needs 64"):
         runner_of(ListSource(lambda row: blocks_of(VALUES[:10], 5, row)), MemoryKeeper()).run()
 
 

@@ -105,7 +105,7 @@ def test_what_came_ahead_waits_for_twenty_milliseconds() -> None:
     sequence.due(1.0 + WAIT_S * 1.01)
     np.testing.assert_array_equal(told(sequence), np.arange(20, 30))
     (loss,) = sequence.losses()
-    assert (loss.kind, loss.rows, loss.says) == (LossKind.MISSING, 10, "Rows 10 to 19 did not come.")
+    assert (loss.kind, loss.rows, loss.says) == (LossKind.MISSING, 10, "Rows 10 to 19 did not arrive.")
 
 
 def test_what_comes_after_it_was_given_up_is_late_and_not_repeated() -> None:
@@ -126,7 +126,7 @@ def test_many_losses_are_one_record_with_few_words() -> None:
         sequence.take(batch(seq, 10), 0.0)
     (loss,) = sequence.losses()
     assert loss.rows == 990
-    assert loss.says == "Rows 10 to 19, 30 to 39, 50 to 59, 70 to 79 and 95 stretches more did not come."
+    assert loss.says == "Rows 10 to 19, 30 to 39, 50 to 59, 70 to 79 and 95 more spans did not arrive."
     assert sequence.losses() == ()
 
 

@@ -202,7 +202,7 @@ def test_a_host_that_is_none_and_a_position_of_another_source_are_sentences() ->
     source = UdpSource(Address.parsed("udp:9000?host=no such host"))
     with pytest.raises(InputError, match="no address of this machine"):
         source.open("")
-    with pytest.raises(InputError, match="no position of udp"):
+    with pytest.raises(InputError, match="not a position of udp"):
         source.open('{"row": 4}')
 
 

@@ -97,7 +97,7 @@ def test_over_range_is_no_reading(bench: Bench) -> None:
     [
         ("&query=NAME?", "'KEITHLEY INSTRUMENTS INC.,MODEL 2182', not a number"),
         ("&query=BOTH?&columns=only", "not a number"),
-        ("&query=READ?&columns=one,two", "not 2 numbers with commas"),
+        ("&query=READ?&columns=one,two", "not 2 numbers separated by commas"),
     ],
 )
 def test_what_is_no_row_is_counted(bench: Bench, more: str, said: str) -> None:
@@ -152,6 +152,6 @@ def test_an_instrument_that_is_not_there_is_away() -> None:
 def test_a_library_that_is_not_there_is_said(tmp_path: Path) -> None:
     for backend in ("@carrierpigeon", f"{tmp_path}/absent.yaml@sim"):
         source = VisaSource(Address.parsed(f"visa:GPIB0::7::INSTR?backend={backend}"))
-        with pytest.raises(UsageError, match="has no library to talk with") as caught:
+        with pytest.raises(UsageError, match="finds no VISA library") as caught:
             source.open("")
         assert "Traceback" not in str(caught.value)

@@ -1,1 +1,1 @@
-"""A stream through a recipe, for weeks: sources, sinks, what runs between them, and the journal."""
+"""Clean live streams for weeks: sources, sinks, the runner between them, and the journal."""

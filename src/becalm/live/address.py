@@ -1,4 +1,4 @@
-"""How sources and sinks are named on the command line: KIND:REST?option=value&option=value."""
+"""Parse the addresses of sources and sinks: KIND:REST?option=value&option=value."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _ADVICE = re.compile(
 
 @dataclass(frozen=True)
 class Address:
-    """A source or sink as it was named.
+    """The parsed address of a source or sink.
 
     Attributes
     ----------
     kind : str
         "replay", "udp", ...
     rest : str
-        What stands behind the colon: a file, a port, a URL.
+        Text after the colon: a file, a port, a URL.
     options : dict of str to str
-        What stands behind the question mark.
+        Options after the question mark.
     """
 
     kind: str
@@ -38,40 +38,42 @@ class Address:
 
     @classmethod
     def parsed(cls, text: str) -> Address:
-        """Take a name apart.
+        """Parse an address.
 
         Raises
         ------
         UsageError
-            If there is no kind, or an option stands there twice or without a value.
+            If there is no kind, or an option occurs twice or has no value.
         """
         kind, colon, rest = text.partition(":")
         if not colon or not kind.strip():
-            raise UsageError(f"{text!r} does not say of which kind it is; write KIND:..., as udp:9000 or replay:FILE.")
+            raise UsageError(f"{text!r} has no kind; write KIND:..., for example udp:9000 or replay:FILE.")
         rest, question, tail = rest.partition("?")
         try:
             pairs = parse_qsl(tail, keep_blank_values=True, strict_parsing=True) if question else []
         except ValueError as cause:
-            raise UsageError(f"The options of {text!r} are not name=value joined by &.") from cause
+            raise UsageError(
+                f"The options of {text!r} cannot be parsed; write name=value, joined by & if there are several."
+            ) from cause
         options = dict(pairs)
         if len(options) != len(pairs):
             raise UsageError(f"{text!r} has an option twice; give it one value.")
         return cls(kind.strip().lower(), rest, options)
 
     def __str__(self) -> str:
-        """Return the name without secrets, as logs and recipes may hold it."""
+        """Return the address without secrets, for logs and recipes."""
         tail = "&".join(f"{name}={value}" for name, value in self.options.items())
         return f"{self.kind}:{_SECRET.sub('', self.rest)}{'?' if tail else ''}{tail}"
 
     def refuse_unknown(self, known: Sequence[str]) -> None:
-        """Raise a UsageError where an option is none of the known."""
+        """Raise a UsageError if an option is not in `known`."""
         for name in self.options:
             if name not in known:
-                there = f"it has {', '.join(known)}" if known else "it has none"
-                raise UsageError(f"{self.kind}: has no option {name!r}; {there}.")
+                options = f"its options are {', '.join(known)}" if known else "it has no options"
+                raise UsageError(f"{self.kind}: has no option {name!r}; {options}.")
 
     def number(self, name: str, default: float, *, least: float = 0.0, greatest: float = float("inf")) -> float:
-        """Return an option that is a plain number."""
+        """Return a numeric option; raise a UsageError if it is not a number from `least` to `greatest`."""
         text = self.options.get(name)
         if text is None:
             return default
@@ -80,49 +82,49 @@ class Address:
         except ValueError:
             value = float("nan")
         if not least <= value <= greatest:
-            raise UsageError(f"{self.kind}: {name}={text} is no number from {least:g} to {greatest:g}.")
+            raise UsageError(f"{self.kind}: {name}={text} is not a number from {least:g} to {greatest:g}.")
         return value
 
     def seconds(self, name: str, default: float) -> float:
-        """Return an option that is a time with its unit: 50us, 20ms, 3s, 5min, 2h, 7d."""
+        """Return an option that is a time with unit (50us, 20ms, 3s, 5min, 2h, 7d), in seconds."""
         text = self.options.get(name)
         if text is None:
             return default
         return seconds_of(f"{self.kind}: {name}", text)
 
     def chosen(self, name: str, among: Sequence[str], default: str) -> str:
-        """Return an option that is one of some words."""
+        """Return an option that must be one of the words `among`."""
         text = self.options.get(name, default)
         if text not in among:
-            raise UsageError(f"{self.kind}: {name}={text} is none of {', '.join(among)}.")
+            raise UsageError(f"{self.kind}: {name}={text} is not one of {', '.join(among)}.")
         return text
 
     def names(self, name: str) -> tuple[str, ...]:
-        """Return an option that is a list of names with commas; () where it is not said."""
+        """Return an option that is a comma-separated list of names; () if it is absent."""
         return tuple(part.strip() for part in self.options.get(name, "").split(",") if part.strip())
 
 
 def seconds_of(what: str, text: str) -> float:
-    """Read a time with its unit, as 20ms.
+    """Parse a time with unit, such as 20ms; return it in seconds.
 
     Raises
     ------
     UsageError
-        If it is none.
+        If the text is not a time.
     """
     written = _TIME.fullmatch(text.strip())
     if written is None:
-        raise UsageError(f"{what} {text} is no time; write a number and then {', '.join(_TIMES)}, as 20ms.")
+        raise UsageError(f"{what} {text} is not a time; write a number with a unit ({', '.join(_TIMES)}), as 20ms.")
     return float(written["number"]) * _TIMES[written["unit"]]
 
 
 @contextmanager
 def advising_addresses() -> Iterator[None]:
-    """Where an error advises options for a file, advise those of a source: ?rate=HZ for --rate HZ."""
+    """Rewrite the advice of errors from command-line options to address options: --rate HZ becomes ?rate=HZ."""
     try:
         yield
     except BecalmError as cause:
-        said = _ADVICE.sub(lambda found: f"?{found['name']}={found['value'] or ''}", str(cause))
-        if said == str(cause):
+        message = _ADVICE.sub(lambda match: f"?{match['name']}={match['value'] or ''}", str(cause))
+        if message == str(cause):
             raise
-        raise type(cause)(said) from cause
+        raise type(cause)(message) from cause

@@ -1,4 +1,4 @@
-"""What passes through the room: blocks of readings, what was lost on the way, what is told of them."""
+"""Data of a stream: blocks of readings, losses, outputs with estimates, and checkpoints."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from becalm.core.arrays import Codes, Floats
 
 
 class LossKind(StrEnum):
-    """What can happen to rows on their way."""
+    """Kind of a loss: what can happen to rows between the sensor and the sinks."""
 
-    MISSING = "missing"  # sequence numbers tell that they were sent and never came
-    REPEATED = "repeated"  # came before; left out
-    LATE = "late"  # came after rows that were taken later; left out
-    GARBLED = "garbled"  # could not be read: lines, messages, wrong column counts
+    MISSING = "missing"  # sequence numbers show that rows were sent and did not arrive
+    REPEATED = "repeated"  # duplicates of earlier rows; left out
+    LATE = "late"  # arrived after rows with later stamps; left out
+    GARBLED = "garbled"  # could not be parsed: lines, messages, wrong column counts
     DROPPED = "dropped"  # the queue was full, and the policy is to drop the oldest
-    GAP = "gap"  # the stream stopped, here or there, and cannot be asked for what was sent meanwhile
-    CLOCK = "clock"  # a stamp jumped: nothing need be lost, but time is not what it was
+    GAP = "gap"  # the sender or becalm stopped for a while, and the rows of that time cannot be read again
+    CLOCK = "clock"  # a stamp jumped: rows need not be lost, but the stamps are not continuous
     AWAY = "away"  # a broker, server or port could not be reached for a while
-    SILENT = "silent"  # nothing came for longer than the watchdog waits
-    STORAGE = "storage"  # a disk was full or would not write; the stream stood still
+    SILENT = "silent"  # no rows arrived for longer than the watchdog waits
+    STORAGE = "storage"  # a disk was full or could not be written; the stream had to wait
 
 
 @dataclass(frozen=True)
 class Loss:
-    """One thing that happened to the stream, counted and timed.
+    """One loss or disturbance of the stream.
 
     Attributes
     ----------
     kind : LossKind
-        What.
+        Kind of the loss.
     rows : int or None
-        How many rows it touched (of GARBLED: lines or messages); None where nobody can know.
+        Number of affected rows (for GARBLED: lines or messages); None if unknown.
     says : str
-        One sentence for a person, without secrets.
+        One sentence for the user, without secrets.
     noticed_s : float
-        When it was noticed, in seconds since 1970.
+        Time when it was noticed, in seconds since 1970.
     """
 
     kind: LossKind
@@ -50,24 +50,24 @@ class Loss:
 
 @dataclass(frozen=True)
 class Block:
-    """Some consecutive rows as a source gives them.
+    """Consecutive rows from a source.
 
     Attributes
     ----------
     names, units : tuple of str
-        The channels, (m,); the same in every block of a stream.
+        Names and units of the channels, (m,); the same in every block of a stream.
     time_s : (B,) float array
-        Stamps in seconds as the sender told them; where it tells none, when the rows came, in seconds since 1970.
+        Stamps of the sender in seconds; if it sends none, arrival times in seconds since 1970.
     values : (B, m) float array
         Readings, C-contiguous, NaN where missing.
     position : str
-        Where the source goes on after this block, as JSON text; "" where it cannot go back.
+        Position of the source after this block, as JSON text; "" if the source cannot replay.
     elapsed : (B,) float array or None
-        Steps before each row where the source itself knows the clock (a file); None lets stamps tell.
+        Time steps before each row, if the source knows its clock (a file); with None the stamps are used.
     losses : tuple of Loss
-        What happened to the stream before or in this block. A block may have no rows and tell only this.
+        Losses before or in this block. A block without rows carries only losses.
     arrived_s : float
-        `time.monotonic()` when the last of it came; of blocks that were joined, of the first.
+        `time.monotonic()` when the last row arrived; for joined blocks that of the first block.
     """
 
     names: tuple[str, ...]
@@ -84,13 +84,13 @@ class Block:
         return len(self.time_s)
 
     def goes_on_in(self, after: Block) -> bool:
-        """Whether a later block may be joined to this one: the same channels and clock, and nothing lost between."""
+        """Return whether a later block can be joined to this one: same channels and clock, no losses in between."""
         alike = self.names == after.names and self.units == after.units
         return alike and not after.losses and (self.elapsed is None) == (after.elapsed is None)
 
     @classmethod
     def joined(cls, blocks: list[Block]) -> Block:
-        """Put blocks below each other, each of which goes on in the next."""
+        """Concatenate blocks; `goes_on_in` must hold for each block and the next."""
         first, last = blocks[0], blocks[-1]
         elapsed = [block.elapsed for block in blocks if block.elapsed is not None]
         return replace(
@@ -103,32 +103,32 @@ class Block:
 
     @classmethod
     def of_losses(cls, *losses: Loss) -> Block:
-        """Return a block of no rows, which tells what happened to the stream."""
+        """Return a block without rows that carries losses."""
         return cls((), (), np.empty(0), np.empty((0, 0)), losses=losses)
 
 
 @dataclass(frozen=True)
 class Output:
-    """Some consecutive rows as sinks get them.
+    """Consecutive rows with their estimates, as sinks get them.
 
     Attributes
     ----------
     first_row : int
-        The number of the first row, counted from 0 over the whole life of the stream.
+        Number of the first row, counted from 0 over the whole life of the stream.
     time_s : (B,) float array
         Stamps in seconds.
     values : (B, m) float array
         Raw readings.
     signal, sigma : (B, m) float arrays
-        Clean, and its standard uncertainty.
+        Estimated signal and its standard uncertainty.
     verdicts : (B, m) int8 array
-        What became of each reading, values of `becalm.core.verdict.Verdict`.
+        Verdict on each reading, values of `becalm.core.verdict.Verdict`.
     losses : tuple of Loss
-        What happened to the stream before or in these rows.
+        Losses before or in these rows.
     arrived_s : float
-        `time.monotonic()` when the last of the readings came.
+        `time.monotonic()` when the last of the readings arrived.
     modes : (B, K) float array
-        How probable each mode is, of all channels that switch one after the other; (0, 0) where none does.
+        Mode probabilities of all channels with an IMM, channel after channel; (0, 0) if there is none.
     """
 
     first_row: int
@@ -148,14 +148,14 @@ class Output:
 
 @dataclass(frozen=True)
 class Head:
-    """What every row of a stream shares; told to sinks once, before the first row.
+    """Names, units, rate and recipe of a stream; sinks get them once, before the first row.
 
     Attributes
     ----------
     names, units : tuple of str
-        The clean channels, (m,).
+        Names and units of the cleaned channels, (m,).
     rate_hz : float
-        Nominal readings a second.
+        Nominal sample rate in hertz.
     recipe : str
         The recipe as TOML.
     """
@@ -168,18 +168,18 @@ class Head:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a stream stands: all that is needed to go on as if nothing had happened.
+    """State of a stream, from which it can be resumed as if it had never stopped.
 
     Attributes
     ----------
     rows : int
-        Rows told so far, over the whole life of the stream.
+        Number of rows returned over the whole life of the stream.
     position : str
-        Where the source goes on; "" where it cannot go back.
+        Position after which the source continues; "" if it cannot replay.
     snapshot : bytes
-        The filters.
+        State of filters and clock.
     recipe : str
-        The recipe as TOML: a restart without --recipe goes on with it.
+        The recipe as TOML; a restart without --recipe continues with it.
     source : str
         The source's address, without secrets.
     """

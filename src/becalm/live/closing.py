@@ -1,4 +1,4 @@
-"""What is closed where its `with` ends."""
+"""A base class for objects that a `with` statement closes."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Self
 
 
 class Closing(ABC):
-    """Is given by a `with`, which closes it."""
+    """A context manager that closes itself at the end of its `with` block."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go; harmless twice."""
+        """Release all resources; may be called twice."""
 
     def __enter__(self) -> Self:
-        """Return itself."""
+        """Return the object itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close it."""
+        """Close the object."""
         self.close()

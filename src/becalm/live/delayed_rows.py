@@ -1,4 +1,4 @@
-"""Rows of a stream that wait in a fixed-lag filter for later ones."""
+"""Buffer the raw rows of a stream until a fixed-lag filter returns their estimates."""
 
 from __future__ import annotations
 
@@ -9,31 +9,45 @@ from becalm.errors import ModelError
 
 
 class Waiting:
-    """Rows that were read and not told yet, of a filter with a lag; some may have been told when the stream ended."""
+    """Rows in a filter with a lag, read but without an estimate yet.
+
+    `told` counts the first rows that were already returned, because the stream was finished and then continued.
+
+    Parameters
+    ----------
+    width : int
+        Number of channels.
+    """
 
     def __init__(self, width: int) -> None:
         self.time_s, self.values = np.empty(0), np.empty((0, width))
-        self.told = 0  # of the first ones, at an end that was none
+        self.told = 0
 
     @property
     def count(self) -> int:
-        """How many wait."""
+        """Return the number of buffered rows."""
         return len(self.time_s)
 
     def rows(self, first: int) -> tuple[Floats, Floats]:
-        """Return stamps and readings of those that wait, from one on; they stay."""
+        """Return stamps and readings of the buffered rows from row `first` on; they stay in the buffer."""
         return self.time_s[first:], self.values[first:]
 
     def through(self, time_s: Floats, values: Floats, ready: int) -> tuple[Floats, Floats, int]:
-        """Add rows at the end and take `ready` from the front; return those not told yet, and how many were."""
+        """Add rows at the end and remove `ready` rows from the front.
+
+        Returns
+        -------
+        tuple
+            Stamps and readings of the removed rows that were not returned before, and the number of those that were.
+        """
         time_s, values = np.concatenate([self.time_s, time_s]), np.concatenate([self.values, values])
         self.time_s, self.values = time_s[ready:].copy(), values[ready:].copy()
-        again = min(self.told, ready)
-        self.told -= again
-        return time_s[again:ready], values[again:ready], again
+        returned_before = min(self.told, ready)
+        self.told -= returned_before
+        return time_s[returned_before:ready], values[returned_before:ready], returned_before
 
     def restore(self, time_s: Floats, values: Floats, told: int) -> None:
-        """Take over what waited in a stream that was stopped; a ModelError if that is not what it says."""
+        """Restore the buffer of a stopped stream; raise a ModelError if the arrays do not fit each other."""
         if values.shape != (len(time_s), self.values.shape[1]) or not 0 <= told <= len(time_s):
-            raise ModelError("The stream's snapshot is damaged; begin a new stream in another folder.")
+            raise ModelError("The stream's snapshot is damaged; start a new stream in another folder.")
         self.time_s, self.values, self.told = time_s, values, told

@@ -1,4 +1,4 @@
-"""A recipe from a stream's first seconds, where none was given."""
+"""Learn a recipe from a stream's first seconds, if none is given."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from becalm.live.address import advising_addresses
 from becalm.live.block import Block
 
 FEWEST_ROWS = 64
-"""Under so many rows nothing is learned: neither the noise nor the rate."""
+"""Least number of rows from which noise and rate are learned."""
 
 FEW_STAMPS = 20
-"""Under so many stamps nothing is told of their last digit."""
+"""Least number of stamps from which their resolution is estimated."""
 
 _DAY_S = 86400.0
-_STANDING_S = 10.0
+_CONSTANT_STAMPS_S = 10.0  # extra time to wait for rows whose stamps do not advance
 
 
 class Learned(NamedTuple):
-    """What the first seconds told."""
+    """A learned recipe, with the time step and the stamps' resolution in seconds."""
 
     recipe: Recipe
     step_s: float
@@ -36,20 +36,20 @@ class Learned(NamedTuple):
 
 
 class Early:
-    """Blocks that came before there were filters for them, and how long they span; each is looked at once.
+    """Blocks that arrived before the filters existed, and the time they span, updated block by block.
 
     Attributes
     ----------
     blocks : list of Block
-        All of them, in order.
+        All blocks, in order.
     rows : int
-        How many they hold.
+        Number of rows in the blocks.
     steps : float or None
-        What they tell of elapsed steps; None where they do not.
+        Sum of the elapsed steps; None if a block does not have them.
     span_s : float
-        Seconds between their stamps, without what goes back or leaps over a day.
+        Time that the stamps span, in seconds, without steps backwards and steps of more than a day.
     came_for_s : float
-        Seconds between the arrivals of the first rows and the last.
+        Time between the arrivals of the first and the last rows, in seconds.
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Early:
         self._began_s: float | None = None
 
     def add(self, block: Block) -> None:
-        """Take the next."""
+        """Add the next block."""
         self.blocks.append(block)
         if not len(block):
             return
@@ -81,17 +81,17 @@ class Early:
 
 @dataclass(frozen=True)
 class Learner:
-    """Gathers blocks until they span long enough, and tunes a recipe on them.
+    """Decides when the first blocks span enough time, and tunes a recipe on them.
 
     Attributes
     ----------
     learn_s : float
-        How long to look, by the stream's own time; with a *short* one the filter starts soon, and knows less of the
-        noise and of slow tones.
+        Time to learn from, in seconds of the stream's own stamps. With a *short* time the filter starts soon, but
+        noise and slow tones are identified less accurately.
     lag_s : float or None
-        How long each estimate may wait for later readings; None does not.
+        Lag of the estimates in seconds, for which they use later measurements; None for no lag.
     channels : tuple of str
-        Which to clean; all where none is named.
+        Names of the channels to clean; empty for all.
     """
 
     learn_s: float
@@ -99,12 +99,15 @@ class Learner:
     channels: tuple[str, ...] = ()
 
     def is_enough(self, early: Early, rate_hz: float | None) -> bool:
-        """Whether blocks hold enough rows, and span so long; or have come so long that their stamps stand still."""
+        """Return whether the blocks have enough rows and span `learn_s`.
+
+        Rows whose stamps do not advance are enough once they have arrived for 2 `learn_s` + 10 s.
+        """
         if early.rows < FEWEST_ROWS:
             return False
         if early.steps is not None and rate_hz:
             return early.steps >= self.learn_s * rate_hz
-        return early.span_s >= self.learn_s or early.came_for_s >= 2 * self.learn_s + _STANDING_S
+        return early.span_s >= self.learn_s or early.came_for_s >= 2 * self.learn_s + _CONSTANT_STAMPS_S
 
     def learn(self, blocks: list[Block], rate_hz: float | None) -> Learned:
         """Tune a recipe on blocks.
@@ -112,13 +115,13 @@ class Learner:
         Raises
         ------
         InputError
-            If there are too few rows, or their stamps tell no rate.
+            If there are too few rows, or the stamps do not give a rate.
         """
         full = [block for block in blocks if len(block)]
         rows = sum(len(block) for block in full)
         if rows < FEWEST_ROWS:
             raise InputError(
-                f"{rows} rows came, and {FEWEST_ROWS} are needed to learn a filter from; give one with --recipe."
+                f"Only {rows} rows arrived, but learning a filter needs {FEWEST_ROWS}; give a recipe with --recipe."
             )
         values = np.concatenate([block.values for block in full])
         with advising_addresses():
@@ -130,13 +133,13 @@ class Learner:
 
 
 def resolution_of(stamps_s: Floats) -> float:
-    """Return the last digit that some stamps are rounded to, in seconds; 0 where they are too few to tell."""
+    """Return the resolution to which stamps are rounded, in seconds; 0 if there are too few stamps."""
     finite = stamps_s[np.isfinite(stamps_s)]
     return last_digit(finite) if len(finite) >= FEW_STAMPS else 0.0
 
 
 def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Integers]:
-    """Understand the time of blocks, and say which rows have one."""
+    """Return the timebase of blocks, and the rows whose stamps increase, which it describes."""
     elapsed = [block.elapsed for block in blocks]
     if rate_hz is not None and all(steps is not None for steps in elapsed):
         steps = np.concatenate([steps for steps in elapsed if steps is not None])

@@ -1,4 +1,4 @@
-"""One writer at a time: a lock that goes with its process, however that ends."""
+"""Lock a folder for one process; the lock is released however the process ends."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from becalm.errors import UsageError
 
 
 def locked(path: Path, refusal: str) -> sqlite3.Connection:
-    """Keep other processes from where a file lies, until the connection is closed or the process ends.
+    """Lock a file against other processes; return the connection that holds the lock until it is closed.
 
     Parameters
     ----------
     path : Path
-        An empty file, which is made; SQLite locks it on every system.
+        Empty lock file, created if absent. SQLite locks it on every system.
     refusal : str
-        What to say where another one has it.
+        Error message if another process holds the lock.
 
     Raises
     ------
     UsageError
-        If another one has it.
+        If another process holds the lock.
     sqlite3.Error
         If the file cannot be made.
     """

@@ -1,4 +1,4 @@
-"""Import the optional library of a transport, or say what to install."""
+"""Import the optional library of a transport, or raise an error that names the package to install."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from becalm.errors import UsageError
 
 
 def wanted(whose: str, module: str, package: str = "", extra: str = "live") -> Any:
-    """Return a module that is not here in every installation.
+    """Return an optional module.
 
     Parameters
     ----------
     whose : str
-        What needs it, as a person typed that.
+        Option or address that needs the module, as the user typed it.
     module : str
-        Its name.
+        Name of the module.
     package : str
-        What it is called where it is installed from, if that is another name.
+        Name of the package to install, if it differs from the module's name.
     extra : str
-        The extra of becalm that brings it.
+        Extra of becalm that installs the package.
 
     Raises
     ------
     UsageError
-        If it is not here.
+        If the module is not installed.
     """
     try:
         return import_module(module)

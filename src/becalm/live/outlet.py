@@ -1,4 +1,4 @@
-"""A sink that the filters write to and the keeper's thread flushes: one that went away holds up no row but its own."""
+"""A sink that one thread writes and another flushes; rows for an unreachable sink are buffered."""
 
 from __future__ import annotations
 
@@ -9,10 +9,16 @@ from becalm.live.protocols import AwayError, Sink
 
 
 class Outlet:
-    """A sink beside the keeper.
+    """A sink with a buffer for the time when it cannot be reached.
 
-    Written by one thread and flushed by another. What cannot be written because the other end is away waits here until
-    `flush` has reached it again; a stream that is not flushed hands no batch over, so that no more than a few wait.
+    The filtering thread writes and the commit thread flushes. Rows that cannot be written are buffered until `flush`
+    has reached the sink again. The buffer stays small: no batch is committed before all sinks are flushed, and the
+    filters wait when several batches are not committed.
+
+    Parameters
+    ----------
+    sink : Sink
+        The sink to write to.
     """
 
     def __init__(self, sink: Sink) -> None:
@@ -23,7 +29,7 @@ class Outlet:
         self._lock = threading.Lock()
 
     def open(self, head: Head) -> None:
-        """Reach the other end; where it is away now, it is reached at the first flush."""
+        """Open the sink; if it cannot be reached now, the first flush opens it."""
         self._head = head
         try:
             self._sink.open(head)
@@ -31,7 +37,7 @@ class Outlet:
             self._is_away = True
 
     def write(self, output: Output) -> None:
-        """Write some rows, or let them wait."""
+        """Write rows, or buffer them if the sink cannot be reached."""
         with self._lock:
             if self._is_away:
                 self._waiting.append(output)
@@ -43,12 +49,12 @@ class Outlet:
                 self._is_away = True
 
     def flush(self) -> None:
-        """Return once all that was written is with the other end.
+        """Return once the sink has delivered all rows that were written.
 
         Raises
         ------
         AwayError
-            If it is away.
+            If the sink cannot be reached.
         """
         with self._lock:
             if self._is_away:
@@ -62,11 +68,11 @@ class Outlet:
         self._sink.flush()
 
     def away(self) -> None:
-        """Hear that the other end went away."""
+        """Mark the sink as unreachable."""
         with self._lock:
             self._is_away = True
 
     def close(self) -> None:
-        """Let go of the other end."""
+        """Close the sink."""
         with self._lock:
             self._sink.close()

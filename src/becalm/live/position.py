@@ -1,4 +1,4 @@
-"""Where a source stands, as JSON text that a checkpoint keeps."""
+"""Parse the position of a source, JSON text that a checkpoint holds."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from becalm.errors import InputError
 
 
 def told_by(kind: str, position: str, needed: str) -> dict[str, Any]:
-    """Return what a position tells; {} of "", which begins.
+    """Return the fields of a position; {} for "", the start of a stream.
 
     Parameters
     ----------
     kind : str
-        Of the source that reads it.
+        Kind of the source that continues from the position.
     position : str
-        As the source wrote it.
+        Position as a source wrote it.
     needed : str
-        What only positions of this kind of source hold.
+        Key that only positions of this kind of source have.
 
     Raises
     ------
     InputError
-        If another kind of source wrote it.
+        If a source of another kind wrote the position.
     """
     if not position:
         return {}
     try:
-        told = json.loads(position)
+        fields = json.loads(position)
     except ValueError:
-        told = None
-    if not isinstance(told, dict) or needed not in told:
+        fields = None
+    if not isinstance(fields, dict) or needed not in fields:
         raise InputError(
-            f"This stream was read until {position[:80]!r}, which is no position of {kind}:; go on with the source "
-            "that it had, or begin a new stream in another place."
+            f"The position of this stream, {position[:80]!r}, is not a position of {kind}:; continue with the source "
+            "that the stream had, or start a new stream in another place."
         )
-    return told
+    return fields

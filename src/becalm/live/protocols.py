@@ -1,4 +1,4 @@
-"""The two small protocols that every transport keeps, and the third of sinks that can bring a stream back."""
+"""The protocols of sources, sinks and keepers; a keeper is a sink from which a stream can be resumed."""
 
 from __future__ import annotations
 
@@ -8,114 +8,114 @@ from becalm.errors import BecalmError
 from becalm.live.block import Block, Checkpoint, Head, Output
 
 
-class EndOfStream(Exception):  # noqa: N818  (it is no error)
-    """A source has told all there is: a file's end, a closed pipe."""
+class EndOfStream(Exception):  # noqa: N818  (not an error)
+    """Raised at the end of a source: the end of a file, a closed pipe."""
 
 
 class AwayError(BecalmError):
-    """What is at the other end cannot be reached now, and may be later: the runner tries again, with back-off."""
+    """A server, port or device cannot be reached now but may be later; the runner tries again with back-off."""
 
     exit_code = 3
 
 
 class StorageFullError(BecalmError):
-    """There is no room to write, or writing fails as it may when there is none; nothing was half-written."""
+    """The disk is full, or writing fails in a way that a full disk can cause; nothing was half-written."""
 
     exit_code = 5
 
 
 class Source(Protocol):
-    """Gives blocks of readings. `open`, `read` and `close` are called by one thread, `committed` by another."""
+    """A source of blocks. One thread calls `open`, `read` and `close`; another thread calls `committed`."""
 
     replays: bool
-    """Whether it can go back to a position, so that a stream that was killed loses nothing."""
+    """True if the source can go back to a position, so that a killed stream loses nothing."""
 
     rate_hz: float | None
-    """Readings a second where the source itself knows, once it is open; blocks then may tell `elapsed`."""
+    """Sample rate in hertz if the source knows it once it is open; its blocks may then have `elapsed`."""
 
     def open(self, position: str) -> None:
-        """Reach the other end and go on after `position`; "" begins at the beginning, or now. May be called again.
+        """Open the source and continue after `position`; "" means from the start, or from now. May be called again.
 
         Raises
         ------
         AwayError
-            If the other end cannot be reached now.
+            If the source cannot be reached now.
         BecalmError
-            If it never can: no such file, no such option.
+            If it can never be opened: no such file, no such option.
         """
         ...
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the next block, or None where nothing came within `timeout_s`.
+        """Return the next block, or None if nothing arrives within `timeout_s`.
 
-        Whatever is read and cannot be understood is counted in the next block's losses, and never raises.
+        Input that cannot be parsed raises no error; it is counted in the losses of the next block.
 
         Raises
         ------
         EndOfStream
-            If no more will ever come.
+            If the source has ended.
         AwayError
-            If the other end went away; the runner closes, waits and opens again at the last block's position.
+            If the connection was lost; the runner closes, waits and opens again at the last block's position.
         """
         ...
 
     def committed(self, position: str) -> None:
-        """Hear that all rows up to `position` are kept for good: what can be acknowledged may be."""
+        """Acknowledge all rows up to `position`, if the source can: they are committed."""
         ...
 
     def close(self) -> None:
-        """Let go of the other end; harmless twice."""
+        """Close the connection; may be called twice."""
         ...
 
 
 @runtime_checkable
 class Sink(Protocol):
-    """Takes what is told of a stream."""
+    """A sink for the outputs of a stream."""
 
     def open(self, head: Head) -> None:
-        """Reach the other end; called before anything is written. AwayError if it cannot be reached now."""
+        """Open the sink, before anything is written; raise AwayError if it cannot be reached now."""
         ...
 
     def write(self, output: Output) -> None:
-        """Take some rows; they need not be out when this returns. Output of no rows may tell losses."""
+        """Write rows; they need not be delivered when this returns. An output without rows may carry losses."""
         ...
 
     def flush(self) -> None:
-        """Return once all that was written is with the other end, acknowledged where it acknowledges.
+        """Return once all written rows are delivered, and acknowledged if the receiver acknowledges.
 
-        The keeper's thread calls this, beside `write`.
+        The commit thread calls this, while another thread calls `write`.
         """
         ...
 
     def close(self) -> None:
-        """Let go of the other end; harmless twice."""
+        """Close the connection; may be called twice."""
         ...
 
 
 @runtime_checkable
 class Keeper(Protocol):
-    """A sink that keeps rows, filters and position in one transaction, so that a crash leaves all or nothing."""
+    """A sink that commits rows, filters and position in one transaction, so that a crash leaves all or nothing."""
 
     def last(self) -> Checkpoint | None:
-        """Return the last checkpoint that was kept; None of a new stream. Called before `open`."""
+        """Return the last committed checkpoint; None for a new stream. Called before `open`."""
         ...
 
     def open(self, head: Head) -> None:
-        """Make ready for a stream; one that goes on has the head that it had."""
+        """Prepare for a stream; a resumed stream has the same head as before."""
         ...
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
-        """Keep rows and checkpoint for good, both or neither. When this returns, a power cut loses nothing of them.
+        """Commit rows and checkpoint, both or neither. Once this returns, a power cut loses none of them.
 
         Raises
         ------
         StorageFullError
-            If there is no room; nothing is kept, and the same call may be made again.
+            If the disk is full; nothing is committed, and the same call may be made again.
         AwayError
-            If the other end went away; whether it kept this call's rows is told by `last` after opening again.
+            If the connection was lost; after opening again, `last` shows whether the rows were committed.
         """
         ...
 
     def close(self) -> None:
-        """Let go; harmless twice."""
+        """Release all resources; may be called twice."""
         ...

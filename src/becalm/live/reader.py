@@ -1,4 +1,4 @@
-"""The thread that reads: reaches the source, tries again where it went away, and fills the queue."""
+"""A thread that reads the source into the queue, and reconnects when the connection is lost."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ _DRAIN_S = 1.0
 
 
 class BackOff:
-    """How long to wait before the next try: twice as long each time, up to half a minute, and not all at once."""
+    """Exponential back-off between attempts: the wait doubles up to 30 s, with 25 % random jitter."""
 
     def __init__(self) -> None:
         self._next_s = _FIRST_S
 
     def wait(self, stop: threading.Event) -> None:
-        """Wait, unless someone stops."""
+        """Wait before the next attempt, or until `stop` is set."""
         stop.wait(self._next_s * random.uniform(0.75, 1.25))
         self._next_s = min(2 * self._next_s, _LONGEST_S)
 
     def reset(self) -> None:
-        """Hear that it went well."""
+        """Start again with the shortest wait, after a success."""
         self._next_s = _FIRST_S
 
 
 class Reader:
-    """Reads a source in a thread of its own.
+    """Reads a source in a separate thread.
 
     Parameters
     ----------
     source : Source
-        Where blocks come from.
+        Source of the blocks.
     queue : BlockQueue
-        Where they go.
+        Queue that gets the blocks.
     watch : Watch
-        Hears of each.
+        Counts the blocks and records when the source is away.
     position : str
-        Where to go on; "" of a new stream.
+        Position after which to continue; "" for a new stream.
     """
 
     def __init__(self, source: Source, queue: BlockQueue, watch: Watch, position: str) -> None:
@@ -55,15 +55,15 @@ class Reader:
         self._thread = threading.Thread(target=self._run, name="reader", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Read no more than what is there; the queue ends."""
+        """Stop after the rows that have already arrived; the queue then ends."""
         self._stop.set()
 
     def join(self) -> None:
-        """Wait for the end."""
+        """Wait until the thread has ended."""
         self._thread.join()
 
     def _run(self) -> None:
@@ -72,25 +72,25 @@ class Reader:
             while not self._stop.is_set():
                 try:
                     self._source.open(self._position)
-                    self._read_on()
+                    self._read_until_stopped()
                 except AwayError as cause:
-                    self._went_away(cause)
+                    self._record_away(cause)
         except EndOfStream:
             pass
-        except BaseException as cause:  # the runner tells it, once all that was read is kept
+        except BaseException as cause:  # the runner raises it, once all rows that were read are committed
             failure = cause
         finally:
             self._source.close()
             self._queue.end(failure)
 
-    def _read_on(self) -> None:
+    def _read_until_stopped(self) -> None:
         while not self._stop.is_set():
             block = self._source.read(_POLL_S)
             if block is None:
                 continue
-            self._came_back()
+            self._record_back()
             self._take(block)
-        # What waits at the wire is lost otherwise, where it cannot be asked for again.
+        # A source that cannot replay would lose the rows that have already arrived, so read them too.
         until = time.monotonic() + _DRAIN_S
         while not self._source.replays and time.monotonic() < until and (block := self._source.read(0.0)) is not None:
             self._take(block)
@@ -100,7 +100,7 @@ class Reader:
         self._watch.meter.took(block)
         self._queue.put(block, self._stop)
 
-    def _went_away(self, cause: AwayError) -> None:
+    def _record_away(self, cause: AwayError) -> None:
         self._source.close()
         if self._away_since is None:
             self._away_since = time.time()
@@ -108,7 +108,7 @@ class Reader:
             self._queue.tell(Loss(LossKind.AWAY, None, str(cause)))
         self._back_off.wait(self._stop)
 
-    def _came_back(self) -> None:
+    def _record_back(self) -> None:
         if self._away_since is not None:
             away_s, self._away_since = time.time() - self._away_since, None
             self._watch.state("running")

@@ -1,4 +1,4 @@
-"""Which transport a name on the command line means; each is loaded when it is asked for."""
+"""Make the source or sink of a command-line address; each transport is imported only when it is used."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SOURCES = {
     "visa": "becalm.live.sources.visa:VisaSource",
     "ni": "becalm.live.sources.ni:NiSource",
 }
-"""Where each kind of source is made: a class that takes its address."""
+"""Module and class of each kind of source; the class takes an `Address`."""
 
 SINKS = {
     "stdout": "becalm.live.sinks.stdout:StdoutSink",
@@ -32,36 +32,36 @@ SINKS = {
     "postgres": "becalm.live.sinks.postgres:PostgresSink",
     "delta": "becalm.live.sinks.delta:DeltaSink",
 }
-"""The same of sinks."""
+"""Module and class of each kind of sink; the class takes an `Address`."""
 
 
 def open_source(text: str) -> Source:
-    """Make the source that a text names; nothing is reached yet.
+    """Make the source of an address; it is not opened yet.
 
     Raises
     ------
     UsageError
-        If there is no such kind, or no such option.
+        If the kind or an option is unknown.
     """
-    return cast("Source", _made(text, SOURCES, "source"))
+    return cast("Source", _make(text, SOURCES, "source"))
 
 
 def open_sink(text: str) -> Sink | Keeper:
-    """Make the sink that a text names; nothing is reached yet.
+    """Make the sink of an address; it is not opened yet.
 
     Raises
     ------
     UsageError
-        If there is no such kind, or no such option.
+        If the kind or an option is unknown.
     """
-    return cast("Sink | Keeper", _made(text, SINKS, "sink"))
+    return cast("Sink | Keeper", _make(text, SINKS, "sink"))
 
 
-def _made(text: str, kinds: dict[str, str], what: str) -> object:
+def _make(text: str, kinds: dict[str, str], what: str) -> object:
     address = Address.parsed(text)
     if address.kind not in kinds:
         raise UsageError(
-            f"{address.kind}: is no {what} of becalm; there are {', '.join(f'{kind}:' for kind in kinds)}."
+            f"{address.kind}: is not a {what} of becalm; use one of {', '.join(f'{kind}:' for kind in kinds)}."
         )
     module, _, name = kinds[address.kind].partition(":")
     return getattr(import_module(module), name)(address)

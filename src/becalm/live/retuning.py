@@ -1,4 +1,4 @@
-"""Another recipe amid a stream: asked for by a signal or a page, taken by the thread that filters."""
+"""Change the recipe of a running stream: a signal or a page requests it, the filtering thread takes it."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from becalm.live.stream import Prepared, Stream
 from becalm.live.watching.watch import Watch
 
 Heard = Callable[[str | None], object]
-"""Is told why a recipe was refused; "" of one that was taken, None of one that a newer one came before."""
+"""Called with the result: why the recipe was refused, "" if it was taken, None if a newer request replaced it."""
 
 Retune = Callable[[Callable[[], Recipe], Heard], None]
-"""Asks for another recipe, as `Runner.retune`."""
+"""Requests another recipe: see `Runner.retune`."""
 
 
-class _Asked(NamedTuple):
+class _Request(NamedTuple):
     recipe: Callable[[], Recipe]
     heard: Heard
 
 
 class Retuning:
-    """What was asked for last; what was asked before it and not begun yet is passed over.
+    """Requests for another recipe. Only the newest one is started; older requests that have not started are dropped.
 
-    Filters are made in a thread of their own, so that no row waits for them.
+    The filters are made in a separate thread, so that no row has to wait.
     """
 
     def __init__(self) -> None:
-        self._asked: deque[_Asked] = deque()  # so that a signal amid taking loses nothing
+        self._requests: deque[_Request] = deque()  # a deque, so that a signal handler may append at any time
         self._making: Future[Prepared] | None = None
         self._heard: Heard = lambda _: None
 
     def ask(self, recipe: Callable[[], Recipe], heard: Heard) -> None:
-        """Ask for a recipe, which is read later."""
-        self._asked.append(_Asked(recipe, heard))
+        """Request a recipe; `recipe` is called later and returns it."""
+        self._requests.append(_Request(recipe, heard))
 
     def take(self, stream: Stream, watch: Watch) -> None:
-        """Let a stream take filters that are made, unless it is just going from some to others: then later."""
+        """Hand the stream over to new filters once they are made and no other handover is running."""
         if self._making is None:
-            if self._asked:
+            if self._requests:
                 self._begin(stream)
         elif self._making.done() and not stream.gives_way:
             making, self._making = self._making, None
@@ -52,18 +52,18 @@ class Retuning:
                 stream.take_over(made := making.result())
             except BecalmError as cause:
                 self._refuse(str(cause), watch)
-            except Exception as cause:  # nobody foresaw it: a stream of weeks shall not end by what was only asked
+            except Exception as cause:  # unexpected, but a request must not end the stream
                 self._refuse(f"The recipe could not be taken ({type(cause).__name__}: {cause}).", watch)
             else:
                 watch.tuned(made.toml)
                 self._heard("")
 
-    def _refuse(self, says: str, watch: Watch) -> None:
-        watch.refused(says)
-        self._heard(says)
+    def _refuse(self, message: str, watch: Watch) -> None:
+        watch.refused(message)
+        self._heard(message)
 
     def _begin(self, stream: Stream) -> None:
-        *older, (recipe, self._heard) = (self._asked.popleft() for _ in range(len(self._asked)))
+        *older, (recipe, self._heard) = (self._requests.popleft() for _ in range(len(self._requests)))
         for one in older:
             one.heard(None)
         making = self._making = Future[Prepared]()
@@ -71,7 +71,7 @@ class Retuning:
         def make() -> None:
             try:
                 making.set_result(stream.prepared(recipe()))
-            except Exception as cause:  # the stream's thread says it
+            except Exception as cause:  # the filtering thread reports it
                 making.set_exception(cause)
 
         load_scipy()

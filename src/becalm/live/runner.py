@@ -1,4 +1,4 @@
-"""The walk of a stream: read, filter, tell, keep; until it ends or someone stops it."""
+"""Run a stream: read, filter, write and commit until the source ends or the stream is stopped."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from becalm.live.stream_start import Beginning, Begun, insist, open_keeper
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25
-_AT_ONCE = 1024  # rows, of blocks that wait
-_MOST_VALUES = 1 << 19  # that one commit holds
+_JOINED_ROWS = 1024  # queued blocks are filtered together up to this many rows
+_MOST_VALUES = 1 << 19  # values in one commit
 _HEALTH_S = 1.0
 
 
 @dataclass
 class Runner:
-    """Runs a stream.
+    """Runs a stream, from its source through its filters to its sinks.
 
     Attributes
     ----------
     source : Source
-        Where blocks come from.
+        Source of the blocks.
     address : str
-        Its name, without secrets; a keeper that has another stream's rows is refused.
+        The source's address without secrets; a keeper with rows of another source is refused.
     outlets : Outlets
-        Where rows go.
+        Sinks and keeper that get the rows.
     watch : Watch
-        Hears of all.
+        Records states, counts and losses.
     beginning : Beginning
-        Where filters come from.
+        Makes the filters.
     settings : Settings
-        How.
+        Commit interval, queue and patience.
     """
 
     source: Source
@@ -56,52 +56,52 @@ class Runner:
     settings: Settings = field(default_factory=Settings)
 
     def __post_init__(self) -> None:
-        """Make what does not depend on the wires."""
+        """Make the queue and the state; nothing is opened yet."""
         self._stop, self._retuning = threading.Event(), Retuning()
         self._reader: Reader | None = None
         self._queue = BlockQueue(self.settings.queue_blocks, self.settings.when_full)
         self._outputs: list[Output] = []
         self._losses: list[Loss] = []
         self._position = ""
-        self._given_s = 0.0  # time.monotonic() when rows were handed to the keeper last
-        self._health_s = 0.0  # and when the meter last heard how channels are
+        self._handed_over_s = 0.0  # time.monotonic() when rows were last handed to the keeper
+        self._health_s = 0.0  # time.monotonic() when the meter last got the health of the channels
         self.rows = 0
-        """Rows told, over the whole life of the stream."""
+        """Number of rows returned over the whole life of the stream."""
 
     def stop(self) -> None:
-        """Read no more; filter, tell and keep what was read, and end."""
+        """Stop reading; rows that were read are filtered, written and committed, then the run ends."""
         self._stop.set()
 
     def retune(self, recipe: Callable[[], Recipe], heard: Heard = lambda _: None) -> None:
-        """Take another recipe for the same channels at the next block, without a jump; one that cannot be is refused.
+        """Request another recipe for the same channels, used from the next block on without a jump of the signal.
 
-        The recipe is read later. Of several asked for meanwhile the last is taken,
-        and the others hear so.
+        `recipe` is called later and returns the recipe. `heard` is called with the result: see `Heard`. If several
+        recipes are requested before one is taken, the last one wins.
         """
         self._retuning.ask(recipe, heard)
 
     def run(self) -> None:
-        """Run until the source ends, or someone stops.
+        """Run until the source ends or `stop` is called.
 
         Raises
         ------
         BecalmError
-            If the source or a sink can never be reached, or something could not be kept; all else is kept.
+            If the source or a sink can never be reached, or rows could not be committed; all other rows are committed.
         """
         keeper = self.outlets.keeper
         last = None if keeper is None else insist(keeper.last, self.watch, self._stop)
-        begun = None if last is None else self._resumed(last)
+        begun = None if last is None else self._resume(last)
         reader = self._reader = Reader(self.source, self._queue, self.watch, self._position)
         reader.start()
         keeping: Keeping | None = None
         try:
-            begun = begun or self._begun()
+            begun = begun or self._begin()
             if begun is not None:
                 keeping = self._open(begun)
                 try:
-                    self._walk(begun, keeping)
+                    self._filter_all(begun, keeping)
                 finally:
-                    self._give(begun.stream, keeping, at_once=True)
+                    self._commit(begun.stream, keeping, at_once=True)
             self.watch.state("stopping" if self._stop.is_set() else "ended")
         finally:
             reader.stop()
@@ -111,24 +111,25 @@ class Runner:
             finally:
                 self._close(reader)
 
-    def _resumed(self, last: Checkpoint) -> Begun:
+    def _resume(self, last: Checkpoint) -> Begun:
         begun = self.beginning.resumed(last, self.address)
         if self.beginning.timed is not None:
             self.source = self.beginning.timed(begun.stream.recipe)
         self._position = last.position
         if not self.source.replays:
-            says = (
-                "becalm was not running; what was sent meanwhile is lost, unless the sender keeps it and sends it yet."
+            message = (
+                "becalm was not running for a while; rows sent in that time are lost, unless the sender stores them and"
+                " sends them again."
             )
-            self._losses.append(Loss(LossKind.GAP, None, says))
+            self._losses.append(Loss(LossKind.GAP, None, message))
         return begun
 
-    def _begun(self) -> Begun | None:
+    def _begin(self) -> Begun | None:
         begun = None
         try:
             begun = self.beginning.begun(self._next, self._queue, self.source, self.watch)
         finally:
-            if begun is None:  # whose first rows would have told them
+            if begun is None:  # there are no rows that could carry the losses
                 self.watch.lost(self._losses)
         return begun
 
@@ -140,13 +141,13 @@ class Runner:
             outlet.open(head)
         self.watch.meter.begin(head.names, begun.stream.recipe.to_toml())
         self.watch.state("running")
-        self._given_s = time.monotonic()
+        self._handed_over_s = time.monotonic()
         return Keeping(self.outlets, self.source, self.watch, head)
 
-    def _walk(self, begun: Begun, keeping: Keeping) -> None:
+    def _filter_all(self, begun: Begun, keeping: Keeping) -> None:
         stream = begun.stream
         if begun.before:
-            self._pass_on(stream.take(Block.of_losses(*begun.before)))
+            self._write(stream.take(Block.of_losses(*begun.before)))
         for early in begun.blocks:
             self._take(early, stream, keeping)
         while not self._queue.ended:
@@ -154,51 +155,52 @@ class Runner:
             block = self._next()
             if block is not None:
                 self._take(block, stream, keeping)
-            self._give(stream, keeping)
-            self._look_after(stream)
+            self._commit(stream, keeping)
+            self._record_health(stream)
         if not self._stop.is_set():
-            self._tell(stream.finish())
+            self._emit(stream.finish())
 
     def _next(self) -> Block | None:
         if self._stop.is_set() and self._reader is not None:
             self._reader.stop()
-        block = self._queue.get(_POLL_S, _AT_ONCE)
+        block = self._queue.get(_POLL_S, _JOINED_ROWS)
         self._losses += self.watch.turned(block is not None)
         self.watch.meter.queued(*self._queue.depth)
         return block
 
     def _take(self, block: Block, stream: Stream, keeping: Keeping) -> None:
-        self._tell(stream.take(block))
+        self._emit(stream.take(block))
         self._position = block.position or self._position
         if sum(output.values.size for output in self._outputs) >= _MOST_VALUES:
-            self._give(stream, keeping, at_once=True)
+            self._commit(stream, keeping, at_once=True)
 
-    def _tell(self, output: Output) -> None:
+    def _emit(self, output: Output) -> None:
+        """Write rows to the sinks and count them, with the losses since the last output."""
         if self._losses:
             output, self._losses = replace(output, losses=(*self._losses, *output.losses)), []
         if not (len(output) or output.losses):
             return
-        self._pass_on(output)
+        self._write(output)
         self.watch.told(output)
 
-    def _pass_on(self, output: Output) -> None:
+    def _write(self, output: Output) -> None:
         self.rows = output.first_row + len(output)
-        self._outputs.append(output)  # first: a sink that fails for good does not keep it from being kept
+        self._outputs.append(output)  # before writing, so that it is committed even if a sink fails for good
         for outlet in self.outlets.others:
             outlet.write(output)
 
-    def _give(self, stream: Stream, keeping: Keeping, *, at_once: bool = False) -> None:
-        """Hand over what was told since the last time, if it is time."""
+    def _commit(self, stream: Stream, keeping: Keeping, *, at_once: bool = False) -> None:
+        """Hand the rows since the last commit to the keeper, if the commit interval has passed."""
         now = time.monotonic()
-        if not at_once and now - self._given_s < self.settings.commit_s:
+        if not at_once and now - self._handed_over_s < self.settings.commit_s:
             return
-        self._given_s = now
+        self._handed_over_s = now
         if self._outputs:
             outputs, self._outputs = self._outputs, []
             keeping.give(Transaction(outputs, stream.checkpoint(self._position, self.address)))
         self._losses += keeping.losses()
 
-    def _look_after(self, stream: Stream) -> None:
+    def _record_health(self, stream: Stream) -> None:
         now = time.monotonic()
         if now - self._health_s >= _HEALTH_S:
             self._health_s = now

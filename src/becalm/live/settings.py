@@ -1,4 +1,4 @@
-"""How a stream is run."""
+"""Settings of a running stream: commit interval, queue and patience."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from becalm.live.queueing import Policy
 
 @dataclass(frozen=True)
 class Settings:
-    """How a stream is run.
+    """Settings of a running stream.
 
     Attributes
     ----------
     commit_s : float
-        How often rows, filters and position are kept; with a *short* time a power cut costs less work done again.
+        Interval between commits of rows, filters and position, in seconds; after a power cut a *short* interval
+        leaves less to do again.
     queue_blocks : int
-        Blocks that may wait for the filters.
+        Largest number of blocks in the queue between reader and filters.
     when_full : {"block", "drop-oldest"}
-        What becomes of a block that finds the queue full.
+        Policy for a full queue: the reader waits, or the oldest block is dropped.
     patience_s : float
-        How long a stop waits for a full disk or an absent server.
+        Time for which a stop waits for a full disk or an absent server, in seconds.
     """
 
     commit_s: float = 1.0

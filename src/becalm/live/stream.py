@@ -1,4 +1,4 @@
-"""A recipe's filters with their clock: blocks of readings in, what is told of them out, in order and once."""
+"""Filter a live stream: take blocks of readings, return estimates in order, each row exactly once."""
 
 from __future__ import annotations
 
@@ -20,72 +20,72 @@ from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.delayed_rows import Waiting
 
 _VERSION = 1
-_COUNTABLE = 2.0**52  # steps; a stamp that claims more tells nothing of rows
+_COUNTABLE = 2.0**52  # steps; a longer gap does not give a number of lost rows
 _LEFT_OUT = {
-    LATE: (LossKind.LATE, "came with stamps before that of a row already taken"),
-    REPEATED: (LossKind.REPEATED, "came with the stamp of the row before"),
-    FAR: (LossKind.CLOCK, "came with stamps more than a day ahead"),
-    UNTIMED: (LossKind.GARBLED, "came without a stamp that is a number"),
+    LATE: (LossKind.LATE, "have a stamp earlier than a row that was already processed"),
+    REPEATED: (LossKind.REPEATED, "repeat the stamp of the previous row"),
+    FAR: (LossKind.CLOCK, "have a stamp more than a day ahead"),
+    UNTIMED: (LossKind.GARBLED, "have no numeric stamp"),
 }
 
 
 class Prepared(NamedTuple):
-    """Filters that may take over."""
+    """Filters of another recipe, ready to take over a running stream."""
 
     recipe: Recipe
     toml: str
     later: StreamCleaner
-    rows: int  # until they have forgotten their start
+    rows: int  # until the filters no longer depend on their initial state
 
 
 class Stream:
-    """What a stream is made of, but for its wires.
+    """The filters and the clock of a stream, without its source and sinks.
 
     Parameters
     ----------
     recipe : Recipe
-        What to do; a smoothing one filters here, for no stream knows what comes later.
+        The channels and their filters. A smoothing recipe only filters here, because later rows are not available.
     step_s : float
-        One step in seconds.
+        Time step in seconds.
     resolution_s : float
-        Last digit that stamps are rounded to, in seconds; 0 where none is known.
+        Resolution to which stamps are rounded, in seconds; 0 if unknown.
     """
 
     def __init__(self, recipe: Recipe, step_s: float, resolution_s: float = 0.0) -> None:
         self.recipe = recipe
         self.rows = 0
-        """Rows told so far."""
+        """Number of rows returned so far."""
         self._clock = LiveClock(step_s, resolution_s)
         self._cleaner: StreamCleaner | Handover = StreamCleaner(recipe, step_s)
-        self._former = recipe  # that gives way, in a handover
-        self._written = recipe, ""  # the recipe as it was written last
+        self._former = recipe  # of the outgoing filters during a handover
+        self._cached_toml = recipe, ""  # the recipe that was serialized last, with its TOML
         self._waiting = Waiting(len(recipe.channel))
-        self._numbers: list[int] | None = None
-        self._before = np.empty(0)  # stamp and readings of the row that came last, whatever became of it
+        self._columns: list[int] | None = None
+        self._last_row = np.empty(0)  # stamp and readings of the last row received, used or left out
         self._step_s = step_s
 
     @property
     def head(self) -> Head:
-        """What every row shares."""
+        """Return names, units, rate and recipe, which all rows share."""
         names, units = zip(*((one.name, one.unit) for one in self.recipe.channel), strict=True)
         return Head(names, units, 1 / self._step_s, self._toml())
 
     @property
     def gives_way(self) -> bool:
-        """Whether the signal is on its way from one filter to another; a third one would make it jump."""
+        """Return whether a handover between two filters is running; a third filter would make the signal jump."""
         return isinstance(self._cleaner, Handover) and self._cleaner.has_begun
 
     @property
     def taken_to_s(self) -> float:
-        """The stamp of the row that was taken last, in seconds; -inf before the first."""
+        """Return the stamp of the last accepted row in seconds; -inf before the first."""
         return self._clock.last_s
 
     def opened(self) -> None:
-        """Hear that the source was opened anew."""
+        """Notify the clock that the source was opened again."""
         self._clock.opened()
 
     def take(self, block: Block) -> Output:
-        """Take a block; return what can be told now, perhaps of no rows.
+        """Filter a block; return the rows whose estimates are ready, possibly none.
 
         Raises
         ------
@@ -96,107 +96,109 @@ class Stream:
             self._clock.opened()
         if not len(block):
             return self._output(*_nothing(len(self.recipe.channel)), block.losses, 0.0)
-        values = self._chosen(block)
+        values = self._recipe_columns(block)
         stamps, losses = block.time_s, list(block.losses)
         if block.elapsed is not None:
             elapsed = block.elapsed
         else:
-            elapsed, codes = self._clock.passed(stamps, self._doubled(stamps, values))
+            elapsed, codes = self._clock.passed(stamps, self._duplicates(stamps, values))
             taken = (codes == TAKEN) | (codes == RESET)
-            losses += _left_out(codes)
+            losses += _losses_of_left_out_rows(codes)
             if not taken.all():
                 stamps, values, elapsed, codes = stamps[taken], values[taken], elapsed[taken], codes[taken]
-            losses += _jumps(stamps, elapsed, codes == RESET, any(one.kind is LossKind.MISSING for one in losses))
-        told = self._cleaner.push(values, elapsed)
+            has_missing = any(loss.kind is LossKind.MISSING for loss in losses)
+            losses += _losses_of_gaps(stamps, elapsed, codes == RESET, has_missing)
+        estimates = self._cleaner.push(values, elapsed)
         if isinstance(self._cleaner, Handover) and self._cleaner.is_over:
             self._cleaner = self._cleaner.later
-        return self._told(stamps, values, told, tuple(losses), block.arrived_s)
+        return self._delayed_output(stamps, values, estimates, tuple(losses), block.arrived_s)
 
     def finish(self) -> Output:
-        """Tell what still waits for later rows; the stream goes on from there if more come after all."""
-        told, done = self._cleaner.finish(), self._waiting.told
+        """Return the rows that are still delayed by the filter's lag; the stream can continue with more rows."""
+        estimates, done = self._cleaner.finish(), self._waiting.told
         self._waiting.told = self._waiting.count
-        return self._output(*self._waiting.rows(done), _after(told, done), (), 0.0)
+        return self._output(*self._waiting.rows(done), _from_row(estimates, done), (), 0.0)
 
     def health(self) -> tuple[ChannelHealth, ...]:
-        """Say how each channel is."""
+        """Return the health of each channel."""
         return self._cleaner.health()
 
-    def _doubled(self, stamps: Floats, values: Floats) -> Booleans:
-        """Say which rows have the stamp and the readings of the row before."""
-        doubled = np.zeros(len(stamps), np.bool_)
-        before, self._before = self._before, np.array([stamps[-1], *values[-1]])
-        if len(before) and stamps[0] == before[0]:
-            doubled[0] = np.array_equal(values[0], before[1:], equal_nan=True)
+    def _duplicates(self, stamps: Floats, values: Floats) -> Booleans:
+        """Return which rows have the same stamp and readings as the previous row."""
+        duplicates = np.zeros(len(stamps), np.bool_)
+        previous, self._last_row = self._last_row, np.array([stamps[-1], *values[-1]])
+        if len(previous) and stamps[0] == previous[0]:
+            duplicates[0] = np.array_equal(values[0], previous[1:], equal_nan=True)
         for k in np.flatnonzero(stamps[1:] == stamps[:-1]) + 1:
-            doubled[k] = np.array_equal(values[k], values[k - 1], equal_nan=True)
-        return doubled
+            duplicates[k] = np.array_equal(values[k], values[k - 1], equal_nan=True)
+        return duplicates
 
-    def _chosen(self, block: Block) -> Floats:
-        if self._numbers is None:
-            names = [self._called(name) for name in block.names]
-            told = block.units or ("",) * len(names)
-            units = [unit or self._unit_of(name) for unit, name in zip(told, names, strict=True)]
+    def _recipe_columns(self, block: Block) -> Floats:
+        """Return a block's values with the recipe's channels, in the recipe's order."""
+        if self._columns is None:
+            names = [self._recipe_name(name) for name in block.names]
+            block_units = block.units or ("",) * len(names)
+            units = [unit or self._unit_of(name) for unit, name in zip(block_units, names, strict=True)]
             self.recipe = fitted(self.recipe, names, units)
-            self._numbers = [names.index(channel.name) for channel in self.recipe.channel]
-        if self._numbers == list(range(block.values.shape[1])):
+            self._columns = [names.index(channel.name) for channel in self.recipe.channel]
+        if self._columns == list(range(block.values.shape[1])):
             return block.values
-        return np.ascontiguousarray(block.values[:, self._numbers])
+        return np.ascontiguousarray(block.values[:, self._columns])
 
-    def _called(self, name: str) -> str:
-        """Return what the recipe calls a channel: a file's "load (N)" may come as "load", in N, from a message."""
-        own = [channel.name for channel in self.recipe.channel]
+    def _recipe_name(self, name: str) -> str:
+        """Return the recipe's name for a channel: "load (N)" in a file may be "load", with unit N, in a message."""
+        recipe_names = [channel.name for channel in self.recipe.channel]
         bare = parse_header(name)[0]
-        alike = [one for one in own if parse_header(one)[0] == bare]
-        return alike[0] if name not in own and len(alike) == 1 else name
+        matches = [one for one in recipe_names if parse_header(one)[0] == bare]
+        return matches[0] if name not in recipe_names and len(matches) == 1 else name
 
     def _unit_of(self, name: str) -> str:
         return next((channel.unit for channel in self.recipe.channel if channel.name == name), "")
 
-    def _told(
-        self, stamps: Floats, values: Floats, told: Streamed, losses: tuple[Loss, ...], arrived_s: float
+    def _delayed_output(
+        self, stamps: Floats, values: Floats, estimates: Streamed, losses: tuple[Loss, ...], arrived_s: float
     ) -> Output:
         if self._cleaner.lag_rows:
-            stamps, values, again = self._waiting.through(stamps, values, len(told.signal))
-            told = _after(told, again)
-        return self._output(stamps, values, told, losses, arrived_s)
+            stamps, values, already_returned = self._waiting.through(stamps, values, len(estimates.signal))
+            estimates = _from_row(estimates, already_returned)
+        return self._output(stamps, values, estimates, losses, arrived_s)
 
     def _output(
-        self, stamps: Floats, values: Floats, told: Streamed, losses: tuple[Loss, ...], arrived_s: float
+        self, stamps: Floats, values: Floats, estimates: Streamed, losses: tuple[Loss, ...], arrived_s: float
     ) -> Output:
-        first, self.rows = self.rows, self.rows + len(told.signal)
-        return Output(first, stamps, values, *told[:3], losses, arrived_s, told.modes)
+        first, self.rows = self.rows, self.rows + len(estimates.signal)
+        return Output(first, stamps, values, *estimates[:3], losses, arrived_s, estimates.modes)
 
     def checkpoint(self, position: str, source: str) -> Checkpoint:
-        """Return where the stream stands, once all told so far is kept."""
+        """Return the checkpoint to commit with the rows returned so far."""
         cleaner = self._cleaner
         between = isinstance(cleaner, Handover)
         blob = cleaner.snapshot(self._former) if isinstance(cleaner, Handover) else cleaner.snapshot()
-        moving: dict[str, Floats | Codes | Integers] = {
+        state: dict[str, Floats | Codes | Integers] = {
             "step_s": np.array([self._step_s]),
             "told": np.array([_VERSION, between, self._waiting.told], np.int64),
             "clock": self._clock.state,
-            "before": self._before,
+            "before": self._last_row,
             "cleaner": np.frombuffer(blob, np.int8),
             "waiting_s": self._waiting.time_s,
             "waiting": self._waiting.values,
         }
-        return Checkpoint(self.rows, position, packed(moving), self._toml(), source)
+        return Checkpoint(self.rows, position, packed(state), self._toml(), source)
 
     def _toml(self) -> str:
-        """Write the recipe, once for all commits: each would take a millisecond a channel."""
-        if not self._written[1] or self._written[0] is not self.recipe:
-            self._written = self.recipe, self.recipe.to_toml()
-        return self._written[1]
+        """Return the recipe as TOML. It is cached, because writing takes a millisecond per channel."""
+        if not self._cached_toml[1] or self._cached_toml[0] is not self.recipe:
+            self._cached_toml = self.recipe, self.recipe.to_toml()
+        return self._cached_toml[1]
 
     @classmethod
     def resumed(cls, checkpoint: Checkpoint) -> Self:
-        """Go on from a checkpoint; what is told is what a stream tells that was never stopped.
+        """Return the stream of a checkpoint; its estimates equal those of a stream that was never stopped.
 
         Raises
         ------
         ModelError
-            If the checkpoint is damaged, or of another version.
+            If the checkpoint is damaged or has another version.
         """
         recipe = Recipe.from_toml(checkpoint.recipe, "The recipe of the stream")
         try:
@@ -206,7 +208,7 @@ class Stream:
                 raise ModelError(f"The stream's snapshot has version {version}; this becalm reads {_VERSION}.")
             stream = cls(recipe, float(arrays["step_s"][0]))
             stream._clock = LiveClock.resumed(arrays["clock"])
-            stream._before = arrays["before"]
+            stream._last_row = arrays["before"]
             blob = arrays["cleaner"].tobytes()
             if between:
                 stream._cleaner, stream._former = Handover.resume(blob, recipe)
@@ -216,54 +218,54 @@ class Stream:
         except BecalmError:
             raise
         except (KeyError, IndexError, TypeError, ValueError) as cause:
-            raise ModelError("The stream's snapshot is damaged; begin a new stream in another folder.") from cause
+            raise ModelError("The stream's snapshot is damaged; start a new stream in another folder.") from cause
         stream.rows = checkpoint.rows
         return stream
 
     def retuned(self, recipe: Recipe) -> None:
-        """Take another recipe for the same channels from the next row on, without a jump of the signal.
+        """Use another recipe for the same channels from the next row on, without a jump of the signal.
 
         Raises
         ------
         RecipeError
-            If it has other channels, or another lag.
+            If the recipe has other channels or another lag.
         """
         self.take_over(self.prepared(recipe))
 
     def prepared(self, recipe: Recipe) -> Prepared:
-        """Make the filters of another recipe, which takes some tenths of a second; any thread may.
+        """Make the filters of another recipe. This takes some tenths of a second; any thread may call it.
 
         Raises
         ------
         RecipeError
-            If it has other channels.
+            If the recipe has other channels.
         """
         names, units = zip(*((one.name, one.unit) for one in self.recipe.channel), strict=True)
         recipe = fitted(recipe, names, units)
         if [one.name for one in recipe.channel] != list(names):
-            raise RecipeError("The recipe has other channels than the stream, which keeps those it began with.")
+            raise RecipeError("The recipe has other channels than the stream; give a recipe for the stream's channels.")
         cleaner = StreamCleaner(recipe, self._step_s)
         return Prepared(recipe, recipe.to_toml(), cleaner, rows_to_forget(recipe, self._step_s))
 
     def take_over(self, prepared: Prepared) -> None:
-        """Let filters that are made take over from the next row on.
+        """Hand over to prepared filters from the next row on.
 
         Raises
         ------
         RecipeError
-            If they have another lag.
+            If the prepared filters have another lag.
         """
         if isinstance(self._cleaner, Handover) and not self._cleaner.has_begun:
-            former = self._cleaner.former  # what is between told nothing
+            former = self._cleaner.former  # the filters in between have not returned a row yet
             self._cleaner = Handover(former, prepared.later, prepared.rows)
         else:
             former = self._cleaner.later if isinstance(self._cleaner, Handover) else self._cleaner
             self._cleaner, self._former = Handover(former, prepared.later, prepared.rows), self.recipe
-        self.recipe, self._written = prepared.recipe, (prepared.recipe, prepared.toml)
+        self.recipe, self._cached_toml = prepared.recipe, (prepared.recipe, prepared.toml)
 
 
-def _after(told: Streamed, rows: int) -> Streamed:
-    return Streamed(told.signal[rows:], told.sigma[rows:], told.verdicts[rows:], told.modes[rows:])
+def _from_row(estimates: Streamed, row: int) -> Streamed:
+    return Streamed(estimates.signal[row:], estimates.sigma[row:], estimates.verdicts[row:], estimates.modes[row:])
 
 
 def _nothing(channels: int) -> tuple[Floats, Floats, Streamed]:
@@ -271,22 +273,22 @@ def _nothing(channels: int) -> tuple[Floats, Floats, Streamed]:
     return np.empty(0), none, Streamed(none, none, np.empty((0, channels), np.int8))
 
 
-def _left_out(codes: Codes) -> list[Loss]:
-    """Say which rows were not taken for their stamps."""
+def _losses_of_left_out_rows(codes: Codes) -> list[Loss]:
+    """Return a loss for each kind of row that the clock left out because of its stamp."""
     if not codes.any():
         return []
     counts = {code: int(np.count_nonzero(codes == code)) for code in _LEFT_OUT}
     return [
-        Loss(kind, counts[code], f"{counts[code]} rows {says}; they were left out.")
-        for code, (kind, says) in _LEFT_OUT.items()
+        Loss(kind, counts[code], f"{counts[code]} rows {text}; they were left out.")
+        for code, (kind, text) in _LEFT_OUT.items()
         if counts[code]
     ]
 
 
-def _jumps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) -> list[Loss]:
-    """Say where time stood open, or the sender's clock jumped."""
+def _losses_of_gaps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) -> list[Loss]:
+    """Return a loss for each gap and each jump of the sender's clock; gaps are `explained` by missing rows."""
     losses = [
-        Loss(LossKind.CLOCK, None, f"The sender's clock jumped to {stamps[k]:.9g} s; the stream goes on from there.")
+        Loss(LossKind.CLOCK, None, f"The sender's clock jumped to {stamps[k]:.9g} s; the stream continues there.")
         for k in np.flatnonzero(reset)
     ]
     gaps = np.flatnonzero((elapsed > GAP_STEPS) & ~reset & (not explained))
@@ -294,7 +296,7 @@ def _jumps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) ->
         Loss(
             LossKind.GAP,
             round(elapsed[k] - 1) if elapsed[k] < _COUNTABLE else None,
-            f"{elapsed[k]:.6g} steps passed before {stamps[k]:.15g} s.",
+            f"There is a gap of {elapsed[k]:.6g} steps before {stamps[k]:.15g} s.",
         )
         for k in gaps
     ]

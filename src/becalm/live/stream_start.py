@@ -1,4 +1,4 @@
-"""Start a stream: from its checkpoint, with a recipe, or with one that is tuned on its first rows."""
+"""Start a stream: from its checkpoint, with a given recipe, or with a recipe tuned on its first rows."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from becalm.live.reader import BackOff
 from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
 
-Answer = TypeVar("Answer")
+Result = TypeVar("Result")
 
 
 class Begun(NamedTuple):
-    """A stream that has its filters, and what came before it had them.
+    """A stream that has its filters, with the blocks that arrived before the filters were ready.
 
     Attributes
     ----------
     stream : Stream
-        From its first row, or from where it stood.
+        A new stream, or one restored from its checkpoint.
     head : Head
-        What sinks are told that all rows share.
+        Names, units, rate and recipe for the sinks.
     blocks : list of Block
-        What came already, from the first row on.
+        Blocks that already arrived, from the first row on.
     before : list of Loss
-        What happened before the first row; the watch has heard of it.
+        Losses before the first row; the watch has already recorded them.
     """
 
     stream: Stream
@@ -43,18 +43,18 @@ class Begun(NamedTuple):
 
 @dataclass(frozen=True)
 class Beginning:
-    """Where a stream gets its filters from.
+    """Makes the filters of a stream, from a checkpoint, a recipe or the first rows.
 
     Attributes
     ----------
     recipe : Recipe or None
-        What to do; None goes on as before, or learns.
+        Recipe to use; with None the stream continues with its own recipe, or a new stream learns one.
     learner : Learner
-        Learns where nobody says what to do.
+        Tunes a recipe on the first rows if there is none.
     learned : callable
-        Is given a recipe that was learned, to save it.
+        Called with a learned recipe, to save it.
     timed : callable or None
-        Makes the source anew by the recipe that a stream had, which may tell how its rows are timed.
+        Makes the source again from the recipe of a resumed stream, which may hold how its rows are timed.
     """
 
     recipe: Recipe | None
@@ -63,21 +63,22 @@ class Beginning:
     timed: Callable[[Recipe], Source] | None = None
 
     def resumed(self, last: Checkpoint, address: str) -> Begun:
-        """Go on from a checkpoint, by another recipe if there is one.
+        """Continue from a checkpoint, with another recipe if one is given.
 
         Raises
         ------
         UsageError
-            If it is of the stream of another source.
+            If the checkpoint belongs to a stream of another source.
         BecalmError
-            If it is damaged, or the recipe does not fit the stream.
+            If the checkpoint is damaged, or the recipe does not fit the stream.
         """
         if last.source.partition("?")[0] != address.partition("?")[0]:
             raise UsageError(
-                f"What is kept there is the stream {last.source}, not {address}; name another place for this one."
+                f"The checkpoint there belongs to the stream {last.source}, not {address}; choose another place for"
+                " this stream."
             )
         stream = Stream.resumed(last)
-        head = stream.head  # that it had
+        head = stream.head  # before retuning: sinks keep the head that the stream began with
         if self.recipe is not None and self.recipe != stream.recipe:
             stream.retuned(self.recipe)
         stream.opened()
@@ -86,23 +87,23 @@ class Beginning:
     def begun(
         self, following: Callable[[], Block | None], queue: BlockQueue, source: Source, watch: Watch
     ) -> Begun | None:
-        """Wait for the first rows, or for enough to learn from; None where the source ended before.
+        """Wait for the first rows, or for enough rows to learn from; return None if the source ends before.
 
         Parameters
         ----------
         following : callable
-            Waits a while for the next block of the queue.
+            Waits some time for the next block of the queue.
         queue : BlockQueue
-            Whether more may come.
+            Queue between reader and filters; it knows when the source has ended.
         source : Source
-            Which may know the rate.
+            Source that is read; it may know the rate.
         watch : Watch
-            Hears what was lost where no stream can tell it.
+            Records losses if no stream can be made to report them.
 
         Raises
         ------
         BecalmError
-            If nothing can be learned from what came.
+            If no recipe can be learned from the rows.
         """
         early, stream, before = Early(), None, list[Loss]()
         watch.state("learning" if self.recipe is None else "running")
@@ -118,11 +119,11 @@ class Beginning:
                 ended = queue.closed
                 stream = self._stream_of(early, source.rate_hz, ended=ended)
         except BecalmError:
-            if ended:  # a reader that failed is why there is too little
+            if ended:  # if the reader failed, its error is the cause of having too few rows
                 queue.raise_failure()
             raise
         finally:
-            if stream is None:  # which would have told them
+            if stream is None:  # there is no output that could carry the losses
                 watch.lost([loss for one in early.blocks for loss in one.losses])
         if stream is None:
             queue.raise_failure()
@@ -130,7 +131,7 @@ class Beginning:
         return Begun(stream, stream.head, early.blocks, before)
 
     def _stream_of(self, early: Early, rate_hz: float | None, *, ended: bool) -> Stream | None:
-        """Make a stream of what came; None where that is not enough yet."""
+        """Make a stream from the first blocks; return None if they are not enough yet."""
         if self.recipe is not None and early.rows:
             first = next(one for one in early.blocks if len(one))
             resolution_s = 0.0 if first.elapsed is not None else resolution_of(first.time_s)
@@ -143,14 +144,14 @@ class Beginning:
 
 
 def open_keeper(keeper: Keeper, head: Head) -> None:
-    """Open a keeper; one that went away since it told the last checkpoint is reached once more.
+    """Open a keeper; if the connection was lost since its last checkpoint was read, connect once more.
 
     Raises
     ------
     AwayError
-        If it cannot be reached now.
+        If the keeper cannot be reached now.
     BecalmError
-        If it never can, or keeps another stream.
+        If it can never be reached, or holds another stream.
     """
     try:
         keeper.open(head)
@@ -160,13 +161,13 @@ def open_keeper(keeper: Keeper, head: Head) -> None:
         keeper.open(head)
 
 
-def insist(do: Callable[[], Answer], watch: Watch, stop: threading.Event) -> Answer:
-    """Do something until its other end is there.
+def insist(do: Callable[[], Result], watch: Watch, stop: threading.Event) -> Result:
+    """Call `do` until its server can be reached, with back-off between the attempts; return its result.
 
     Raises
     ------
     AwayError
-        If someone stops before.
+        If `stop` is set before.
     """
     back_off = BackOff()
     while True:

@@ -1,1 +1,1 @@
-"""MQTT and NATS: addresses, secrets and links, for sources and sinks alike."""
+"""Addresses, logins and connections of MQTT and NATS, for sources and sinks."""

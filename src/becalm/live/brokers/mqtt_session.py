@@ -1,4 +1,4 @@
-"""How becalm presents itself to an MQTT broker, and what it asks for."""
+"""The session of an MQTT client: identifier, protocol version and limits; and the topic of an address."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ PORT, TLS_PORT = 1883, 8883
 
 @dataclass(frozen=True)
 class Session:
-    """How a client presents itself.
+    """The session of an MQTT client.
 
     Attributes
     ----------
     client : str
-        Its id; a broker keeps a session by it.
+        Client identifier, by which the broker stores the session.
     version : str
-        Of the protocol: "5" or "3.1.1".
+        Version of the protocol, "5" or "3.1.1".
     kept_s : float
-        How long the broker keeps the session of a client that is away; 0 keeps none.
+        Time for which the broker keeps the session while the client is away, in seconds; 0 for no session.
     window : int
-        How many messages the broker may send ahead of their acknowledgements; version 5 alone can tell it.
+        Number of messages that the broker may send before they are acknowledged; only version 5 can set it.
     """
 
     client: str
@@ -34,18 +34,18 @@ class Session:
 
 
 def topic_of(remote: Remote) -> str:
-    """Return the topic that an address names.
+    """Return the topic of an address.
 
     Raises
     ------
     UsageError
-        If it names none, or several.
+        If the address has no topic, or a pattern of several.
     """
     topic = remote.path
     if not topic or {"+", "#", "\0"} & set(topic):
         wrong = f"names {topic!r}, which is many topics" if topic else "names no topic"
         raise UsageError(
-            f"{remote.address} {wrong}; a stream has one, as each has sequence numbers of its own: "
+            f"{remote.address} {wrong}; give one topic, because each has its own sequence numbers: "
             f"{remote.address.kind}://{remote.host}/plant/pump/acceleration"
         )
     return topic

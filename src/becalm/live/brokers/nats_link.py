@@ -1,4 +1,4 @@
-"""One connection to a NATS server, and the thread whose event loop serves it; whoever wants another makes another."""
+"""One connection to a NATS server, and the thread with its event loop; a reconnection needs a new object."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _T = TypeVar("_T")
 
 
 def stream_of(remote: Remote) -> str:
-    """Return the stream that an address names.
+    """Return the name of the stream in an address.
 
     Raises
     ------
     UsageError
-        If it names none that can be.
+        If the address has no stream, or a name that is not possible.
     """
     stream = remote.path
     if not stream or set(stream) & set(" .*>/\\\t"):
@@ -45,32 +45,32 @@ def stream_of(remote: Remote) -> str:
 
 
 def check_subject(info: StreamInfo, subject: str) -> None:
-    """Refuse a subject that a stream does not hold: nothing would ever come of it.
+    """Check that a stream stores a subject; otherwise no message of it would ever arrive.
 
     Raises
     ------
     InputError
-        If it does not.
+        If the stream does not store the subject.
     """
-    held = info.config.subjects
-    if held and not any(holds(pattern, subject) for pattern in held):
+    patterns = info.config.subjects
+    if patterns and not any(holds(pattern, subject) for pattern in patterns):
         raise InputError(
-            f"The stream {info.config.name} holds {', '.join(held)}, and not {subject}; name one of these by subject=, "
-            f"or let it hold that: nats stream edit {info.config.name} --subjects ..."
+            f"The stream {info.config.name} holds {', '.join(patterns)}, and not {subject}; choose one of these by "
+            f"subject=, or add the subject: nats stream edit {info.config.name} --subjects ..."
         )
 
 
 def holds(pattern: str, subject: str) -> bool:
-    """Return whether a pattern of subjects, as plant.* or plant.>, holds one."""
-    wanted, words = pattern.split("."), subject.split(".")
-    if wanted[-1] == ">" and len(words) >= len(wanted):
-        wanted = wanted[:-1]
-        words = words[: len(wanted)]
-    return len(wanted) == len(words) and all(want in ("*", word) for want, word in zip(wanted, words, strict=True))
+    """Return whether a pattern of subjects, such as plant.* or plant.>, matches a subject."""
+    tokens, words = pattern.split("."), subject.split(".")
+    if tokens[-1] == ">" and len(words) >= len(tokens):
+        tokens = tokens[:-1]
+        words = words[: len(tokens)]
+    return len(tokens) == len(words) and all(token in ("*", word) for token, word in zip(tokens, words, strict=True))
 
 
 class NatsLink:
-    """A connection, and the thread that serves it.
+    """A connection to a NATS server, and the thread that serves it.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ class NatsLink:
     def __init__(self, remote: Remote) -> None:
         self._remote = remote
         self.changed = threading.Condition()
-        """Told when the connection ends; those who wait for messages may share it."""
+        """Notified when the connection ends; the user of the connection may also use it for messages."""
         self._failure: BecalmError | None = None
-        self._refused: list[BaseException] = []
+        self._errors: list[BaseException] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop: asyncio.Event | None = None
         self._thread: threading.Thread | None = None
@@ -92,14 +92,14 @@ class NatsLink:
 
     @property
     def client(self) -> Client:
-        """The connection as nats-py has it, for what runs on its thread."""
+        """Return nats-py's client, to be used on the connection's thread."""
         if self._client is None:
             raise self._remote.away("the connection is closed")
         return self._client
 
     @property
     def stream_api(self) -> JetStreamContext:
-        """JetStream as nats-py has it, for what runs on its thread."""
+        """Return nats-py's JetStream context, to be used on the connection's thread."""
         return self.client.jetstream(timeout=_ANSWER_S / 2)
 
     def connect(self, *, reached: bool) -> None:
@@ -108,41 +108,41 @@ class NatsLink:
         Parameters
         ----------
         reached : bool
-            Whether the server was ever reached before.
+            True if the server was reached before.
 
         Raises
         ------
         AwayError
-            If it cannot be reached now.
+            If the server cannot be reached now.
         BecalmError
-            If it refuses.
+            If the server refuses the connection.
         """
         wanted("nats:", "nats.aio.client", "nats-py")
         from nats.aio.client import Client
 
-        asks = self._asks()
+        options = self._connect_options()
         self._client = client = Client()
         started: concurrent.futures.Future[None] = concurrent.futures.Future()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve(started)), name="nats", daemon=True)
         self._thread.start()
         started.result()
         try:
-            self.call(self._connected(client, asks))
-            self._check_private(client)
+            self.call(self._connect_client(client, options))
+            self._check_tls(client)
         except BecalmError:
             self.close()
             raise
         except Exception as cause:
             self.close()
-            raise self._why(cause, reached=reached) from cause
+            raise self._error_of(cause, reached=reached) from cause
 
     def call(self, work: Coroutine[Any, Any, _T]) -> _T:
-        """Run something on the connection's thread, and return what it returns.
+        """Run a coroutine on the connection's thread, and return its result; its own errors are raised too.
 
         Raises
         ------
         AwayError
-            If it takes too long, or the connection is closed. What it raises itself goes through.
+            If it takes longer than 10 s, or the connection is closed.
         """
         if self._loop is None:
             work.close()
@@ -155,21 +155,21 @@ class NatsLink:
             raise self._remote.away("it does not answer") from cause
 
     def start(self, work: Coroutine[Any, Any, None]) -> None:
-        """Run something on the connection's thread, after all that was started before; nobody waits for it."""
+        """Start a coroutine on the connection's thread, after those started before; do not wait for it."""
         if self._loop is None:
             work.close()
         else:
             asyncio.run_coroutine_threadsafe(work, self._loop)
 
     def stream_info(self, name: str, *, reached: bool) -> StreamInfo:
-        """Return what the server tells of a stream.
+        """Return the server's information about a stream.
 
         Raises
         ------
         InputError
             If there is no such stream, or the server has no JetStream.
         AwayError
-            If it cannot tell now.
+            If the server does not answer now.
         """
         from nats.errors import Error
         from nats.js.errors import NotFoundError, ServiceUnavailableError
@@ -179,34 +179,34 @@ class NatsLink:
             return self.call(self.stream_api.stream_info(name))
         except NotFoundError as cause:
             raise InputError(
-                f"NATS at {where} has no stream {name!r}; make it: "
+                f"NATS at {where} has no stream {name!r}; create it: "
                 f"nats stream add {name} --subjects SUBJECT --storage file --defaults"
             ) from cause
         except ServiceUnavailableError as cause:
             if reached:
                 raise self._remote.away("JetStream does not answer") from cause
-            raise InputError(f"NATS at {where} has no JetStream; start it by nats-server -js -sd FOLDER.") from cause
+            raise InputError(f"NATS at {where} has no JetStream; start it with nats-server -js -sd FOLDER.") from cause
         except (Error, OSError) as cause:
             raise self._remote.away(cause) from cause
 
     @property
     def ended(self) -> bool:
-        """Whether the connection ended by itself."""
+        """Return whether the connection was lost or ended by an error."""
         return self._failure is not None
 
     def end(self, failure: BecalmError) -> None:
-        """Hear why nothing more will come."""
+        """Record the error that ended the connection."""
         with self.changed:
             self._failure = self._failure or failure
             self.changed.notify_all()
 
     def check(self) -> None:
-        """Raise what ended the connection, if anything did."""
+        """Raise the error that ended the connection, if any."""
         if self._failure is not None:
             raise self._failure
 
     def close(self) -> None:
-        """End the connection and its thread; harmless twice."""
+        """Close the connection and end its thread; may be called twice."""
         loop, self._loop = self._loop, None
         if loop is None or self._stop is None or self._thread is None:
             return
@@ -219,15 +219,15 @@ class NatsLink:
         started.set_result(None)
         await self._stop.wait()
         if self._client is not None:
-            with contextlib.suppress(Exception):  # it is over: nothing is lost by a bad end
-                await asyncio.wait_for(self._client.close(), 1.0)  # nats-py waits for ever after a failed handshake
+            with contextlib.suppress(Exception):  # errors while closing do not matter
+                await asyncio.wait_for(self._client.close(), 1.0)  # nats-py waits forever after a failed handshake
 
-    async def _connected(self, client: Client, asks: dict[str, Any]) -> None:
+    async def _connect_client(self, client: Client, options: dict[str, Any]) -> None:
         async def failed(cause: BaseException) -> None:
-            self._refused.append(cause)
+            self._errors.append(cause)
 
         async def closed() -> None:
-            self.end(self._remote.away(f"the connection ended ({self._last() or 'by itself'})"))
+            self.end(self._remote.away(f"the connection ended ({self._last_error() or 'without an error'})"))
 
         await client.connect(
             f"nats://{self._remote.host}:{self._remote.port}",
@@ -239,52 +239,54 @@ class NatsLink:
             connect_timeout=max(1, int(_ANSWER_S / 2)),
             ping_interval=_PING_S,
             name="becalm",
-            **asks,
+            **options,
         )
 
-    def _asks(self) -> dict[str, Any]:
-        """Return who enters, and how the way is kept private."""
+    def _connect_options(self) -> dict[str, Any]:
+        """Return nats-py's options for login and TLS."""
         login, creds = self._remote.login(), self._remote.address.options.get("creds")
-        told = {"user": login.user, "password": login.password, "token": login.token}
-        asks: dict[str, Any] = {name: self._guarded(secret) for name, secret in told.items() if secret is not None}
+        secrets = {"user": login.user, "password": login.password, "token": login.token}
+        options: dict[str, Any] = {
+            name: self._tls_checked(secret) for name, secret in secrets.items() if secret is not None
+        }
         if creds is not None:
             if importlib.util.find_spec("nkeys") is None:
-                raise UsageError("nats: creds= needs nkeys; pip install nkeys")
-            asks["user_credentials"] = creds
+                raise UsageError("nats: creds= needs nkeys; type: pip install nkeys")
+            options["user_credentials"] = creds
         self._context = self._remote.tls()
         if self._context is not None:
-            asks |= {"tls": self._context, "tls_hostname": self._remote.host}
-        return asks
+            options |= {"tls": self._context, "tls_hostname": self._remote.host}
+        return options
 
-    def _guarded(self, secret: str) -> Callable[[], str]:
-        """Return what tells a secret to nats-py when it is about to send it."""
+    def _tls_checked(self, secret: str) -> Callable[[], str]:
+        """Return a function for nats-py that checks TLS and then returns a secret."""
 
-        def told() -> str:
-            self._check_private(self.client)
+        def checked_secret() -> str:
+            self._check_tls(self.client)
             return secret
 
-        return told
+        return checked_secret
 
-    def _check_private(self, client: Client) -> None:
-        """Refuse a server that does not speak TLS where TLS is asked for: nats-py would go on in the clear."""
+    def _check_tls(self, client: Client) -> None:
+        """Raise an InputError if TLS is required but the server does not use it; nats-py would send plain text."""
         if self._context is not None and not client._server_info.get("tls_required"):
             where = f"{self._remote.host}:{self._remote.port}"
-            raise InputError(f"{where} does not speak TLS; switch it on there, or leave tls, ca and cert away here.")
+            raise InputError(f"{where} does not use TLS; switch it on there, or leave out tls, ca and cert here.")
 
-    def _last(self) -> BaseException | None:
-        return self._refused[-1] if self._refused else None
+    def _last_error(self) -> BaseException | None:
+        return self._errors[-1] if self._errors else None
 
-    def _why(self, cause: BaseException, *, reached: bool) -> BecalmError:
-        """Return what a failure to connect means."""
+    def _error_of(self, cause: BaseException, *, reached: bool) -> BecalmError:
+        """Return the error to raise for a failed connection."""
         from nats.errors import NoServersError
 
-        if isinstance(cause, NoServersError):  # says nothing; what was heard before does
-            cause = self._last() or cause
-        said = str(cause).lower()
-        if "authorization" in said or "authentication" in said:
+        if isinstance(cause, NoServersError):  # it has no reason; the last error of the client has one
+            cause = self._last_error() or cause
+        text = str(cause).lower()
+        if "authorization" in text or "authentication" in text:
             return InputError(
-                f"{self._remote.host}:{self._remote.port} refuses who comes; set "
+                f"{self._remote.host}:{self._remote.port} refuses the login; set "
                 f"{variable(self._remote.address, 'USER')} and {variable(self._remote.address, 'PASSWORD')} (or "
-                f"{variable(self._remote.address, 'TOKEN')}), or name a file by password_file=FILE or creds=FILE."
+                f"{variable(self._remote.address, 'TOKEN')}), or give a file by password_file=FILE or creds=FILE."
             )
         return self._remote.failed(cause, reached=reached)

@@ -1,4 +1,4 @@
-"""The messages of a JetStream stream, from one of them on, in order, none missing: or the connection ends."""
+"""Pull the messages of a JetStream stream in order from a given one; if one is missing, end the connection."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from becalm.live.brokers.remote import Remote
 if TYPE_CHECKING:
     from nats.aio.msg import Msg
 
-_HELD_BYTES = 32_000_000
-_ASKED = 4096  # messages asked for at most; fewer where they are large
+_BUFFERED_BYTES = 32_000_000
+_MOST_REQUESTED = 4096  # messages; fewer if they are large
 _EXPIRES_S, _HEARTBEAT_S, _SILENT_S = 30.0, 5.0, 20.0
-_FORGOTTEN_S = 120.0  # after which the server forgets a consumer that asks for nothing
+_INACTIVE_S = 120.0  # time without requests after which the server removes the consumer
 _NANO = 1_000_000_000
 
 
@@ -28,13 +28,13 @@ class StreamMessage(NamedTuple):
     Attributes
     ----------
     number : int
-        In the stream, from 1.
+        Number in the stream, from 1.
     payload : bytes
-        What it holds.
+        Content of the message.
     stored_s : float
-        When the server stored it, in seconds since 1970: the same at every reading.
+        Time when the server stored it, in seconds since 1970; the same whenever the message is read.
     arrived_s : float
-        `time.monotonic()` when it came.
+        `time.monotonic()` when it arrived.
     """
 
     number: int
@@ -44,9 +44,9 @@ class StreamMessage(NamedTuple):
 
 
 class NatsPull:
-    """Asks for messages ahead, as many as are welcome, and checks that none is left out on the way.
+    """Requests messages ahead of their use, up to a limit, and checks that none is missing.
 
-    The server keeps no account of what was read: its consumer is a passing one, which begins where it is told.
+    The server does not record what was read: its consumer is ephemeral, and starts at a given message.
 
     Parameters
     ----------
@@ -59,138 +59,138 @@ class NatsPull:
     def __init__(self, remote: Remote, link: NatsLink) -> None:
         self._remote = remote
         self._link = link
-        self._came: deque[StreamMessage] = deque()
-        self._asked = 0  # and not come yet
-        self._last = 0  # message of this consumer
-        self._largest = 1000  # bytes of a message so far
+        self._received: deque[StreamMessage] = deque()
+        self._requested = 0  # messages requested and not received yet
+        self._last = 0  # number of this consumer's last message
+        self._largest = 1000  # bytes of the largest message so far
         self._heard_s = time.monotonic()
         self._stream = self._consumer = self._inbox = ""
 
     def begin(self, stream: str, first: int, subject: str | None) -> None:
-        """Ask for the messages of a stream.
+        """Start to request the messages of a stream.
 
         Parameters
         ----------
         stream : str
-            Its name.
+            Name of the stream.
         first : int
-            The first message wanted.
+            Number of the first message.
         subject : str or None
-            Those of this subject alone.
+            Subject of the messages; None for all.
 
         Raises
         ------
         InputError
-            If the server will not.
+            If the server refuses.
         AwayError
-            If it went away.
+            If the connection is lost.
         """
         from nats.errors import Error
         from nats.js.errors import APIError
 
         self._stream = stream
         try:
-            self._link.call(self._begun(first, subject))
+            self._link.call(self._make_consumer(first, subject))
         except APIError as cause:
-            raise InputError(f"NATS at {self._remote.host} will not read {stream}: {cause.description}.") from cause
+            raise InputError(f"NATS at {self._remote.host} refuses to read {stream}: {cause.description}.") from cause
         except (Error, OSError) as cause:
             raise self._remote.away(cause) from cause
-        self._ask()
+        self._request()
 
     def take(self, timeout_s: float, at_once: int) -> list[StreamMessage]:
-        """Return the next messages, at most so many; [] where none came in time.
+        """Return the next messages, at most `at_once`; [] if none arrives within `timeout_s`.
 
         Raises
         ------
         AwayError
-            If the connection ended, or is not whole any more.
+            If the connection ended, or a message was lost.
         """
         link = self._link
         with link.changed:
-            link.changed.wait_for(lambda: bool(self._came) or link.ended, timeout_s)
-            taken = [self._came.popleft() for _ in range(min(len(self._came), at_once))]
-            silent = self._asked > 0 and time.monotonic() > self._heard_s + _SILENT_S
+            link.changed.wait_for(lambda: bool(self._received) or link.ended, timeout_s)
+            taken = [self._received.popleft() for _ in range(min(len(self._received), at_once))]
+            silent = self._requested > 0 and time.monotonic() > self._heard_s + _SILENT_S
         if not taken:
             link.check()
             if silent:
                 raise self._remote.away(f"it was silent for {_SILENT_S:g} s")
-        self._ask()
+        self._request()
         return taken
 
     def end(self) -> None:
-        """Ask for no more."""
+        """Stop, and remove the consumer."""
         if self._consumer and not self._link.ended:
-            with contextlib.suppress(Exception):  # the server forgets it by itself
+            with contextlib.suppress(Exception):  # the server removes an inactive consumer by itself
                 self._link.call(self._link.stream_api.delete_consumer(self._stream, self._consumer))
 
-    async def _begun(self, first: int, subject: str | None) -> None:
+    async def _make_consumer(self, first: int, subject: str | None) -> None:
         from nats.js.api import AckPolicy, ConsumerConfig, DeliverPolicy
 
         client = self._link.client
         self._inbox = client.new_inbox()
-        await client.subscribe(self._inbox, cb=self._hear, pending_msgs_limit=-1, pending_bytes_limit=-1)
+        await client.subscribe(self._inbox, cb=self._on_message, pending_msgs_limit=-1, pending_bytes_limit=-1)
         config = ConsumerConfig(
             deliver_policy=DeliverPolicy.BY_START_SEQUENCE,
             opt_start_seq=first,
             ack_policy=AckPolicy.NONE,
             filter_subject=subject,
-            inactive_threshold=_FORGOTTEN_S,
+            inactive_threshold=_INACTIVE_S,
             mem_storage=True,
         )
         self._consumer = (await self._link.stream_api.add_consumer(self._stream, config)).name
 
-    def _ask(self) -> None:
-        """Ask for more messages once half of those that are welcome have come and gone."""
+    def _request(self) -> None:
+        """Request more messages once half of the limit is free."""
         with self._link.changed:
-            welcome = max(2, min(_ASKED, _HELD_BYTES // self._largest))
-            more = welcome - self._asked - len(self._came)
-            if more < welcome / 2 or self._link.ended:
+            limit = max(2, min(_MOST_REQUESTED, _BUFFERED_BYTES // self._largest))
+            more = limit - self._requested - len(self._received)
+            if more < limit / 2 or self._link.ended:
                 return
-            if not self._asked:
+            if not self._requested:
                 self._heard_s = time.monotonic()
-            self._asked += more
-        asked = {"batch": more, "expires": int(_EXPIRES_S * _NANO), "idle_heartbeat": int(_HEARTBEAT_S * _NANO)}
-        to = f"$JS.API.CONSUMER.MSG.NEXT.{self._stream}.{self._consumer}"
+            self._requested += more
+        request = {"batch": more, "expires": int(_EXPIRES_S * _NANO), "idle_heartbeat": int(_HEARTBEAT_S * _NANO)}
+        subject = f"$JS.API.CONSUMER.MSG.NEXT.{self._stream}.{self._consumer}"
         try:
-            self._link.call(self._link.client.publish(to, json.dumps(asked).encode(), reply=self._inbox))
+            self._link.call(self._link.client.publish(subject, json.dumps(request).encode(), reply=self._inbox))
         except OSError as cause:
             self._link.end(self._remote.away(cause))
 
-    async def _hear(self, told: Msg) -> None:
-        """Hear a message or a word of the server's, on the connection's thread."""
+    async def _on_message(self, message: Msg) -> None:
+        """Handle a message of the stream or a status of the server, on the connection's thread."""
         link = self._link
         with link.changed:
             self._heard_s = time.monotonic()
-            if told.reply:
-                self._hold(told)
+            if message.reply:
+                self._append(message)
             else:
-                self._mind(told.headers or {})
+                self._handle_status(message.headers or {})
             link.changed.notify_all()
 
-    def _hold(self, told: Msg) -> None:
-        number, place, stored_ns = _places(told.reply)
-        if place != self._last + 1:
-            self._link.end(self._remote.away(f"messages got lost on the way before {number}"))
+    def _append(self, message: Msg) -> None:
+        number, consumer_number, stored_ns = _numbers_of(message.reply)
+        if consumer_number != self._last + 1:
+            self._link.end(self._remote.away(f"messages before {number} were lost in transit"))
             return
-        self._last = place
-        self._asked -= 1
-        self._largest = max(self._largest, len(told.data))
-        self._came.append(StreamMessage(number, told.data, stored_ns / _NANO, self._heard_s))
+        self._last = consumer_number
+        self._requested -= 1
+        self._largest = max(self._largest, len(message.data))
+        self._received.append(StreamMessage(number, message.data, stored_ns / _NANO, self._heard_s))
 
-    def _mind(self, told: dict[str, str]) -> None:
-        """Mind what the server says: alive; this much will not come of what was asked; no more at all."""
-        status = told.get("Status")
+    def _handle_status(self, headers: dict[str, str]) -> None:
+        """Handle a status: 100 is a heartbeat, 408 the end of a request with messages left, others end the reading."""
+        status = headers.get("Status")
         if status == "100":
             return
-        left = told.get("Nats-Pending-Messages", "")
+        left = headers.get("Nats-Pending-Messages", "")
         if status == "408" and left.isdigit():
-            self._asked -= int(left)
+            self._requested -= int(left)
             return
-        self._link.end(self._remote.away(f"it stopped: {told.get('Description') or status}"))
+        self._link.end(self._remote.away(f"it stopped: {headers.get('Description') or status}"))
 
 
-def _places(reply: str) -> tuple[int, int, int]:
-    """Return a message's number in the stream, its number for this consumer, and when it was stored, in ns."""
+def _numbers_of(reply: str) -> tuple[int, int, int]:
+    """Return a message's number in the stream, its number for this consumer, and its storage time in ns."""
     words = reply.split(".")
-    first = 5 if len(words) == 9 else 7  # newer servers tell their domain and account too
+    first = 5 if len(words) == 9 else 7  # newer servers also send their domain and account
     return int(words[first]), int(words[first + 1]), int(words[first + 2])

@@ -1,4 +1,4 @@
-"""Brokers as addresses name them: host, port, who may enter, and how the way there is kept private."""
+"""The address of a broker: host, port, path, login and TLS."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ OPTIONS = ("password_file", "tls", "ca", "cert", "key")
 
 @dataclass(frozen=True)
 class Login:
-    """Who enters; None where nobody is asked. Never shown.
+    """The login at a broker. Its `repr` does not show the secrets.
 
     Attributes
     ----------
     user, password, token : str or None
-        As the environment or a file tells them.
+        Values from the environment or a file; None if absent.
     """
 
     user: str | None = field(default=None, repr=False)
@@ -38,20 +38,20 @@ class Login:
 class Remote:
     """A broker: `KIND://HOST:PORT/PATH`.
 
-    Options: `tls=1`, `ca=FILE`, `cert=FILE`, `key=FILE`, for privacy and a certificate of one's own;
-    `password_file=FILE` (user and password, a line each), else BECALM_KIND_USER and BECALM_KIND_PASSWORD of the
-    environment, as BECALM_MQTT_USER. NATS also has `creds=FILE` and BECALM_NATS_TOKEN.
+    Options: `tls=1`, `ca=FILE`, `cert=FILE`, `key=FILE` for TLS and a client certificate; `password_file=FILE` (user
+    and password, one per line), else the environment variables BECALM_KIND_USER and BECALM_KIND_PASSWORD, such as
+    BECALM_MQTT_USER. NATS also has `creds=FILE` and BECALM_NATS_TOKEN.
 
     Attributes
     ----------
     address : Address
-        As it was named.
+        The parsed command-line address.
     host : str
-        Where; 127.0.0.1 where none is named.
+        Host name; 127.0.0.1 by default.
     port : int
-        Which port; the usual one where none is named.
+        Port; by default the standard port of the protocol.
     path : str
-        What stands behind the host, without its slash: a topic, a stream.
+        Text after the host, without the slash: a topic, a stream.
     """
 
     address: Address
@@ -61,12 +61,12 @@ class Remote:
 
     @classmethod
     def parsed(cls, address: Address, port: int, tls_port: int) -> Remote:
-        """Take `//host:port/path` apart.
+        """Parse `//host:port/path`.
 
         Raises
         ------
         UsageError
-            If it is none, or holds a user or password: addresses are shown and kept.
+            If the address has another form, or contains a user or password, because addresses are logged and stored.
         """
         if not address.rest.startswith("//"):
             raise UsageError(f"{address} names no host; write {address.kind}://HOST:{port}/...")
@@ -74,80 +74,80 @@ class Remote:
         if "@" in authority:
             name = variable(address, "USER"), variable(address, "PASSWORD")
             raise UsageError(
-                f"{address} came with a user or password in it, and addresses are written to logs; set "
-                f"{name[0]} and {name[1]} in the environment, or name a file by password_file=FILE."
+                f"{address} contains a user or password, but addresses are written to logs; set "
+                f"{name[0]} and {name[1]} in the environment, or give a file by password_file=FILE."
             )
         try:
             parts = urlsplit(address.rest, allow_fragments=False)
-            told = parts.port
+            explicit_port = parts.port
         except ValueError as cause:
             raise UsageError(
                 f"{address} has no port from 0 to 65535; write {address.kind}://HOST:{port}/..."
             ) from cause
-        usual = tls_port if _private(address) else port
-        return cls(address, parts.hostname or "127.0.0.1", told or usual, unquote(parts.path[1:]))
+        default_port = tls_port if _uses_tls(address) else port
+        return cls(address, parts.hostname or "127.0.0.1", explicit_port or default_port, unquote(parts.path[1:]))
 
     def login(self) -> Login:
-        """Return who enters: by `?password_file=` (user and password, a line each), else by the environment.
+        """Return the login from `?password_file=` (user and password, one per line), else from the environment.
 
         Raises
         ------
         UsageError
-            If the file cannot be read, or has not two lines.
+            If the file cannot be read, or does not have two lines.
         """
-        named = self.address.options.get("password_file")
-        if named is None:
-            told = (os.environ.get(variable(self.address, what)) for what in ("USER", "PASSWORD", "TOKEN"))
-            return Login(*told)
+        path = self.address.options.get("password_file")
+        if path is None:
+            values = (os.environ.get(variable(self.address, what)) for what in ("USER", "PASSWORD", "TOKEN"))
+            return Login(*values)
         try:
-            lines = Path(named).read_text(encoding="utf-8").splitlines()
+            lines = Path(path).read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as cause:
             raise UsageError(
-                f"password_file={named} cannot be read; it needs a user and a password, a line each."
+                f"password_file={path} cannot be read; give a file with the user and the password, one per line."
             ) from cause
         if len(lines) != 2:
             raise UsageError(
-                f"password_file={named} has {len(lines)} lines; write the user and the password, a line each."
+                f"password_file={path} has {len(lines)} lines; write the user and the password, one per line."
             )
         return Login(*lines)
 
     def tls(self) -> ssl.SSLContext | None:
-        """Return how the way is kept private; None where it is not.
+        """Return the TLS context; None without TLS.
 
         Raises
         ------
         UsageError
             If a certificate or key cannot be read.
         """
-        if not _private(self.address):
+        if not _uses_tls(self.address):
             return None
         import ssl
 
         options = self.address.options
         if "key" in options and "cert" not in options:
-            raise UsageError(f"{self.address.kind}: key= needs the certificate that it belongs to: cert=FILE.")
+            raise UsageError(f"{self.address.kind}: key= needs its certificate; add cert=FILE.")
         try:
             context = ssl.create_default_context(cafile=options.get("ca"))
             if "cert" in options:
                 context.load_cert_chain(options["cert"], options.get("key"))
-        except OSError as cause:  # ssl.SSLError is one
+        except OSError as cause:  # includes ssl.SSLError
             raise UsageError(f"The certificates of {self.address} cannot be read: {cause}.") from cause
         return context
 
     def away(self, why: object) -> AwayError:
-        """Return the error that says that nobody is there now."""
-        said = str(why) or "it does not answer"  # of a TimeoutError, which has no words
-        return AwayError(f"{self.address.kind}: {self.host}:{self.port} cannot be reached now: {said}.")
+        """Return the error for a broker that cannot be reached now."""
+        reason = str(why) or "it does not answer"  # a TimeoutError has no text
+        return AwayError(f"{self.address.kind}: {self.host}:{self.port} cannot be reached now: {reason}.")
 
     def failed(self, cause: BaseException, *, reached: bool) -> BecalmError:
-        """Return what a failure to connect means: away, or never to be reached like this.
+        """Return the error to raise for a failed connection: temporary or permanent.
 
         Parameters
         ----------
         cause : BaseException
-            What the operating system or the library raised.
+            Error of the operating system or the library.
         reached : bool
-            Whether it was reached before: then an unknown name is a broken network, not a slip of the pen.
+            True if the broker was reached before; an unknown host is then a network failure, not a typing error.
         """
         import ssl
 
@@ -155,11 +155,11 @@ class Remote:
         if isinstance(cause, ssl.SSLCertVerificationError):
             return InputError(
                 f"The certificate of {where} is not trusted: {cause.verify_message}. "
-                "Name the authority that signed it by ca=FILE, and the host as its certificate does."
+                "Give the authority that signed it by ca=FILE, and the host name that is in the certificate."
             )
         if isinstance(cause, ssl.SSLError) and not isinstance(cause, ssl.SSLEOFError | ssl.SSLZeroReturnError):
             return InputError(
-                f"{where} does not speak TLS as it must: {cause.reason}. Check the port, tls, ca and cert."
+                f"The TLS connection to {where} failed: {cause.reason}. Check the port, tls, ca and cert."
             )
         if isinstance(cause, socket.gaierror) and cause.errno == socket.EAI_NONAME and not reached:
             return InputError(f"There is no host {self.host!r}; check its name in {self.address}.")
@@ -167,11 +167,11 @@ class Remote:
 
 
 def variable(address: Address, what: str) -> str:
-    """Return the environment variable that holds a secret of a kind of address: BECALM_MQTT_PASSWORD."""
+    """Return the name of an environment variable with a secret, for example BECALM_MQTT_PASSWORD."""
     return f"BECALM_{address.kind.upper()}_{what}"
 
 
-def _private(address: Address) -> bool:
-    """Whether TLS is asked for: by tls=1, or by naming certificates."""
-    asked = address.chosen("tls", ("0", "1"), "1" if {"ca", "cert", "key"} & set(address.options) else "0")
-    return asked == "1"
+def _uses_tls(address: Address) -> bool:
+    """Return whether an address requires TLS, by tls=1 or by an option for certificates."""
+    tls = address.chosen("tls", ("0", "1"), "1" if {"ca", "cert", "key"} & set(address.options) else "0")
+    return tls == "1"

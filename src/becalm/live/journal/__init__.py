@@ -1,1 +1,1 @@
-"""The embedded default sink: rows, state and position in one transaction, rolled into Parquet."""
+"""The journal, the default sink: rows, state and position in one SQLite transaction, later moved to Parquet files."""

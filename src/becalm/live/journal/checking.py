@@ -1,4 +1,4 @@
-"""Whether a journal is what was written: the database, its rows' seals, rows one after the other, the files."""
+"""Check a journal for damage: the database, the seals of its rows, the continuity of the rows, and the files."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from becalm.live.journal.records import TABLES, BlockRow, RollRow
 
 Span = tuple[int, int]
 
-_KEPT = "SELECT number, first_row, end_row FROM blocks WHERE number > ? ORDER BY number"
+_BLOCKS = "SELECT number, first_row, end_row FROM blocks WHERE number > ? ORDER BY number"
 
 
 def database_faults(connection: sqlite3.Connection) -> Iterator[str]:
-    """Say what is wrong in the database, a sentence each; all that is unrolled is read.
+    """Yield a sentence for each fault of the database; all blocks whose rows are not in files are read.
 
     Parameters
     ----------
     connection : sqlite3.Connection
-        That no one else uses; the database is read as it is at one moment.
+        Connection for this check only; all queries run in one transaction.
     """
     try:
         connection.execute("BEGIN")
-        for (found,) in connection.execute("PRAGMA quick_check(5)"):
-            if found != "ok":
-                yield " ".join(str(found).split())
+        for (result,) in connection.execute("PRAGMA quick_check(5)"):
+            if result != "ok":
+                yield " ".join(str(result).split())
         broken = [sentence for table in TABLES.values() for sentence in _broken_seals(connection, table)]
-        yield from broken or _jumps(connection)  # which needs rows that are what was written
+        yield from broken or _row_faults(connection)  # the second check needs intact rows
     except (sqlite3.Error, BrokenSealError) as cause:
         yield str(cause)
     finally:
@@ -40,30 +40,30 @@ def database_faults(connection: sqlite3.Connection) -> Iterator[str]:
 
 
 def faults(folder: Path) -> Iterator[str]:
-    """Say what is wrong in a journal and its files, a sentence each; its stream may go on meanwhile.
+    """Yield a sentence for each fault of a journal and its files; its stream may continue meanwhile.
 
     Raises
     ------
     JournalError
-        If there is none.
+        If the folder has no journal, or it cannot be opened.
     """
-    mark = MarkFile(folder).read()  # first: the stream goes on
+    mark = MarkFile(folder).read()  # before the database, which must not be older while the stream continues
     try:
         opened = open_journal(folder)
     except JournalError as cause:
-        if type(cause.__cause__) is not sqlite3.DatabaseError:  # as where there is none, or it may not be read
+        if type(cause.__cause__) is not sqlite3.DatabaseError:  # no journal, or no permission to read it
             raise
         yield _damaged(str(cause.__cause__))
         return
     with opened as journal:
         wrong = list(database_faults(journal.connection))
-        if wrong:  # then nothing is to be asked of it
+        if wrong:  # a damaged database cannot be queried further
             yield from map(_damaged, wrong)
             return
         checkpoint = journal.checkpoint()
         kept = 0 if checkpoint is None else checkpoint.rows
         if mark is not None and mark.checkpoint.rows > kept:
-            yield f"{told((kept, mark.checkpoint.rows)).capitalize()} were kept, and are gone from {NAME}."
+            yield f"{told((kept, mark.checkpoint.rows)).capitalize()} were committed, but are missing in {NAME}."
         yield from file_faults(folder, journal.rolls())
 
 
@@ -72,7 +72,7 @@ def _damaged(fault: str) -> str:
 
 
 def file_faults(folder: Path, rolls: Iterable[RollRow]) -> Iterator[str]:
-    """Say which files are not what was written, a sentence each; all of them are read."""
+    """Yield a sentence for each file that is missing or differs from what was written; all files are read."""
     for roll in rolls:
         path = folder / roll.path
         if roll.pruned_s is not None:
@@ -84,11 +84,11 @@ def file_faults(folder: Path, rolls: Iterable[RollRow]) -> Iterator[str]:
             yield f"{roll.path}, which holds {told((roll.first_row, roll.end_row))}, cannot be read: {cause.strerror}."
             continue
         if digest != roll.sha256:
-            yield f"{roll.path}, which holds {told((roll.first_row, roll.end_row))}, is not what was written."
+            yield f"{roll.path}, which holds {told((roll.first_row, roll.end_row))}, differs from what was written."
 
 
 def uncovered(gap: Span, spans: Iterable[Span]) -> list[Span]:
-    """Return the parts of a gap in rows that no span covers."""
+    """Return the parts of a gap, in rows, that no span covers."""
     first, end = gap
     left = []
     for start, stop in sorted(spans):
@@ -101,7 +101,7 @@ def uncovered(gap: Span, spans: Iterable[Span]) -> list[Span]:
 
 
 def told(rows: Span) -> str:
-    """Name rows as a person does, the last included."""
+    """Return a span of rows in words, for example "rows 3 to 7" with the last row included."""
     first, end = rows
     return f"row {first}" if end == first + 1 else f"rows {first} to {end - 1}"
 
@@ -116,28 +116,28 @@ def _broken_seals(connection: sqlite3.Connection, table: str) -> Iterator[str]:
             yield f"{str(cause).capitalize()}."
 
 
-def _jumps(connection: sqlite3.Connection) -> Iterator[str]:
-    """Say where rows are missing, or twice, that no hole tells of."""
+def _row_faults(connection: sqlite3.Connection) -> Iterator[str]:
+    """Yield a sentence for each place where rows occur twice, or are missing and not recorded as a hole."""
     holes = list(connection.execute("SELECT first_row, end_row FROM holes"))
     expected = 0
     for path, first_row, end_row, rows in connection.execute(
         "SELECT path, first_row, end_row, rows FROM rolls ORDER BY number"
     ):
-        yield from _jump(expected, first_row, holes, path)
-        within = end_row - first_row - sum(b - a for a, b in uncovered((first_row, end_row), holes))
-        if rows + within != end_row - first_row:
-            yield f"{path} is recorded with {rows} rows of {end_row - first_row}, and {within} are known to be lost."
+        yield from _discontinuity(expected, first_row, holes, path)
+        lost = end_row - first_row - sum(b - a for a, b in uncovered((first_row, end_row), holes))
+        if rows + lost != end_row - first_row:
+            yield f"{path} is recorded with {rows} rows of {end_row - first_row}, and {lost} are known to be lost."
         expected = end_row
     number = rolled_blocks(connection)
-    for block, first_row, end_row in connection.execute(_KEPT, (number,)):
+    for block, first_row, end_row in connection.execute(_BLOCKS, (number,)):
         if block != number + 1:
             yield f"Block {block} follows block {number}."
-        yield from _jump(expected, first_row, holes, f"block {block}")
+        yield from _discontinuity(expected, first_row, holes, f"block {block}")
         number, expected = block, end_row
 
 
-def _jump(expected: int, first_row: int, holes: list[Span], where: str) -> Iterator[str]:
+def _discontinuity(expected: int, first_row: int, holes: list[Span], where: str) -> Iterator[str]:
     if first_row < expected:
-        yield f"{told((first_row, expected)).capitalize()} are there twice, before and in {where}."
+        yield f"{told((first_row, expected)).capitalize()} occur twice, before and in {where}."
     for gap in uncovered((expected, first_row), holes) if first_row > expected else []:
         yield f"{told(gap).capitalize()} are missing before {where}."

@@ -1,4 +1,4 @@
-"""The journal's SQLite file: how it is made, opened, written in transactions, and read beside a writer."""
+"""Create, open, write and read the journal's SQLite file; one process can read while another writes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from becalm.live.journal.records import TABLES, seal
 from becalm.live.protocols import StorageFullError
 
 NAME = "journal.sqlite"
-VERSION = 1  # of the tables
-PAGE = 8192  # bytes
+VERSION = 1  # of the table layout
+PAGE = 8192  # page size in bytes
 
 _APPLICATION = 0x6265636C  # "becl"
-_WAL_PAGES = 2048  # after which a commit moves them into the file: 16 MiB
-_WAIT_S = 30.0  # for another writer, who marks what it pruned
+_WAL_PAGES = 2048  # pages in the write-ahead log (16 MiB) after which a commit moves them into the database
+_WAIT_S = 30.0  # time to wait for another writer, such as `becalm journal DIR prune`
 
 _SCHEMA = """
 CREATE TABLE heads (number INTEGER PRIMARY KEY, names TEXT, units TEXT, rate_hz REAL, recipe TEXT, seal BLOB);
@@ -38,22 +38,22 @@ Row = TypeVar("Row", bound=tuple[Any, ...])
 
 
 class JournalError(InputError):
-    """A journal cannot be read, or cannot go on."""
+    """A journal cannot be read, or its stream cannot continue."""
 
 
 class BrokenSealError(Exception):
-    """A row is not what was written."""
+    """A database row differs from what was written."""
 
 
 def connect(path: Path) -> sqlite3.Connection:
-    """Open a journal's file to write, and make it where there is none; used by one thread at a time.
+    """Open a journal's database for writing; create it if absent. One thread at a time may use the connection.
 
     Raises
     ------
     sqlite3.Error
-        If that cannot be.
+        If it cannot be opened or created.
     JournalError
-        If it is a database of something else, or of a newer becalm.
+        If it is a database of another program, or of a newer becalm.
     """
     connection = sqlite3.connect(path, timeout=_WAIT_S, isolation_level=None, check_same_thread=False)
     try:
@@ -72,13 +72,13 @@ def connect(path: Path) -> sqlite3.Connection:
 
 
 def create(connection: sqlite3.Connection) -> None:
-    """Make the tables of a journal in an empty database."""
+    """Create the tables of a journal in an empty database."""
     head = f"PRAGMA application_id = {_APPLICATION}; PRAGMA user_version = {VERSION};"
     connection.executescript(f"PRAGMA page_size = {PAGE}; BEGIN IMMEDIATE; {head} {_SCHEMA} COMMIT;")
 
 
 def connect_reading(path: Path) -> sqlite3.Connection:
-    """Open a journal's file only to read, or raise as `connect`; a writer goes on meanwhile."""
+    """Open a journal's database read-only, while another process may write; raises the errors of `connect`."""
     name = quote(str(path.resolve()))
     connection = sqlite3.connect(
         f"file:{name}?mode=ro", uri=True, timeout=_WAIT_S, isolation_level=None, check_same_thread=False
@@ -93,14 +93,14 @@ def connect_reading(path: Path) -> sqlite3.Connection:
 
 @contextmanager
 def transaction(connection: sqlite3.Connection, folder: Path) -> Iterator[None]:
-    """Write all that is done within, or nothing.
+    """Commit everything that is written in the `with` block, or nothing.
 
     Raises
     ------
     StorageFullError
-        If there is no room, or the disk will not write.
+        If the disk is full or cannot be written.
     JournalError
-        If the file turns out to be damaged.
+        If the database is damaged.
     """
     with writing(folder):
         connection.execute("BEGIN IMMEDIATE")
@@ -115,47 +115,48 @@ def transaction(connection: sqlite3.Connection, folder: Path) -> Iterator[None]:
 
 @contextmanager
 def writing(folder: Path) -> Iterator[None]:
-    """Say in a sentence why a journal cannot be written.
+    """Turn SQLite's errors while writing a journal into messages for the user.
 
     Raises
     ------
     StorageFullError
-        If there is no room, or the disk will not write.
+        If the disk is full or cannot be written.
     JournalError
-        If the file turns out to be damaged.
+        If the database is damaged.
     """
     try:
         yield
     except (sqlite3.OperationalError, OSError) as cause:
         raise StorageFullError(
-            f"The journal in {folder} cannot be written ({cause}); nothing was half-written. Make room or rights there."
+            f"The journal in {folder} cannot be written ({cause}); nothing was half-written. Free disk space or check"
+            " the permissions there."
         ) from cause
     except sqlite3.DatabaseError as cause:
         raise JournalError(
-            f"{folder / NAME} is damaged ({cause}); start the stream again, and what reads of it is kept."
+            f"{folder / NAME} is damaged ({cause}); start the stream again, which recovers the rows that can be read."
         ) from cause
 
 
 @contextmanager
 def reading(folder: Path) -> Iterator[None]:
-    """Say in a sentence why a journal cannot be read.
+    """Turn SQLite's errors while reading a journal into a message for the user.
 
     Raises
     ------
     JournalError
-        In the place of what SQLite raises.
+        If SQLite raises an error, or a row is damaged.
     """
     try:
         yield
     except (sqlite3.Error, BrokenSealError) as cause:
         raise JournalError(
-            f"{folder / NAME} cannot be read ({cause}). `becalm journal {folder} verify` tells what is wrong; the next"
-            f" start of its stream keeps what reads."
+            f"{folder / NAME} cannot be read ({cause}). Type `becalm journal {folder} verify` to see what is wrong;"
+            " the next start of its stream recovers the rows that can be read."
         ) from cause
 
 
 def put(connection: sqlite3.Connection, row: tuple[Any, ...]) -> None:
-    """Write a row into its table, in the place of one of that number."""
+    """Write a row into its table; it replaces a row with the same number."""
     marks = ", ".join("?" * (len(row) + 1))
     number = row[0]
     if number is None:
@@ -166,44 +167,44 @@ def put(connection: sqlite3.Connection, row: tuple[Any, ...]) -> None:
 
 
 def get(connection: sqlite3.Connection, kind: type[Row], tail: str = "", values: Sequence[object] = ()) -> list[Row]:
-    """Return rows of a table in the order of their numbers, or as `tail` (WHERE, ORDER BY, LIMIT) says.
+    """Return rows of a table by number, or as selected by `tail` (WHERE, ORDER BY, LIMIT) with its `values`.
 
     Raises
     ------
     BrokenSealError
-        If one is not what was written.
+        If a row differs from what was written.
     sqlite3.Error
         If the file cannot be read.
     """
-    found = connection.execute(f"SELECT * FROM {TABLES[kind]} {tail or 'ORDER BY number'}", values).fetchall()
-    return [unsealed(kind, row) for row in found]
+    rows = connection.execute(f"SELECT * FROM {TABLES[kind]} {tail or 'ORDER BY number'}", values).fetchall()
+    return [unsealed(kind, row) for row in rows]
 
 
 def unsealed(kind: type[Row], row: tuple[Any, ...]) -> Row:
-    """Return a row as it was written.
+    """Check the seal of a row; return the row without it.
 
     Raises
     ------
     BrokenSealError
-        If it is not what was written.
+        If the row differs from what was written.
     """
     if seal(row[:-1]) != row[-1]:
-        raise BrokenSealError(f"row {row[0]} of {TABLES[kind]} is not what was written")
+        raise BrokenSealError(f"row {row[0]} of {TABLES[kind]} differs from what was written")
     return kind(*row[:-1])
 
 
 def rolled_blocks(connection: sqlite3.Connection) -> int:
-    """Return the number of the last block that has rolled into a file; blocks up to there count no more.
+    """Return the number of the last block whose rows are in a Parquet file; blocks up to it are no longer used.
 
     Raises
     ------
     BrokenSealError
-        If that is no number.
+        If the stored number is not an integer.
     """
-    found = connection.execute("SELECT last_block FROM rolls ORDER BY number DESC LIMIT 1").fetchone()
-    last = 0 if found is None else found[0]
-    if not isinstance(last, int):  # in a damaged row anything may stand
-        raise BrokenSealError("the last file is not recorded as it was written")
+    record = connection.execute("SELECT last_block FROM rolls ORDER BY number DESC LIMIT 1").fetchone()
+    last = 0 if record is None else record[0]
+    if not isinstance(last, int):  # a damaged row may hold any value
+        raise BrokenSealError("the record of the last file differs from what was written")
     return last
 
 
@@ -214,4 +215,4 @@ def _refuse_others(connection: sqlite3.Connection, path: Path) -> None:
     if tables and application != _APPLICATION:
         raise JournalError(f"{path} is a database of another program; give the journal another folder.")
     if version > VERSION:
-        raise JournalError(f"{path} was written by a newer becalm; use that, or give the journal another folder.")
+        raise JournalError(f"{path} was written by a newer becalm; update becalm, or give the journal another folder.")

@@ -1,4 +1,4 @@
-"""The first page of a journal's database, the same in all of them but for a size: damage there takes nothing along."""
+"""Restore the first page of a journal's database, which is the same in all journals except for the size."""
 
 from __future__ import annotations
 
@@ -9,42 +9,42 @@ from pathlib import Path
 
 from becalm.live.journal.database import PAGE, create
 
-_SIZE = slice(28, 32)  # in pages, big end first
-_WAL = slice(18, 20)  # 2: there is a log beside
+_SIZE = slice(28, 32)  # size of the database in pages, big-endian
+_WAL = slice(18, 20)  # format numbers; 2 means that a write-ahead log exists
 
 
 def is_sound(connection: sqlite3.Connection) -> bool:
-    """Whether a database's first page tells where the tables of a journal are."""
-    with closing(_fresh()) as fresh:
-        expected = _tables(fresh)
+    """Return whether a database's first page lists the tables of a journal correctly."""
+    with closing(_empty_journal()) as empty:
+        expected = _tables(empty)
     with suppress(sqlite3.Error):
         return _tables(connection) == expected
     return False
 
 
 def with_first_page(path: Path, copy: Path) -> None:
-    """Copy a database, with its log, and give the copy a sound first page.
+    """Copy a database with its write-ahead log, and replace the copy's first page by an intact one.
 
     Raises
     ------
     OSError
-        If there is no room.
+        If the copy cannot be written.
     """
     shutil.copyfile(path, copy)
     with suppress(FileNotFoundError):
         shutil.copyfile(f"{path}-wal", f"{copy}-wal")
-    with closing(_fresh()) as fresh:
-        page = bytearray(fresh.serialize()[:PAGE])
+    with closing(_empty_journal()) as empty:
+        page = bytearray(empty.serialize()[:PAGE])
     page[_SIZE] = (copy.stat().st_size // PAGE).to_bytes(4, "big")
     page[_WAL] = b"\2\2"
     with copy.open("r+b") as file:
         file.write(page)
 
 
-def _fresh() -> sqlite3.Connection:
-    fresh = sqlite3.connect(":memory:", isolation_level=None)
-    create(fresh)
-    return fresh
+def _empty_journal() -> sqlite3.Connection:
+    connection = sqlite3.connect(":memory:", isolation_level=None)
+    create(connection)
+    return connection
 
 
 def _tables(connection: sqlite3.Connection) -> list[tuple[object, ...]]:

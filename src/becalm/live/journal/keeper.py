@@ -1,4 +1,4 @@
-"""The journal as a keeper: a block of rows, the filters and the position in one transaction."""
+"""The journal as a keeper: commit a block of rows, the filters and the position in one transaction."""
 
 from __future__ import annotations
 
@@ -27,44 +27,45 @@ _HOUR_S = 3600.0
 _UNROLLED = """SELECT sum(length(data)) FROM blocks
     WHERE number > coalesce((SELECT last_block FROM rolls ORDER BY number DESC LIMIT 1), 0)"""
 _LEAST_ROLL_S, _MOST_ROLL_S = 1.0, 30 * 86400.0
-_REMOVED = 4  # rolled blocks that a commit removes: more than it adds, and few
-_PATIENCE_S = 5.0  # for hours that are closed when the stream ends
+_REMOVED = 4  # least number of rolled blocks that a commit removes; more than it adds, so that the database shrinks
+_PATIENCE_S = 5.0  # time to finish rolling when the stream ends
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where the journal stands: what the next block follows."""
+    """End of the journal, after which the next block is written."""
 
     block: int = 0
     row: int = 0
     head: HeadRow | None = None
     hour: tuple[int, int] = (0, 0)
-    empty: bool = False  # whether the last block has no rows
-    size: int = 0  # bytes since the last hour closed
+    empty: bool = False  # True if the last block has no rows
+    size: int = 0  # bytes since the last hour ended
 
 
 class Journal:
-    """Keeps a stream in DIR/journal.sqlite, and closed hours in Parquet files beside it.
+    """Writes a stream to DIR/journal.sqlite, and completed hours to Parquet files in the same folder.
 
-    A restart goes on where the last commit was. What is damaged is kept aside, and what reads of it goes on.
+    A restart continues from the last commit. If the database is damaged, the rows that can be read are copied to a
+    new one, and the damaged file is renamed and kept.
 
     Parameters
     ----------
     address : Address
-        `journal:DIR?roll=1h&keep=30d`: how long the stretches are that become files, and after which age files are
-        removed; without `keep` none is.
+        `journal:DIR?roll=1h&keep=30d`: time that one file covers, and age at which files are removed; without `keep`
+        no file is removed.
 
     Attributes
     ----------
     folder : Path
         DIR.
     mended : tuple of Loss
-        What `last` or `open` found to be lost; the journal has it recorded.
+        Losses that `last` or `open` found in a damaged journal; they are recorded in it.
 
     Raises
     ------
     UsageError
-        If there is no folder, or an option that it does not have.
+        If the address has no folder, or an unknown option.
     """
 
     def __init__(self, address: Address) -> None:
@@ -74,7 +75,7 @@ class Journal:
         self.folder = Path(address.rest)
         self._period_s = address.seconds("roll", _HOUR_S)
         if not _LEAST_ROLL_S <= self._period_s <= _MOST_ROLL_S:
-            raise UsageError("journal: roll is from 1s to 30d, as roll=1h.")
+            raise UsageError("journal: roll must be from 1s to 30d, as roll=1h.")
         self._age_s = address.seconds("keep", 0.0)
         self._mark = MarkFile(self.folder)
         self._place = _Place()
@@ -83,82 +84,82 @@ class Journal:
         self._lock: sqlite3.Connection | None = None
         self._connection: sqlite3.Connection | None = None
         self._roller: Roller | None = None
-        self._doubtful = False  # whether a commit failed, and may have been kept after all
+        self._doubtful = False  # True if a commit failed but may have reached the file
 
     def last(self) -> Checkpoint | None:
-        """Return the last checkpoint that was kept; None of a new stream.
+        """Return the last committed checkpoint; None for a new stream.
 
         Raises
         ------
         UsageError
             If another process writes the journal.
         JournalError
-            If it is damaged, and nothing tells any more where the stream stood.
+            If the journal is damaged and no checkpoint can be read.
         StorageFullError
             If the folder cannot be written.
         """
-        return self._opened()
+        return self._open_database()
 
     def open(self, head: Head) -> None:
-        """Make ready for a stream.
+        """Prepare for a stream; also raises the errors of `last`.
 
         Raises
         ------
         UsageError
-            If the journal holds another stream: other channels, or another recipe; and as `last`.
+            If the journal holds another stream, with other channels or another recipe.
         """
         column_names(head)
-        last, known = self._opened(), self._place.head
+        last, stored = self._open_database(), self._place.head
         row = HeadRow.of(1, head)
-        if known is not None and last is not None:
-            self._refuse_other(known.head(), head)
-            units = tuple(new or old for new, old in zip(head.units, known.head().units, strict=True))
-            row = HeadRow.of(known.number, replace(head, rate_hz=known.rate_hz, units=units))
-            if row != known:
-                row = row._replace(number=known.number + 1)
-        if row != known:  # a first one, one of which no rows came, or units that the source told later
+        if stored is not None and last is not None:
+            self._refuse_other(stored.head(), head)
+            units = tuple(new or old for new, old in zip(head.units, stored.head().units, strict=True))
+            row = HeadRow.of(stored.number, replace(head, rate_hz=stored.rate_hz, units=units))
+            if row != stored:
+                row = row._replace(number=stored.number + 1)
+        if row != stored:  # the first head, a head that has no rows yet, or units that the source sent later
             with transaction(self._database, self.folder):
                 put(self._database, row)
             self._place = replace(self._place, head=row)
         if self._roller is None:
             self._roller = Roller(self.folder)
 
-    def _refuse_other(self, known: Head, head: Head) -> None:
-        """Refuse a stream that is not the one that is kept; of units one of the two may not be known."""
-        units = zip(known.units, head.units, strict=False)
-        if known.names != head.names or any(old and new and old != new for old, new in units):
+    def _refuse_other(self, stored: Head, head: Head) -> None:
+        """Raise a UsageError if the journal holds another stream; a unit that is missing on one side is accepted."""
+        units = zip(stored.units, head.units, strict=False)
+        if stored.names != head.names or any(old and new and old != new for old, new in units):
             raise UsageError(
-                f"The journal in {self.folder} holds {_channels(known)}; the stream has {_channels(head)}. Give it a"
-                " folder of its own: --sink journal:OTHER."
+                f"The journal in {self.folder} holds {_channels(stored)}; the stream has {_channels(head)}. Give the"
+                " stream another folder: --sink journal:OTHER."
             )
-        if known.recipe != head.recipe:
+        if stored.recipe != head.recipe:
             raise UsageError(
-                f"The journal in {self.folder} was written with another recipe. Leave --recipe out to go on with that,"
-                " or give this stream a folder of its own: --sink journal:OTHER."
+                f"The journal in {self.folder} was written with another recipe. Leave out --recipe to continue with"
+                " that recipe, or give this stream another folder: --sink journal:OTHER."
             )
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
-        """Keep rows and checkpoint for good, both or neither.
+        """Commit rows and checkpoint, both or neither.
 
         Raises
         ------
         StorageFullError
-            If there is no room, or the disk will not write; nothing is kept, and the same call may be made again.
+            If the disk is full or cannot be written; nothing is committed, and the same call may be made again.
         JournalError
-            If the file turns out to be damaged.
+            If the file is damaged.
         ValueError
-            If these rows do not follow those that were kept.
+            If the rows do not follow those that were committed.
         """
-        if self._doubtful and self._kept_after_all(checkpoint):
+        if self._doubtful and self._is_committed(checkpoint):
             return
         place = self._place
         output = joined(outputs, place.row)
         if checkpoint.rows != place.row + sum(map(len, outputs)):
-            raise ValueError(f"the checkpoint is after {checkpoint.rows} rows, which are not those that came")
+            raise ValueError(f"the checkpoint is after {checkpoint.rows} rows, but the outputs end at another row")
         head, roller = place.head, self._roller
         assert head is not None, "open comes before keep"
         assert roller is not None, "open comes before keep"
-        if checkpoint.recipe != head.recipe:  # tuned anew meanwhile
+        if checkpoint.recipe != head.recipe:  # the stream was retuned meanwhile
             head = head._replace(number=head.number + 1, recipe=checkpoint.recipe)
         blocks = self._blocks(output, checkpoint, head)
         losses = [LossRow.of(one.first_row, loss) for one in outputs for loss in one.losses]
@@ -170,19 +171,27 @@ class Journal:
         last = blocks[-1]
         hour, empty = (last.period_s, last.dated), output is None
         size = place.size + sum(len(block.data or b"") for block in blocks)
-        if hour != place.hour or size > MOST_BYTES:  # there may be something to roll
+        if hour != place.hour or size > MOST_BYTES:  # there may be blocks to roll
             size = 0
             roller.wake()
         self._place = _Place(last.number, last.end_row, head, hour, empty, size)
 
     def settle(self, timeout_s: float) -> bool:
-        """Wait until all closed hours are in files and recorded, and tell whether that is so; the stream may go on."""
+        """Wait until all completed hours are in files and recorded; return False if they are not in time.
+
+        The stream may continue meanwhile.
+
+        Parameters
+        ----------
+        timeout_s : float
+            Longest time to wait, in seconds.
+        """
         settled = self._roller is not None and self._roller.settle(timeout_s)
         self._record()
         return settled
 
     def close(self) -> None:
-        """Finish the file that is being rolled, if that does not take long, and let go; harmless twice."""
+        """Close the journal; a file that is being rolled is finished within 5 s or left. May be called twice."""
         try:
             if self._roller is not None:
                 self._roller.settle(_PATIENCE_S)
@@ -199,8 +208,8 @@ class Journal:
         assert self._connection is not None, "last or open comes first"
         return self._connection
 
-    def _opened(self) -> Checkpoint | None:
-        """Make sure that the folder is ours and whole, and return where the stream stands."""
+    def _open_database(self) -> Checkpoint | None:
+        """Lock the folder, repair and open the database; return the last checkpoint."""
         if self._connection is None:
             with sentences(self.folder):
                 self.folder.mkdir(parents=True, exist_ok=True)
@@ -220,7 +229,7 @@ class Journal:
         return self._checkpoint
 
     def _find_place(self) -> Checkpoint | None:
-        """Look up where the journal stands."""
+        """Read the end of the journal from the database; return the last checkpoint."""
         with reading(self.folder):
             heads = get(self._database, HeadRow)
             blocks = get(self._database, BlockRow, "ORDER BY number DESC LIMIT 1")
@@ -235,54 +244,55 @@ class Journal:
             self._checkpoint = last.checkpoint(head.recipe)
         return self._checkpoint
 
-    def _kept_after_all(self, checkpoint: Checkpoint) -> bool:
-        """Whether a commit that seemed to fail is there; what is not there can be written again."""
+    def _is_committed(self, checkpoint: Checkpoint) -> bool:
+        """Return whether a commit that seemed to fail is in the database; otherwise it can be written again."""
         self._doubtful = False
         return self._find_place() == checkpoint
 
     def _blocks(self, output: Output | None, checkpoint: Checkpoint, head: HeadRow) -> list[BlockRow]:
-        """Return what one call keeps: a block for each hour, the last with the snapshot."""
+        """Return the blocks of one commit: one for each hour, the last with the snapshot."""
         place, now = self._place, time.time()
-        stands = (checkpoint.position, checkpoint.source)
         if output is None:
-            number = place.block + (0 if place.empty else 1)  # of blocks without rows only the last is of use
-            nothing = (place.row, place.row, None, None, now, *place.hour)
-            return [BlockRow(number, head.number, *nothing, *stands, checkpoint.snapshot, None)]
+            number = place.block + (0 if place.empty else 1)  # replace a block without rows: its checkpoint is old
+            span = (place.row, place.row, None, None, now, *place.hour)
+            return [
+                BlockRow(number, head.number, *span, checkpoint.position, checkpoint.source, checkpoint.snapshot, None)
+            ]
         blocks = []
         for number, (start, dated, part) in enumerate(by_period(output, self._period_s, now), place.block + 1):
             stamps = (float(part.time_s[0]), float(part.time_s[-1]))
-            span = (part.first_row, part.first_row + len(part), *stamps, now, start, int(dated))
-            blocks.append(BlockRow(number, head.number, *span, "", "", None, packed(part)))
-        position, source = stands
+            part_span = (part.first_row, part.first_row + len(part), *stamps, now, start, int(dated))
+            blocks.append(BlockRow(number, head.number, *part_span, "", "", None, packed(part)))
+        position, source = checkpoint.position, checkpoint.source
         blocks[-1] = blocks[-1]._replace(position=position, source=source, snapshot=checkpoint.snapshot)
         return blocks
 
     def _commit(self, roller: Roller, head: HeadRow, blocks: list[BlockRow], losses: list[LossRow]) -> None:
-        """Write all that one call keeps, and beside it what has rolled meanwhile."""
+        """Commit head, blocks and losses; record files that were rolled meanwhile in the same transaction."""
         done = roller.done()
         with transaction(self._database, self.folder):
             if head != self._place.head:
                 put(self._database, head)
             for row in (*blocks, *losses):
                 put(self._database, row)
-            unwanted = self._beside(done, max(_REMOVED, 2 * len(blocks)))
+            unwanted = self._record_rolled(done, max(_REMOVED, 2 * len(blocks)))
         roller.forget(len(done), unwanted)
 
     def _record(self) -> None:
-        """Record what has rolled, where no more rows come."""
+        """Record files that were rolled, without a commit of rows."""
         if self._roller is not None and (done := self._roller.done()):
             with transaction(self._database, self.folder):
-                unwanted = self._beside(done, _REMOVED)
+                unwanted = self._record_rolled(done, _REMOVED)
             self._roller.forget(len(done), unwanted)
 
-    def _beside(self, done: tuple[Rolled, ...], most: int) -> list[RollRow]:
-        """Record files and remove some of their blocks, within a transaction; return files that are too old."""
+    def _record_rolled(self, done: tuple[Rolled, ...], most: int) -> list[RollRow]:
+        """Record files and remove up to `most` of their blocks, within a transaction; return files to remove."""
         record(self._database, done)
         remove_rolled(self._database, most)
         return give_up(self._database, self._age_s) if done and self._age_s else []
 
 
 def _channels(head: Head) -> str:
-    """Name channels with their units."""
-    named = zip(head.names, head.units, strict=True)
-    return ", ".join(f"{name} ({unit})" if unit else name for name, unit in named)
+    """Return the channels with their units, comma-separated."""
+    channels = zip(head.names, head.units, strict=True)
+    return ", ".join(f"{name} ({unit})" if unit else name for name, unit in channels)

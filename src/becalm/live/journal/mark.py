@@ -1,4 +1,4 @@
-"""Who writes a journal, and a second witness, outside of its database, of how far the stream was kept."""
+"""The journal's lock, and its mark: a copy of the last checkpoint outside the database."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ _SEAL = 32
 
 
 class Mark(NamedTuple):
-    """Where the stream stood after a commit: a database that holds less has lost something."""
+    """Head and checkpoint after a commit; a database with fewer rows has lost some."""
 
     head: Head
     checkpoint: Checkpoint
 
 
 class MarkFile:
-    """The file of the mark, written after each commit, so that it is never ahead of what is kept.
+    """The file of the mark; it is written after each commit, so that it is never ahead of the database.
 
-    It is not forced to the disk: after a power cut it may be older than the journal, or torn, which is no mark.
+    It is written without fsync: after a power cut it may be older than the database, or incomplete and then ignored.
 
     Parameters
     ----------
     folder : Path
-        Of the journal.
+        Folder of the journal.
     """
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "journal.mark"
 
     def read(self) -> Mark | None:
-        """Return the mark; None where there is none that is whole."""
+        """Return the mark; None if the file is absent or damaged."""
         try:
             content = self.path.read_bytes()
         except OSError:
@@ -48,8 +48,8 @@ class MarkFile:
         body = content[len(_MAGIC) + _SEAL :]
         if content[: len(_MAGIC) + _SEAL] != _MAGIC + sha256(body).digest():
             return None
-        told, _, snapshot = body.partition(b"\n")
-        fields = json.loads(told)
+        text, _, snapshot = body.partition(b"\n")
+        fields = json.loads(text)
         head, rest = fields["head"], fields["checkpoint"]
         names, units = tuple(head["names"]), tuple(head["units"])
         return Mark(
@@ -58,11 +58,11 @@ class MarkFile:
         )
 
     def write(self, mark: Mark) -> None:
-        """Write where the stream stands; where that cannot be, the old mark or none will do."""
-        head, at = mark.head, mark.checkpoint
-        shared = {"names": head.names, "units": head.units, "rate_hz": head.rate_hz}
-        stands = {"rows": at.rows, "position": at.position, "recipe": at.recipe, "source": at.source}
-        body = json.dumps({"head": shared, "checkpoint": stands}).encode() + b"\n" + at.snapshot
+        """Write the mark; errors are ignored, because an old mark or none is acceptable."""
+        head, last = mark.head, mark.checkpoint
+        head_fields = {"names": head.names, "units": head.units, "rate_hz": head.rate_hz}
+        fields = {"rows": last.rows, "position": last.position, "recipe": last.recipe, "source": last.source}
+        body = json.dumps({"head": head_fields, "checkpoint": fields}).encode() + b"\n" + last.snapshot
         content = _MAGIC + sha256(body).digest() + body
         with suppress(OSError):
             handle = os.open(self.path, os.O_WRONLY | os.O_CREAT, 0o666)
@@ -74,17 +74,17 @@ class MarkFile:
 
 
 def locked(folder: Path) -> sqlite3.Connection:
-    """Keep other processes from writing the same journal, until the connection is closed or the process ends.
+    """Lock a journal against other writers; return the connection that holds the lock until it is closed.
 
     Raises
     ------
     UsageError
-        If another one does.
+        If another process writes the journal.
     StorageFullError
         If the folder cannot be written.
     """
     refusal = (
-        f"Another becalm writes the journal in {folder}. Stop it first, or give this stream a folder of its own:"
+        f"Another becalm process writes the journal in {folder}. Stop it first, or give this stream another folder:"
         " --sink journal:OTHER."
     )
     with writing(folder):

@@ -1,4 +1,4 @@
-"""A journal read in order, rolled or not, while its stream may go on."""
+"""Read a journal in order, from Parquet files and database, while its stream may continue."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from becalm.live.tables import ROW, TIME, output_table, table_schema
 _BATCH_ROWS = 1 << 16
 _SPANS = """SELECT period_s, dated, CAST(first_row AS INTEGER), CAST(end_row AS INTEGER), CAST(first_s AS REAL),
     CAST(last_s AS REAL), length(data) FROM blocks WHERE number > ? AND end_row > first_row ORDER BY number"""
-# of the types that they have, for a damaged row may hold anything
+# the casts are needed because a damaged row may hold values of any type
 
 
 class JournalStretch(NamedTuple):
-    """Rows of an hour, in a file of their own or in the database still."""
+    """Rows of an hour, in a Parquet file or still in the database."""
 
     where: str
     first_row: int
@@ -43,14 +43,14 @@ class JournalStretch(NamedTuple):
 
     @property
     def rate_hz(self) -> float | None:
-        """Rows a second, by the first and the last stamp."""
+        """Return the mean sample rate in hertz from the first and last stamps; None if they give no rate."""
         if self.first_s is None or self.last_s is None or not self.last_s > self.first_s:
             return None
         return (self.rows - 1) / (self.last_s - self.first_s)
 
 
 def open_journal(folder: str | os.PathLike[str]) -> JournalReader:
-    """Open a journal to read; its stream may go on meanwhile.
+    """Open a journal for reading; its stream may continue meanwhile.
 
     Parameters
     ----------
@@ -60,13 +60,13 @@ def open_journal(folder: str | os.PathLike[str]) -> JournalReader:
     Raises
     ------
     JournalError
-        If there is none, or it cannot be read.
+        If the folder has no journal, or it cannot be read.
     """
     return JournalReader(Path(folder))
 
 
 class JournalReader(Closing):
-    """Reads a journal; made by `open_journal`, closed by `with` or `close`."""
+    """A reader of a journal, made by `open_journal`; close it with `with` or `close`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -77,43 +77,43 @@ class JournalReader(Closing):
             self.connection = connect_reading(path)
 
     def close(self) -> None:
-        """Let go; harmless twice."""
+        """Close the database; may be called twice."""
         self.connection.close()
 
     def head(self) -> Head | None:
-        """Return what all rows share, with the last recipe; None before a stream began."""
+        """Return names, units, rate and the last recipe; None if no stream has started."""
         with reading(self.folder):
-            found = get(self.connection, HeadRow, "ORDER BY number DESC LIMIT 1")
-        return found[0].head() if found else None
+            heads = get(self.connection, HeadRow, "ORDER BY number DESC LIMIT 1")
+        return heads[0].head() if heads else None
 
     def checkpoint(self) -> Checkpoint | None:
-        """Return where the stream stands."""
-        with self._moment():
+        """Return the last checkpoint; None if no rows are committed."""
+        with self._read_transaction():
             blocks = get(self.connection, BlockRow, "ORDER BY number DESC LIMIT 1")
             heads = get(self.connection, HeadRow, "ORDER BY number DESC LIMIT 1")
         return blocks[0].checkpoint(heads[0].recipe) if blocks else None
 
     def losses(self) -> list[LossRow]:
-        """Return what happened to the stream, in the order in which it was told."""
+        """Return the losses of the stream, in the order in which they were recorded."""
         with reading(self.folder):
             return get(self.connection, LossRow)
 
     def holes(self) -> list[tuple[int, int]]:
-        """Return which rows were kept and are known to be lost: the first, and the one after the last."""
+        """Return spans (first row, end row) of rows that were committed and are known to be lost."""
         with reading(self.folder):
             return [(hole.first_row, hole.end_row) for hole in get(self.connection, HoleRow)]
 
     def rolls(self) -> list[RollRow]:
-        """Return the files, in the order of rows, with those that were removed as too old."""
+        """Return the records of all files in row order, with those that were removed because of their age."""
         with reading(self.folder):
             return get(self.connection, RollRow)
 
     def stretches(self) -> list[JournalStretch]:
-        """Return what the journal holds: a stretch for each file, and for each hour that has not rolled."""
-        with self._moment():
+        """Return the journal's contents: one entry for each file, and one for each hour still in the database."""
+        with self._read_transaction():
             rolls = get(self.connection, RollRow)
             blocks = self.connection.execute(_SPANS, (rolled_blocks(self.connection),)).fetchall()
-        found = [
+        stretches = [
             JournalStretch(
                 r.path, r.first_row, r.end_row, r.rows, r.first_s, r.last_s, bool(r.dated), r.size, bool(r.pruned_s)
             )
@@ -123,28 +123,30 @@ class JournalReader(Closing):
         for period_s, dated, first_row, end_row, first_s, last_s, size in blocks:
             rows = end_row - first_row
             if hour == (period_s, dated):
-                last = found[-1]
+                last = stretches[-1]
                 rows, size = last.rows + rows, last.size + size
-                found[-1] = last._replace(end_row=end_row, rows=rows, last_s=last_s, size=size)
+                stretches[-1] = last._replace(end_row=end_row, rows=rows, last_s=last_s, size=size)
             else:
-                found.append(JournalStretch(NAME, first_row, end_row, rows, first_s, last_s, bool(dated), size, False))
+                stretches.append(
+                    JournalStretch(NAME, first_row, end_row, rows, first_s, last_s, bool(dated), size, False)
+                )
             hour = (period_s, dated)
-        return found
+        return stretches
 
     def tables(self, first_row: int = 0, from_s: float = -inf, to_s: float = inf) -> Iterator[pa.Table]:
-        """Go through rows in order, a bounded number at a time; what is kept meanwhile comes too.
+        """Yield rows in order in tables of bounded size, including rows that are committed meanwhile.
 
         Parameters
         ----------
         first_row : int
-            Where to begin.
+            Number of the first row.
         from_s, to_s : float
-            Which stamps, in seconds; the last excluded.
+            Range of the stamps in seconds; `to_s` is excluded.
 
         Yields
         ------
         pyarrow.Table
-            As `becalm.live.tables.output_table` makes it.
+            Rows in the columns of `becalm.live.tables.output_table`.
 
         Raises
         ------
@@ -153,22 +155,22 @@ class JournalReader(Closing):
         """
         row, roll, block = first_row, 0, 0
         while (piece := self._next(row, roll, block)) is not None:
-            head, found = piece
+            head, record = piece
             schema = table_schema(head)
-            if isinstance(found, RollRow):
-                roll = found.number
-                tables = self._rolled(found, schema, from_s, to_s)
+            if isinstance(record, RollRow):
+                roll = record.number
+                tables = self._read_file(record, schema, from_s, to_s)
             else:
-                block = found.number
-                tables = iter([output_table(head, [unpacked(found)])])
+                block = record.number
+                tables = iter([output_table(head, [unpacked(record)])])
             for table in tables:
                 if (part := _within(table, row, from_s, to_s)).num_rows:
                     yield part
-            row = found.end_row
+            row = record.end_row
 
     @contextmanager
-    def _moment(self) -> Iterator[None]:
-        """Read all within as it is at one moment."""
+    def _read_transaction(self) -> Iterator[None]:
+        """Run all queries of the `with` block on the same state of the database."""
         with reading(self.folder):
             self.connection.execute("BEGIN")
             try:
@@ -178,20 +180,20 @@ class JournalReader(Closing):
                     self.connection.execute("ROLLBACK")
 
     def _next(self, row: int, roll: int, block: int) -> tuple[Head, RollRow | BlockRow] | None:
-        """Return the file or the block that has a row, or the next one that is there."""
-        with self._moment():
+        """Return the record of the file or block that holds `row`, or of the next one after it."""
+        with self._read_transaction():
             after = "WHERE number > ? AND end_row > ? AND pruned_s IS NULL ORDER BY number LIMIT 1"
-            found: list[RollRow] | list[BlockRow] = get(self.connection, RollRow, after, (roll, row))
-            if not found:
+            records: list[RollRow] | list[BlockRow] = get(self.connection, RollRow, after, (roll, row))
+            if not records:
                 least = max(block, rolled_blocks(self.connection))
                 after = "WHERE number > ? AND end_row > max(first_row, ?) ORDER BY number LIMIT 1"
-                found = get(self.connection, BlockRow, after, (least, row))
-            if not found:
+                records = get(self.connection, BlockRow, after, (least, row))
+            if not records:
                 return None
-            head = get(self.connection, HeadRow, "WHERE number = ?", (found[0].head,))[0].head()
-        return head, found[0]
+            head = get(self.connection, HeadRow, "WHERE number = ?", (records[0].head,))[0].head()
+        return head, records[0]
 
-    def _rolled(self, roll: RollRow, schema: pa.Schema, from_s: float, to_s: float) -> Iterator[pa.Table]:
+    def _read_file(self, roll: RollRow, schema: pa.Schema, from_s: float, to_s: float) -> Iterator[pa.Table]:
         path = self.folder / roll.path
         try:
             with pq.ParquetFile(path) as file:
@@ -199,18 +201,18 @@ class JournalReader(Closing):
                     if _outside(file.metadata.row_group(group), from_s, to_s):
                         continue
                     for batch in file.iter_batches(_BATCH_ROWS, row_groups=[group]):
-                        yield _as_kept(pa.Table.from_batches([batch]), schema)
+                        yield _with_verdict_words(pa.Table.from_batches([batch]), schema)
         except (OSError, pa.ArrowException) as cause:
             raise JournalError(
-                f"{path} cannot be read ({' '.join(str(cause).split())[:200]}); `becalm journal {self.folder} verify`"
-                " tells what else is wrong."
+                f"{path} cannot be read ({' '.join(str(cause).split())[:200]}); type `becalm journal {self.folder}"
+                " verify` to see what else is wrong."
             ) from cause
 
 
 def _outside(group: pq.RowGroupMetaData, from_s: float, to_s: float) -> bool:
-    """Whether no stamp of a row group is asked for, where that is known."""
-    told = group.column(1).statistics  # of time_s
-    return told is not None and told.has_min_max and (told.max < from_s or told.min >= to_s)
+    """Return whether all stamps of a row group are outside a range; False if its statistics are unknown."""
+    stamps = group.column(1).statistics  # column time_s
+    return stamps is not None and stamps.has_min_max and (stamps.max < from_s or stamps.min >= to_s)
 
 
 def _within(table: pa.Table, first_row: int, from_s: float, to_s: float) -> pa.Table:
@@ -222,8 +224,8 @@ def _within(table: pa.Table, first_row: int, from_s: float, to_s: float) -> pa.T
     return table
 
 
-def _as_kept(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Return rows of a file with the dictionary that all blocks have."""
+def _with_verdict_words(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Return rows of a file with the same verdict dictionary as rows of a block."""
     words = in_words(np.empty(0, np.int8)).dictionary
     columns = []
     for name, column in zip(table.column_names, table.columns, strict=True):

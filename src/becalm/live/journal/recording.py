@@ -1,4 +1,4 @@
-"""What a commit does beside keeping rows: files that were rolled are recorded, old ones given up."""
+"""Record the Parquet files of a journal, remove their blocks from the database, and remove old files."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ _REMOVED = """DELETE FROM blocks WHERE number IN
 
 
 def record(connection: sqlite3.Connection, done: Iterable[Rolled]) -> None:
-    """Record files within a transaction: from now on their blocks count no more."""
+    """Record files within a transaction; their blocks are no longer used."""
     for rolled in done:
         (last,) = connection.execute("SELECT max(number) FROM rolls").fetchone()
         put(connection, rolled.row._replace(number=(last or 0) + 1))
         for hole in rolled.holes:
             put(connection, hole)
-            says = f"{told((hole.first_row, hole.end_row)).capitalize()} were kept and could not be read again."
-            put(connection, LossRow.of(hole.first_row, Loss(LossKind.STORAGE, hole.end_row - hole.first_row, says)))
+            text = f"{told((hole.first_row, hole.end_row)).capitalize()} were committed and could not be read again."
+            put(connection, LossRow.of(hole.first_row, Loss(LossKind.STORAGE, hole.end_row - hole.first_row, text)))
 
 
 def remove_rolled(connection: sqlite3.Connection, most: int) -> None:
-    """Remove some of the blocks that count no more, within a transaction; their pages are used again."""
+    """Remove up to `most` blocks whose rows are in files, within a transaction; SQLite reuses their pages."""
     connection.execute(_REMOVED, (rolled_blocks(connection), most))
 
 
 def give_up(connection: sqlite3.Connection, age_s: float) -> list[RollRow]:
-    """Record within a transaction that files with nothing younger are removed, and return them.
+    """Record within a transaction that files older than `age_s` are removed; return their records.
 
-    What happened to their rows is forgotten with them.
+    The losses of their rows are removed too.
     """
     now = time.time()
     old = []
     for roll in get(connection, RollRow, "WHERE pruned_s IS NULL ORDER BY number"):
         last_s = roll.last_s if roll.dated and roll.last_s is not None else roll.rolled_s
         if last_s >= now - age_s:
-            break  # the first of the stream's rows go first, so that those that are left have no hole
+            break  # only the oldest rows are removed, so that the remaining rows have no hole
         put(connection, roll._replace(pruned_s=now))
         old.append(roll)
     if old:
@@ -53,21 +53,21 @@ def give_up(connection: sqlite3.Connection, age_s: float) -> list[RollRow]:
 
 
 def prune(folder: Path, age_s: float) -> list[RollRow]:
-    """Remove files with nothing younger, and return what was recorded of them; the stream may go on meanwhile.
+    """Remove old files and return their records; the stream may continue meanwhile.
 
     Parameters
     ----------
     folder : Path
-        Of the journal.
+        Folder of the journal.
     age_s : float
-        Seconds: of stamps that are dates, else since the file was written.
+        Age in seconds, by the last stamp if stamps are dates, else by the time when the file was written.
 
     Raises
     ------
     JournalError
         If the journal cannot be read.
     StorageFullError
-        If it cannot be written.
+        If the journal cannot be written.
     """
     with writing(folder), closing(connect(folder / NAME)) as connection:
         with transaction(connection, folder):
@@ -77,7 +77,7 @@ def prune(folder: Path, age_s: float) -> list[RollRow]:
 
 
 def remove(folder: Path, rolls: Iterable[RollRow]) -> None:
-    """Remove files, and the folders of days that are empty then."""
+    """Remove files, and the folders of their days if they are empty."""
     for roll in rolls:
         path = folder / roll.path
         with suppress(OSError):
@@ -86,7 +86,7 @@ def remove(folder: Path, rolls: Iterable[RollRow]) -> None:
 
 
 def remove_leftovers(connection: sqlite3.Connection, folder: Path) -> None:
-    """Remove what a process that was killed left: files half-written, or given up and not yet removed."""
+    """Remove files that a killed process left: half-written ones, and old ones that are recorded as removed."""
     for path in folder.glob("*/.*.parquet.*.part"):
         path.unlink(missing_ok=True)
     remove(folder, get(connection, RollRow, "WHERE pruned_s IS NOT NULL"))

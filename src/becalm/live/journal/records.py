@@ -1,4 +1,4 @@
-"""What the journal's tables hold, a row each, and the seal by which a damaged row is found."""
+"""Rows of the journal's tables, and the checksum (seal) that detects a damaged row."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from becalm.live.block import Checkpoint, Head, Loss, LossKind
 
 
 class HeadRow(NamedTuple):
-    """What some blocks share; a stream that is tuned anew has a further one."""
+    """Names, units, rate and recipe of some blocks; a retuned stream has several such rows."""
 
     number: int
     names: str  # JSON
@@ -21,7 +21,7 @@ class HeadRow(NamedTuple):
 
     @classmethod
     def of(cls, number: int, head: Head) -> HeadRow:
-        """Make a row of a head."""
+        """Return the row of a head."""
         return cls(number, json.dumps(head.names), json.dumps(head.units), float(head.rate_hz), head.recipe)
 
     def head(self) -> Head:
@@ -30,53 +30,53 @@ class HeadRow(NamedTuple):
 
 
 class BlockRow(NamedTuple):
-    """Some rows, and where the stream stands after them: what one call of `Journal.keep` keeps.
+    """Rows of the stream, and its checkpoint after them: one commit by `Journal.keep`.
 
-    A call whose rows lie in several hours becomes several blocks, of which the last has the snapshot.
+    A commit with rows in several hours becomes several blocks; the last one has the snapshot.
     """
 
-    number: int  # from 1, without a hole
+    number: int  # from 1, without gaps
     head: int
     first_row: int
     end_row: int  # the row after the last
-    first_s: float | None  # stamps; None where there are no rows
+    first_s: float | None  # stamps; None if there are no rows
     last_s: float | None
-    kept_s: float  # seconds since 1970
-    period_s: int  # where the hour begins that it rolls with, in seconds since 1970
-    dated: int  # 1 where that hour is one of the stamps, 0 where it is that of arrival
+    kept_s: float  # time of the commit, in seconds since 1970
+    period_s: int  # start of the hour whose file will hold the block, in seconds since 1970
+    dated: int  # 1 if that hour comes from the stamps, 0 if it comes from the arrival time
     position: str
     source: str
     snapshot: bytes | None
     data: bytes | None
 
     def checkpoint(self, recipe: str) -> Checkpoint:
-        """Return where the stream stands after these rows."""
+        """Return the checkpoint after these rows."""
         return Checkpoint(self.end_row, self.position, self.snapshot or b"", recipe, self.source)
 
 
 class RollRow(NamedTuple):
-    """A Parquet file that holds the rows of closed hours."""
+    """A Parquet file with the rows of a completed hour."""
 
     number: int
-    path: str  # below the journal's folder, with /
+    path: str  # relative to the journal's folder, with /
     head: int
-    last_block: int  # this and all blocks before it have rolled
+    last_block: int  # the rows of this block and all earlier ones are in files
     first_row: int
     end_row: int
-    rows: int  # fewer than between the two where some were lost
+    rows: int  # fewer than end_row - first_row if rows were lost
     first_s: float | None
     last_s: float | None
     dated: int
     rolled_s: float
     size: int  # bytes
     sha256: str
-    pruned_s: float | None  # when the file was removed as too old
+    pruned_s: float | None  # time when the file was removed because of its age; None if it was not
 
 
 class LossRow(NamedTuple):
-    """Something that happened to the stream, before or in the rows from `row` on."""
+    """A loss of the stream, before or in the rows from `row` on."""
 
-    number: int | None  # None: the next
+    number: int | None  # None takes the next number
     row: int
     kind: str
     rows: int | None
@@ -85,7 +85,7 @@ class LossRow(NamedTuple):
 
     @classmethod
     def of(cls, row: int, loss: Loss) -> LossRow:
-        """Make a row of a loss."""
+        """Return the row of a loss."""
         return cls(None, row, str(loss.kind), loss.rows, loss.says, float(loss.noticed_s))
 
     def loss(self) -> Loss:
@@ -94,7 +94,7 @@ class LossRow(NamedTuple):
 
 
 class HoleRow(NamedTuple):
-    """Rows that were kept, and could not be read again."""
+    """Rows that were committed, and could not be read again."""
 
     number: int | None
     first_row: int
@@ -111,7 +111,7 @@ TABLES: dict[type, str] = {
 
 
 def seal(values: Iterable[object]) -> bytes:
-    """Return what tells, beside the values of a row, whether they are still what was written: 32 bytes."""
+    """Return the SHA-256 of a row's values, 32 bytes; it is stored with the row to detect damage."""
     digest = sha256()
     for value in values:
         if isinstance(value, bytes):

@@ -1,4 +1,4 @@
-"""What reads of a damaged journal, and how a new one is made of it."""
+"""Read the intact rows of a damaged journal, and plan the new journal that is made from them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Row = TypeVar("Row", bound=tuple[Any, ...])
 
 
 class Remains(NamedTuple):
-    """What is intact in a damaged journal, in the order of numbers."""
+    """The intact rows of a damaged journal, ordered by number."""
 
     heads: list[HeadRow]
     rolls: list[RollRow]
@@ -39,16 +39,16 @@ class Remains(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """What a new database is to hold.
+    """Contents of the new database.
 
     Attributes
     ----------
     rows : list of tuple
-        Of all tables but blocks.
+        Rows of all tables except blocks.
     blocks : list of (int or None, BlockRow)
-        The number of a block in the damaged database, and its new row, without data; None: the row is new.
+        Number of a block in the damaged database, and its new row without data; None if the block is new.
     gaps : list of (int, int)
-        Rows before the end that are lost, the end excluded, as found now.
+        Spans of lost rows before the end that are not recorded as holes yet; the second number is excluded.
     end : int
         The row after the last.
     """
@@ -60,35 +60,35 @@ class Plan:
 
 
 def connect_damaged(path: Path) -> sqlite3.Connection:
-    """Open a database that may be cut short, only to read, or an empty one where there is none.
+    """Open a damaged, possibly truncated database read-only; an empty database if the file is missing.
 
-    Where its first page is damaged that is a copy with another one, HEADED, which is left.
+    If the first page is damaged, this opens a copy with an intact first page; the file HEADED is left there.
 
     Raises
     ------
     OSError
-        If there is no room for the copy.
+        If the copy cannot be written.
     """
     if not path.exists():
         return sqlite3.connect(":memory:", isolation_level=None)
-    connection = _reading(path)
+    connection = _connect_read_only(path)
     if is_sound(connection):
         return connection
     connection.close()
     copy = path.with_name(HEADED)
     with_first_page(path, copy)
-    return _reading(copy)
+    return _connect_read_only(copy)
 
 
-def _reading(path: Path) -> sqlite3.Connection:
+def _connect_read_only(path: Path) -> sqlite3.Connection:
     connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True, isolation_level=None)
     with suppress(sqlite3.Error):
-        connection.execute("PRAGMA writable_schema = ON")  # reads a file that is shorter than its head says
+        connection.execute("PRAGMA writable_schema = ON")  # to read a file that is shorter than its header states
     return connection
 
 
 def remains_of(connection: sqlite3.Connection) -> Remains:
-    """Find all rows that read, and are what was written; of blocks only those that have not rolled."""
+    """Return all intact rows, without the blocks whose rows are in files."""
     try:
         rolled = rolled_blocks(connection)
     except (sqlite3.Error, BrokenSealError):
@@ -105,13 +105,13 @@ def remains_of(connection: sqlite3.Connection) -> Remains:
 
 
 def moved(source: sqlite3.Connection, old: int, new: BlockRow) -> BlockRow:
-    """Return the new row of a block, with its data."""
+    """Return the new row of a block with the data of block `old`."""
     return new._replace(data=next(_read(source, BlockRow, [old])).data)
 
 
 def planned(folder: Path, remains: Remains, mark: Mark | None) -> Plan | None:
-    """Say of what a new database is made; None where nothing tells how its stream could go on."""
-    rolls = _every_roll(folder, remains)
+    """Return the plan of the new database; None if no checkpoint is left from which the stream could continue."""
+    rolls = _all_files(folder, remains)
     end = rolls[-1].end_row if rolls else 0
     heads = list(remains.heads)
     if mark is not None and mark.head.recipe not in [head.recipe for head in heads]:
@@ -119,15 +119,15 @@ def planned(folder: Path, remains: Remains, mark: Mark | None) -> Plan | None:
     kept = _in_order(remains.blocks, end)
     if not heads or not (kept or (mark is not None and mark.checkpoint.rows >= end)):
         return None
-    known, last = {head.number for head in heads}, heads[-1].number
+    head_numbers, last = {head.number for head in heads}, heads[-1].number
     blocks: list[tuple[int | None, BlockRow]] = [
-        (block.number, block._replace(number=number, head=block.head if block.head in known else last))
+        (block.number, block._replace(number=number, head=block.head if block.head in head_numbers else last))
         for number, block in enumerate(kept, 1)
     ]
     if mark is not None and not kept:
-        stands = (mark.checkpoint.position, mark.checkpoint.source, mark.checkpoint.snapshot)
+        checkpoint = (mark.checkpoint.position, mark.checkpoint.source, mark.checkpoint.snapshot)
         row = mark.checkpoint.rows
-        blocks = [(None, BlockRow(1, last, row, row, None, None, time.time(), 0, 0, *stands, None))]
+        blocks = [(None, BlockRow(1, last, row, row, None, None, time.time(), 0, 0, *checkpoint, None))]
     end = blocks[-1][1].end_row
     pieces: list[RollRow | BlockRow | HoleRow] = [*rolls, *kept, *remains.holes]
     gaps = uncovered((0, end), [(piece.first_row, piece.end_row) for piece in pieces])
@@ -137,7 +137,7 @@ def planned(folder: Path, remains: Remains, mark: Mark | None) -> Plan | None:
 
 
 def _in_order(blocks: Sequence[BlockRow], end: int) -> list[BlockRow]:
-    """Return blocks after a row, each after the one before, up to the last that tells where the stream stood."""
+    """Return the blocks after row `end` that do not overlap, up to the last one with a snapshot."""
     kept: list[BlockRow] = []
     for block in blocks:
         if block.first_row >= end:
@@ -148,8 +148,8 @@ def _in_order(blocks: Sequence[BlockRow], end: int) -> list[BlockRow]:
     return kept
 
 
-def _every_roll(folder: Path, remains: Remains) -> list[RollRow]:
-    """Return recorded files, and those that are there and were recorded once, in the order of rows."""
+def _all_files(folder: Path, remains: Remains) -> list[RollRow]:
+    """Return the records of all files in row order, including files whose record is lost."""
     rolls = sorted(remains.rolls, key=lambda roll: roll.first_row)
     spans = [(roll.first_row, roll.end_row) for roll in rolls]
     blocks = [(block.first_row, block.end_row) for block in remains.blocks]
@@ -157,30 +157,30 @@ def _every_roll(folder: Path, remains: Remains) -> list[RollRow]:
     head = remains.heads[-1].number if remains.heads else 1
     for path in sorted(folder.glob("*/*.parquet")):
         name = path.relative_to(folder).as_posix()
-        found = None if name in recorded else _unrecorded(path, name, head)
-        if found is None:
+        roll = None if name in recorded else _record_of(path, name, head)
+        if roll is None:
             continue
-        span = (found.first_row, found.end_row)
-        if uncovered(span, spans) == [span] and uncovered(span, blocks):  # else its blocks will roll again
-            rolls.append(found)
+        span = (roll.first_row, roll.end_row)
+        if uncovered(span, spans) == [span] and uncovered(span, blocks):  # if blocks cover it, they are rolled again
+            rolls.append(roll)
             spans.append(span)
     return sorted(rolls, key=lambda roll: roll.first_row)
 
 
-def _unrecorded(path: Path, name: str, head: int) -> RollRow | None:
-    """Return what would be recorded of a file; None of one that is not whole, or not of a journal."""
+def _record_of(path: Path, name: str, head: int) -> RollRow | None:
+    """Return the record of a file; None if it is damaged or not a file of a journal."""
     try:
         with pq.ParquetFile(path) as file:
-            told = file.schema_arrow.metadata or {}
-            span = (int(told[FIRST_ROW]), int(told[END_ROW]))
+            metadata = file.schema_arrow.metadata or {}
+            span = (int(metadata[FIRST_ROW]), int(metadata[END_ROW]))
             times = file.read(["time_s"]).column(0)
     except (OSError, KeyError, ValueError, pa.ArrowException):
         return None
     first_s, last_s = (times[0].as_py(), times[-1].as_py()) if len(times) else (None, None)
-    kept = (*span, len(times), first_s, last_s, int(not path.name.startswith("rows-")))
+    contents = (*span, len(times), first_s, last_s, int(not path.name.startswith("rows-")))
     with path.open("rb") as content:
         digest = hashlib.file_digest(content, "sha256").hexdigest()
-    return RollRow(0, name, head, 0, *kept, time.time(), path.stat().st_size, digest, None)
+    return RollRow(0, name, head, 0, *contents, time.time(), path.stat().st_size, digest, None)
 
 
 def _intact(connection: sqlite3.Connection, kind: type[Row]) -> list[Row]:
@@ -188,7 +188,7 @@ def _intact(connection: sqlite3.Connection, kind: type[Row]) -> list[Row]:
 
 
 def _read(connection: sqlite3.Connection, kind: type[Row], numbers: Iterable[int]) -> Iterator[Row]:
-    """Return the rows of these numbers that are what was written."""
+    """Yield the intact rows with these numbers."""
     for number in numbers:
         with suppress(sqlite3.Error, BrokenSealError):
             row = connection.execute(f"SELECT * FROM {TABLES[kind]} WHERE number = ?", (number,)).fetchone()
@@ -197,11 +197,11 @@ def _read(connection: sqlite3.Connection, kind: type[Row], numbers: Iterable[int
 
 
 def _numbers(connection: sqlite3.Connection, table: str) -> list[int]:
-    """Return the numbers that a table may have: from both ends as far as it reads, and all between."""
-    found: list[int] = []
+    """Return the numbers that a table may have: those readable from both ends, and all numbers in between."""
+    numbers: list[int] = []
     for order in ("ASC", "DESC"):
         with suppress(sqlite3.Error):
             for (number,) in connection.execute(f"SELECT number FROM {table} ORDER BY number {order}"):
-                found.append(number)
-            return sorted(found)  # all of it reads
-    return list(range(min(found), max(found) + 1)) if found else []
+                numbers.append(number)
+            return sorted(numbers)  # the whole table is readable
+    return list(range(min(numbers), max(numbers) + 1)) if numbers else []

@@ -1,4 +1,4 @@
-"""The thread that rolls closed hours while the stream goes on."""
+"""A thread that writes completed hours of a journal to Parquet files while the stream continues."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from becalm.live.journal.recording import remove
 from becalm.live.journal.records import RollRow
 from becalm.live.journal.rolling import Rolled, Stopped, next_piece, roll
 
-_AGAIN_S = 60.0  # after a file could not be written, if no hour closes before
+_RETRY_S = 60.0  # time until a file that could not be written is tried again, if no hour is completed before
 _log = logging.getLogger(__name__)
 
 
 class Roller:
-    """Writes files of closed hours; they count once the keeper has recorded them, with its next block.
+    """Writes completed hours to Parquet files; a file is valid once the keeper has recorded it with its next block.
 
     Parameters
     ----------
     folder : Path
-        Of the journal.
+        Folder of the journal.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -33,23 +33,23 @@ class Roller:
         self._done: deque[Rolled] = deque()
         self._wake, self._stop, self._idle = Event(), Event(), Event()
         self._unwanted: deque[RollRow] = deque()
-        self._lock = Lock()  # of the two events wake and idle
+        self._lock = Lock()  # guards the events wake and idle
         self._troubled = False
         self._thread = Thread(target=self._work, name="becalm-roller", daemon=True)
         self._thread.start()
 
     def wake(self) -> None:
-        """Hear that an hour may have closed."""
+        """Wake the thread, because an hour may be completed."""
         with self._lock:
             self._idle.clear()
             self._wake.set()
 
     def done(self) -> tuple[Rolled, ...]:
-        """Return what was rolled, and not forgotten, in order."""
+        """Return the files that were written and are not recorded yet, in order."""
         return tuple(self._done)
 
     def forget(self, recorded: int, unwanted: list[RollRow]) -> None:
-        """Hear that the first so many of those are recorded, and that these older files are to be removed."""
+        """Drop the first `recorded` files of `done`, which are now recorded, and remove the `unwanted` old files."""
         for _ in range(recorded):
             self._done.popleft()
         if unwanted:
@@ -57,11 +57,11 @@ class Roller:
             self.wake()
 
     def settle(self, timeout_s: float) -> bool:
-        """Wait until nothing is left to roll, and tell whether that is so; a file that cannot be written is left."""
+        """Wait until nothing is left to write; return False after the timeout or if a file could not be written."""
         return self._idle.wait(timeout_s) and not self._troubled
 
     def close(self) -> None:
-        """Stop, in the middle of a file if need be: the next start writes it anew."""
+        """Stop, possibly in the middle of a file; the next start writes that file again."""
         self._stop.set()
         self._wake.set()
         self._thread.join()
@@ -69,7 +69,7 @@ class Roller:
     def _work(self) -> None:
         self.wake()
         while not self._stop.is_set():
-            self._wake.wait(_AGAIN_S if self._troubled else None)
+            self._wake.wait(_RETRY_S if self._troubled else None)
             with self._lock:
                 self._wake.clear()
             try:
@@ -77,9 +77,9 @@ class Roller:
                 self._troubled = False
             except Stopped:
                 return
-            except Exception as cause:  # whatever it is, the stream goes on, and the next start looks into it
+            except Exception as cause:  # no error here may stop the stream; the next start checks the journal
                 self._troubled = True
-                _log.warning("No row is lost, but %s did not roll into Parquet: %s", self._folder, cause)
+                _log.warning("No row is lost, but %s could not be written to Parquet: %s", self._folder, cause)
             with self._lock:
                 if not self._wake.is_set():
                     self._idle.set()

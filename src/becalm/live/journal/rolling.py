@@ -1,4 +1,4 @@
-"""Closed hours of a journal into Parquet files, in a thread of its own, beside the stream."""
+"""Write completed hours of a journal to Parquet files."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from becalm.live.journal.row_bytes import unpacked
 from becalm.live.tables import output_table, table_schema
 
 FIRST_ROW, END_ROW = b"becalm.first_row", b"becalm.end_row"
-"""In a file's metadata: which rows of the stream it holds."""
+"""Keys of a file's metadata: the first row of the stream that it holds, and the row after the last."""
 
 MOST_BYTES = 1 << 30
-"""Of blocks in a file: hours with more are parted, so that neither the database nor a roll grows without bound."""
+"""Most bytes of blocks in a file; longer hours are split, so that the size of database and files is bounded."""
 
-_GROUP_ROWS, _GROUP_BYTES = 1 << 20, 16 << 20  # of blocks, that become a row group
+_GROUP_ROWS, _GROUP_BYTES = 1 << 20, 16 << 20  # rows, or bytes of blocks, that fill a row group
 _SPAN = "SELECT first_row, end_row FROM blocks WHERE number = ?"
 
 
-class Stopped(Exception):  # noqa: N818  (it is no error)
-    """The stream ends while a file is written: the next start writes it anew."""
+class Stopped(Exception):  # noqa: N818  (not an error)
+    """Raised if the stream ends while a file is written; the next start writes it again."""
 
 
 class Piece(NamedTuple):
-    """Blocks, one after the other, that become one file."""
+    """Consecutive blocks that are written to one file."""
 
     first_block: int
     last_block: int
@@ -54,25 +54,25 @@ class Piece(NamedTuple):
 
 
 class Rolled(NamedTuple):
-    """A file that was written, as it is to be recorded; its number is given then."""
+    """The record of a written file, without its number, and its holes."""
 
     row: RollRow
     holes: tuple[HoleRow, ...]
 
 
 def next_piece(connection: sqlite3.Connection, after: int) -> Piece | None:
-    """Return the first blocks after one that can roll: an hour that is closed, or as much of it as a file may hold.
+    """Return the first blocks after block `after` that make a file: a completed hour, or MOST_BYTES of it.
 
-    The last block of all never rolls: it tells where the stream stands.
+    The last block of the journal is never included, because it holds the checkpoint.
     """
-    found = connection.execute(
+    cursor = connection.execute(
         "SELECT number, head, period_s, dated, first_row, end_row, first_s, last_s, length(data) FROM blocks"
         " WHERE number > ? ORDER BY number",
         (after,),
     )
-    with closing(found):
+    with closing(cursor):
         piece, size = None, 0
-        for number, head, period_s, dated, first_row, end_row, first_s, last_s, length in found:
+        for number, head, period_s, dated, first_row, end_row, first_s, last_s, length in cursor:
             filled = end_row > first_row
             if piece is None:
                 if filled:
@@ -88,23 +88,23 @@ def next_piece(connection: sqlite3.Connection, after: int) -> Piece | None:
 
 
 def roll(connection: sqlite3.Connection, folder: Path, piece: Piece, stop: Event) -> Rolled:
-    """Write a piece as a Parquet file, which appears whole, and tell what is to be recorded of it.
+    """Write blocks to a Parquet file, atomically; return its record.
 
     Raises
     ------
     Stopped
-        If `stop` is set meanwhile; nothing is left behind.
+        If `stop` is set meanwhile; no file is left.
     OutputError
-        If it cannot be written; nothing is left behind.
+        If the file cannot be written; no file is left.
     """
     head = _head(connection, piece.head)
     path = _free_path(connection, folder, piece)
     holes: list[HoleRow] = []
     with sentences(path):
         path.parent.mkdir(exist_ok=True)
-    told = {FIRST_ROW: str(piece.first_row).encode(), END_ROW: str(piece.end_row).encode()}
+    row_span = {FIRST_ROW: str(piece.first_row).encode(), END_ROW: str(piece.end_row).encode()}
     schema = table_schema(head)
-    schema = schema.with_metadata({**(schema.metadata or {}), **told})
+    schema = schema.with_metadata({**(schema.metadata or {}), **row_span})
     repeating = [name for name in schema.names if name.endswith((SIGMA, VERDICT))]
     with replacing(path) as file, sentences(path):
         with pq.ParquetWriter(file, schema, use_dictionary=repeating, compression="zstd") as writer:
@@ -113,7 +113,7 @@ def roll(connection: sqlite3.Connection, folder: Path, piece: Piece, stop: Event
                 writer.write_table(table, row_group_size=_GROUP_ROWS)
         size = file.seek(0, 2)
         file.seek(0)
-        digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]  # a file it is
+        digest = hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]  # it is a binary file
     rows = piece.end_row - piece.first_row - sum(hole.end_row - hole.first_row for hole in holes)
     name = path.relative_to(folder).as_posix()
     spans = (piece.first_row, piece.end_row, rows, piece.first_s, piece.last_s, int(piece.dated))
@@ -126,15 +126,15 @@ def _head(connection: sqlite3.Connection, number: int) -> Head:
 
 
 def _groups(connection: sqlite3.Connection, piece: Piece, holes: list[HoleRow], stop: Event) -> Iterator[list[Output]]:
-    """Read the rows of a piece, as many as make a row group; a damaged block leaves a hole."""
-    held: list[Output] = []
+    """Yield the outputs of each row group; the rows of a damaged block are added to `holes`."""
+    group: list[Output] = []
     rows = size = 0
     for number in range(piece.first_block, piece.last_block + 1):
         if stop.is_set():
             raise Stopped
         span = connection.execute(_SPAN, (number,)).fetchone()
         if span is None:
-            raise BrokenSealError(f"block {number} is gone")
+            raise BrokenSealError(f"block {number} is missing")
         first_row, end_row = span
         if first_row == end_row:
             continue
@@ -143,18 +143,18 @@ def _groups(connection: sqlite3.Connection, piece: Piece, holes: list[HoleRow], 
         except (BrokenSealError, sqlite3.DatabaseError):
             holes.append(HoleRow(None, first_row, end_row))
             continue
-        held.append(unpacked(block))
-        rows += len(held[-1])
+        group.append(unpacked(block))
+        rows += len(group[-1])
         size += len(block.data or b"")
         if rows >= _GROUP_ROWS or size >= _GROUP_BYTES:
-            yield held
-            held, rows, size = [], 0, 0
-    if held:
-        yield held
+            yield group
+            group, rows, size = [], 0, 0
+    if group:
+        yield group
 
 
 def _free_path(connection: sqlite3.Connection, folder: Path, piece: Piece) -> Path:
-    """Return where a piece goes; a file there that is not recorded is of a roll that a crash cut short."""
+    """Return the path for a piece; an unrecorded file with the same rows, left by a crash, is replaced."""
     start = datetime.fromtimestamp(piece.period_s, UTC)
     if piece.dated:
         stem = f"{start:%H}" if start.minute == start.second == 0 else f"{start:%H_%M_%S}"
@@ -169,9 +169,9 @@ def _free_path(connection: sqlite3.Connection, folder: Path, piece: Piece) -> Pa
 
 
 def _holds(path: Path, piece: Piece) -> bool:
-    """Whether a file holds the rows of a piece, from their first."""
+    """Return whether a file begins with the first row of a piece."""
     try:
-        told = pq.read_schema(path).metadata or {}
+        metadata = pq.read_schema(path).metadata or {}
     except (OSError, pa.ArrowException):
         return False
-    return told.get(FIRST_ROW) == str(piece.first_row).encode()
+    return metadata.get(FIRST_ROW) == str(piece.first_row).encode()

@@ -1,4 +1,4 @@
-"""Rows as a block holds them: Arrow IPC with lists of channels, so that nothing is copied on the way in or out."""
+"""Pack rows into a block as Arrow IPC, with fixed-size lists of channels, so that arrays are not copied."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from becalm.live.block import Output
 from becalm.live.journal.records import BlockRow
 from becalm.live.tables import EPOCH_S
 
-_OPTIONS = {"compression": "lz4"}  # a settled sigma and verdicts shrink to nothing; readings stay as they are
+_OPTIONS = {"compression": "lz4"}  # it shrinks constant sigma and verdicts to almost nothing; readings do not shrink
 _PARTS = ("time_s", "values", "signal", "sigma", "verdicts")
-_LATEST_S = 1e11  # a stamp beyond is no time of ours
+_LATEST_S = 1e11  # a stamp beyond this (year 5138) is not a date
 
 
 def joined(outputs: Sequence[Output], first_row: int) -> Output | None:
-    """Put outputs below each other; None where they have no rows.
+    """Concatenate outputs; return None if they have no rows.
 
     Raises
     ------
     ValueError
-        If they do not follow each other from `first_row` on.
+        If the outputs are not consecutive from `first_row` on.
     """
     row = first_row
     for one in outputs:
         if one.first_row != row:
-            raise ValueError(f"rows from {one.first_row} came, those from {row} on were next")
+            raise ValueError(f"the output begins at row {one.first_row}, but the next row is {row}")
         row += len(one)
     full = [one for one in outputs if len(one)]
     if len(full) <= 1:
@@ -44,8 +44,8 @@ def joined(outputs: Sequence[Output], first_row: int) -> Output | None:
 def packed(output: Output) -> bytes:
     """Return rows as the bytes of an Arrow IPC stream; NaN and infinities keep their bits."""
     channels = output.values.shape[1]
-    listed = [_listed(part, channels) for part in (output.values, output.signal, output.sigma, output.verdicts)]
-    batch = pa.record_batch([_flat(output.time_s), *listed], names=["time_s", "raw", "signal", "sigma", "verdict"])
+    lists = [_list_array(part, channels) for part in (output.values, output.signal, output.sigma, output.verdicts)]
+    batch = pa.record_batch([_flat(output.time_s), *lists], names=["time_s", "raw", "signal", "sigma", "verdict"])
     stream = pa.BufferOutputStream()
     with pa.ipc.new_stream(stream, batch.schema, options=pa.ipc.IpcWriteOptions(**_OPTIONS)) as writer:
         writer.write_batch(batch)
@@ -53,18 +53,23 @@ def packed(output: Output) -> bytes:
 
 
 def unpacked(block: BlockRow) -> Output:
-    """Return the rows of a block that has some."""
+    """Return the rows of a block, which must have some."""
     with pa.ipc.open_stream(block.data) as reader:
         batch = reader.read_next_batch()
-    raw, signal, sigma, verdicts = (_unlisted(batch.column(number)) for number in range(1, 5))
+    raw, signal, sigma, verdicts = (_matrix(batch.column(number)) for number in range(1, 5))
     time_s: Floats = batch.column(0).to_numpy(zero_copy_only=False)
     return Output(block.first_row, time_s, raw, signal, sigma, verdicts.astype(np.int8, copy=False))
 
 
 def by_period(output: Output, period_s: float, now_s: float) -> Iterator[tuple[int, bool, Output]]:
-    """Part rows by the hour they roll with: where that begins, whether stamps tell it, and the rows.
+    """Split rows by hour, or another period; a file of the journal holds the rows of one period.
 
-    Stamps that are no dates, or go backwards over an hour, leave the rows together.
+    Rows whose stamps are not dates, or go back to an earlier period, are not split.
+
+    Yields
+    ------
+    tuple of (int, bool, Output)
+        Start of the period in seconds since 1970, whether it comes from the stamps (else from `now_s`), and the rows.
     """
     stamps = output.time_s
     dated = bool(EPOCH_S <= stamps[0] < _LATEST_S and stamps[-1] < _LATEST_S)
@@ -89,16 +94,17 @@ def _part(output: Output, first: int, end: int) -> Output:
     return replace(output, first_row=output.first_row + first, losses=(), **cut)
 
 
-def _listed(values: Floats | Codes, channels: int) -> pa.FixedSizeListArray:
+def _list_array(values: Floats | Codes, channels: int) -> pa.FixedSizeListArray:
     return pa.FixedSizeListArray.from_arrays(_flat(values), channels)
 
 
 def _flat(values: Floats | Codes) -> pa.Array:
-    """Return numbers row by row, not copied; `pa.array` would load pandas for it, where that is installed."""
-    codes = values.dtype == np.int8
-    whole = np.ascontiguousarray(values, dtype=np.int8 if codes else np.float64)
-    return pa.Array.from_buffers(pa.int8() if codes else pa.float64(), whole.size, [None, pa.py_buffer(whole)])
+    """Return numbers row by row without a copy; `pa.array` would import pandas where it is installed."""
+    is_codes = values.dtype == np.int8
+    contiguous = np.ascontiguousarray(values, dtype=np.int8 if is_codes else np.float64)
+    buffers = [None, pa.py_buffer(contiguous)]
+    return pa.Array.from_buffers(pa.int8() if is_codes else pa.float64(), contiguous.size, buffers)
 
 
-def _unlisted(column: Any) -> Any:
+def _matrix(column: Any) -> Any:
     return column.values.to_numpy(zero_copy_only=False).reshape(len(column), column.type.list_size)

@@ -1,4 +1,4 @@
-"""What is left of a damaged journal: what reads and is what was written goes on, the rest is told as lost."""
+"""Repair a damaged journal: copy the intact rows to a new database, and record the others as lost."""
 
 from __future__ import annotations
 
@@ -14,31 +14,34 @@ from becalm.live.journal.mark import Mark
 from becalm.live.journal.records import LossRow
 from becalm.live.journal.remains import HEADED, Plan, connect_damaged, moved, planned, remains_of
 
-_PART, _NEW = f"{NAME}.part", f"{NAME}.salvaged"  # while it is written, and whole
-_TOGETHER = 64  # blocks that are copied in one transaction
+_PART, _NEW = (
+    f"{NAME}.part",
+    f"{NAME}.salvaged",
+)  # the new database, while written and complete
+_COPIED_BLOCKS = 64  # blocks copied in one transaction
 
 
 def mend(folder: Path, mark: Mark | None) -> tuple[Loss, ...]:
-    """Make a journal one that can go on, and return what was lost; nothing, mostly.
+    """Repair a journal if it is damaged, and return the losses; an intact journal is left as it is.
 
     Parameters
     ----------
     folder : Path
-        Of the journal; held by this process.
+        Folder of the journal, locked by this process.
     mark : Mark or None
-        Where its stream stood.
+        Last checkpoint outside the database, if any.
 
     Returns
     -------
     tuple of Loss
-        As recorded in the journal. A damaged file is kept aside, as journal.sqlite.damaged-1 and so on.
+        The losses, as recorded in the journal. A damaged file is renamed to journal.sqlite.damaged-1 and so on.
 
     Raises
     ------
     JournalError
-        If nothing tells any more where the stream stood; all files stay as they are.
+        If no checkpoint is left from which the stream could continue; all files are left as they are.
     StorageFullError
-        If there is no room for what is kept.
+        If the disk has no room for the new database.
     """
     path = folder / NAME
     with writing(folder):
@@ -52,9 +55,9 @@ def mend(folder: Path, mark: Mark | None) -> tuple[Loss, ...]:
 
 
 def _damage(path: Path, mark: Mark | None) -> str | None:
-    """Return what is wrong with a database, None of one that is whole."""
+    """Return what is wrong with a database; None if it is intact."""
     if not path.exists():
-        return "it is gone"
+        return "it is missing"
     try:
         with closing(connect_reading(path)) as connection:
             if connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
@@ -69,53 +72,53 @@ def _damage(path: Path, mark: Mark | None) -> str | None:
 
 
 def _lost_at_the_end(folder: Path, mark: Mark) -> tuple[Loss, ...]:
-    """Record where the mark tells of more rows than a database that is whole: its last commits are gone."""
+    """Record the loss of the last commits, if an intact database has fewer rows than the mark."""
     with writing(folder), closing(connect(folder / NAME)) as connection:
         (end,) = connection.execute("SELECT end_row FROM blocks ORDER BY number DESC LIMIT 1").fetchone() or (0,)
         if mark.checkpoint.rows <= end:
             return ()
-        loss = _end_lost((end, mark.checkpoint.rows), "its last commits are gone")
+        loss = _end_lost((end, mark.checkpoint.rows), "its last commits are missing")
         with transaction(connection, folder):
             put(connection, LossRow.of(end, loss))
     return (loss,)
 
 
 def _salvage(folder: Path, mark: Mark | None, why: str) -> tuple[Loss, ...]:
-    """Copy what is intact into a new database, and put that in the place of the old one."""
-    old, aside = folder / NAME, _aside(folder)
+    """Copy the intact rows into a new database, and replace the damaged one by it."""
+    old, renamed = folder / NAME, _damaged_path(folder)
     with writing(folder), closing(connect_damaged(old)) as connection:
         plan = planned(folder, remains_of(connection), mark)
         if plan is None:
             raise JournalError(
-                f"{old} is damaged ({why.rstrip('.')}), and nothing tells where its stream stood; all files are left as"
-                " they are. Give the stream another folder: --sink journal:OTHER."
+                f"{old} is damaged ({why.rstrip('.')}), and it has no checkpoint from which its stream could continue;"
+                " all files are left as they are. Give the stream another folder: --sink journal:OTHER."
             )
-        losses = _losses(plan, mark, f"{NAME} was damaged ({why.rstrip('.')}), and is kept aside as {aside.name}")
+        losses = _losses(plan, mark, f"{NAME} was damaged ({why.rstrip('.')}), and was renamed to {renamed.name}")
         with closing(connect(folder / _PART)) as target:
             with transaction(target, folder):
                 for row in (*plan.rows, *losses):
                     put(target, row)
-            for first in range(0, len(plan.blocks), _TOGETHER):
+            for first in range(0, len(plan.blocks), _COPIED_BLOCKS):
                 with transaction(target, folder):
-                    for number, block in plan.blocks[first : first + _TOGETHER]:
+                    for number, block in plan.blocks[first : first + _COPIED_BLOCKS]:
                         put(target, block if number is None else moved(connection, number, block))
     with writing(folder):
         (folder / _PART).rename(folder / _NEW)
         if old.exists():
-            old.rename(aside)
+            old.rename(renamed)
         _finish(folder)
     return tuple(row.loss() for row in losses)
 
 
 def _losses(plan: Plan, mark: Mark | None, why: str) -> list[LossRow]:
-    """Say which rows are lost; of the last ones nothing is known without a mark."""
+    """Return the losses of a repair; without a mark it is unknown whether the last rows are lost."""
     losses = [
         LossRow.of(gap[0], Loss(LossKind.STORAGE, gap[1] - gap[0], f"{told(gap).capitalize()} are lost: {why}."))
         for gap in plan.gaps
     ]
     if mark is None:
-        says = f"Whether rows after {plan.end - 1} were kept is not known: {why}."
-        losses.append(LossRow.of(plan.end, Loss(LossKind.STORAGE, None, says)))
+        text = f"It is unknown whether rows after row {plan.end - 1} were committed: {why}."
+        losses.append(LossRow.of(plan.end, Loss(LossKind.STORAGE, None, text)))
     elif mark.checkpoint.rows > plan.end:
         losses.append(LossRow.of(plan.end, _end_lost((plan.end, mark.checkpoint.rows), why)))
     elif not plan.gaps:
@@ -125,16 +128,16 @@ def _losses(plan: Plan, mark: Mark | None, why: str) -> list[LossRow]:
 
 def _end_lost(rows: Span, why: str) -> Loss:
     first, end = rows
-    says = f"{told(rows).capitalize()} were kept and are lost: {why}. A source that can go back tells them again."
-    return Loss(LossKind.STORAGE, end - first, says)
+    text = f"{told(rows).capitalize()} were committed and are lost: {why}. A source that can replay sends them again."
+    return Loss(LossKind.STORAGE, end - first, text)
 
 
 def _finish(folder: Path) -> None:
-    """Put a new database in its place, once the old one is aside; of one that was not finished nothing is left."""
+    """Move a complete new database into place once the damaged one is renamed; remove an incomplete one."""
     new, path, log = folder / _NEW, folder / NAME, folder / f"{NAME}-wal"
     if new.exists() and not path.exists():
-        if log.exists():  # of the old one
-            log.rename(_log_aside(folder))
+        if log.exists():  # the write-ahead log of the damaged database
+            log.rename(_log_path(folder))
         (folder / f"{NAME}-shm").unlink(missing_ok=True)
         new.rename(path)
         sync_folder(folder)
@@ -143,19 +146,19 @@ def _finish(folder: Path) -> None:
             (folder / f"{name}{ending}").unlink(missing_ok=True)
 
 
-def _asides(folder: Path) -> list[Path]:
-    """Return the damaged files that are kept aside, the last at the end."""
-    found = [path for path in folder.glob(f"{NAME}.damaged-*") if path.suffix[9:].isdecimal()]
-    return sorted(found, key=lambda path: int(path.suffix[9:]))
+def _damaged_files(folder: Path) -> list[Path]:
+    """Return the damaged files that were renamed, in the order of their numbers."""
+    paths = [path for path in folder.glob(f"{NAME}.damaged-*") if path.suffix[9:].isdecimal()]
+    return sorted(paths, key=lambda path: int(path.suffix[9:]))
 
 
-def _log_aside(folder: Path) -> str:
-    """Return where the log of a damaged file goes, which is beside it, or alone where the file was gone."""
-    there = _asides(folder)
-    beside = f"{there[-1]}-wal" if there else ""
-    return beside if there and not Path(beside).exists() else f"{_aside(folder)}-wal"
+def _log_path(folder: Path) -> str:
+    """Return the new name of a damaged file's log: that of the last damaged file, or a free one if it has a log."""
+    damaged = _damaged_files(folder)
+    last_log = f"{damaged[-1]}-wal" if damaged else ""
+    return last_log if damaged and not Path(last_log).exists() else f"{_damaged_path(folder)}-wal"
 
 
-def _aside(folder: Path) -> Path:
-    there = _asides(folder)
-    return folder / f"{NAME}.damaged-{int(there[-1].suffix[9:]) + 1 if there else 1}"
+def _damaged_path(folder: Path) -> Path:
+    damaged = _damaged_files(folder)
+    return folder / f"{NAME}.damaged-{int(damaged[-1].suffix[9:]) + 1 if damaged else 1}"

@@ -1,1 +1,1 @@
-"""Rows from lines of CSV or JSON, whatever else stands between them."""
+"""Parse rows from lines of CSV or JSON, and skip other text between them."""

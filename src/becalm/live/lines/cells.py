@@ -1,4 +1,4 @@
-"""What a cell of a line says: a number, nothing, an instant."""
+"""Parse the cells of lines: numbers, missing values and time stamps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MISSING = frozenset(MISSING)
 
 
 def number_of(cell: Cell) -> float | None:
-    """Return what a cell holds, NaN where it says that nothing was read, None where it is no number."""
+    """Return the number in a cell, NaN for a missing reading, None if it is not a number."""
     if isinstance(cell, float):
         return cell
     if cell is None:
@@ -35,80 +35,80 @@ def number_of(cell: Cell) -> float | None:
     if text in _MISSING:
         return math.nan
     try:
-        return None if "_" in text else float(text)  # Python's own 1_000 is no number of an instrument
+        return None if "_" in text else float(text)  # instruments do not write 1_000
     except ValueError:
         return None
 
 
 def numbers_of(cells: Sequence[bytes]) -> Floats:
-    """Read many cells at once, several times as fast as one by one.
+    """Parse many cells at once, several times faster than one by one.
 
     Raises
     ------
     ValueError
-        If one of them is no number, though it may be a missing reading.
+        If a cell is not a number; it may still be a missing reading.
     """
-    read: Floats = pa.array(cells, pa.string()).cast(pa.float64()).to_numpy()  # Arrow's own error is a ValueError
-    return read
+    numbers: Floats = pa.array(cells, pa.string()).cast(pa.float64()).to_numpy()  # Arrow's error is a ValueError
+    return numbers
 
 
 class StampReader(Protocol):
-    """Reads the cells of a time column."""
+    """A parser of the cells of a time column."""
 
     def one(self, cell: Cell) -> float:
-        """Return the seconds in a cell; ValueError if it holds no time."""
+        """Return the stamp in a cell, in seconds; raise a ValueError if it has none."""
         ...
 
     def many(self, cells: Sequence[bytes]) -> Floats:
-        """Return the seconds in each cell; ValueError if one holds no time."""
+        """Return the stamps in cells, in seconds; raise a ValueError if a cell has none."""
         ...
 
 
 @dataclass(frozen=True)
 class NumberStamps:
-    """Stamps as numbers, of which so many seconds make `factor` / `per_second`."""
+    """A parser of numeric stamps; seconds are number * `factor` / `per_second`."""
 
     factor: float = 1.0
     per_second: float = 1.0
 
     def one(self, cell: Cell) -> float:
-        """Return the seconds in a cell; ValueError if it holds no time."""
+        """Return the stamp in a cell, in seconds; raise a ValueError if it has none."""
         value = number_of(cell)
         if value is None or not math.isfinite(value):
             raise ValueError(cell)
         return value * self.factor / self.per_second
 
     def many(self, cells: Sequence[bytes]) -> Floats:
-        """Return the seconds in each cell; ValueError if one holds no time."""
-        read = numbers_of(cells)
-        if not np.isfinite(read).all():
+        """Return the stamps in cells, in seconds; raise a ValueError if a cell has none."""
+        numbers = numbers_of(cells)
+        if not np.isfinite(numbers).all():
             raise ValueError(cells)
-        return read * self.factor / self.per_second
+        return numbers * self.factor / self.per_second
 
 
 class IsoStamps:
-    """Stamps as ISO dates and times, which are UTC where they name no zone, in seconds since 1970."""
+    """A parser of ISO dates and times into seconds since 1970; without a time zone they are UTC."""
 
     def one(self, cell: Cell) -> float:
-        """Return the seconds in a cell; ValueError if it holds no time."""
+        """Return the stamp in a cell, in seconds; raise a ValueError if it has none."""
         if not isinstance(cell, str):
             raise ValueError(cell)
-        told = datetime.fromisoformat(cell.strip().replace("/", "-"))
+        date = datetime.fromisoformat(cell.strip().replace("/", "-"))
         try:
-            return (told if told.tzinfo else told.replace(tzinfo=UTC)).timestamp()
-        except OverflowError as cause:  # the first and the last day of the calendar, in another zone
+            return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+        except OverflowError as cause:  # the first or last day of the calendar, in another time zone
             raise ValueError(cell) from cause
 
     def many(self, cells: Sequence[bytes]) -> Floats:
-        """Return the seconds in each cell; ValueError if one holds no time."""
+        """Return the stamps in cells, in seconds; raise a ValueError if a cell has none."""
         return np.array([self.one(cell.decode()) for cell in cells])
 
 
 def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
-    """Return what reads the cells of a time column, by its name, its unit and its first cell; None if that is empty.
+    """Return the parser of a time column from its name, its unit and its first cell; None if that cell is empty.
 
-    Numbers are seconds, unless the unit, the name or the size of the first says otherwise: 1.7e12 counts milliseconds
-    since 1970.
+    Numbers are seconds, unless the unit, the name or the size of the first number indicates another unit: 1.7e12 is
+    in milliseconds since 1970.
 
     Raises
     ------
@@ -123,16 +123,16 @@ def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
     except ValueError as cause:
         if isinstance(first, str) and kind_of(first) == TIME:
             raise UsageError(
-                f"The times in column {name!r} have no ISO date ({first.strip()!r}); name another column with"
-                " ?time=COLUMN, or stamp rows when they come with ?time=arrival."
+                f"The times in column {name!r} have no ISO date ({first.strip()!r}); choose another column with"
+                " ?time=COLUMN, or stamp rows when they arrive with ?time=arrival."
             ) from cause
         return None
     return IsoStamps()
 
 
 def _number_stamps(name: str, unit: str, first: float) -> NumberStamps:
-    bare, own = parse_header(name)
-    unit = unit or own or IMPLIED.get(bare.lower(), "")
+    bare, header_unit = parse_header(name)
+    unit = unit or header_unit or IMPLIED.get(bare.lower(), "")
     if unit in SECONDS:
         return NumberStamps(factor=SECONDS[unit])
     if unit not in PER_SECOND:
@@ -141,8 +141,8 @@ def _number_stamps(name: str, unit: str, first: float) -> NumberStamps:
 
 
 def place_named(name: str, names: Sequence[str]) -> int | None:
-    """Return where a column stands that is named as it is, or without its unit; None where there is none, or two."""
+    """Return the index of the column with this name, with or without its unit; None if there is none, or several."""
     if name in names:
         return names.index(name)
-    alike = [place for place, own in enumerate(names) if parse_header(own)[0] == name]
-    return alike[0] if len(alike) == 1 else None
+    matches = [index for index, column in enumerate(names) if parse_header(column)[0] == name]
+    return matches[0] if len(matches) == 1 else None

@@ -1,4 +1,4 @@
-"""What the columns of lines mean: which is the time, which are channels."""
+"""Find the time column and the channels among the columns of lines."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _AUTO = "auto"
 
 @dataclass(frozen=True)
 class LineOptions:
-    """What was said of lines.
+    """Options for reading lines.
 
     Attributes
     ----------
     format : str
-        "csv", "json", or "auto" for what the first lines look like.
+        "csv", "json", or "auto" to detect the format from the first lines.
     columns : tuple of str
-        Names of all columns where no line tells them; () where one does.
+        Names of all columns, if no line has them; otherwise ().
     time : str
-        The column of stamps, "arrival" for none; "" for what is called time, or when rows come where none is.
+        Column of stamps, or "arrival" for arrival times; "" for the column named like a time, else arrival times.
     rate_hz : float or None
-        At which rows are counted, whatever a column says.
+        Sample rate in hertz, from which stamps are computed; a time column is then ignored.
     channels : tuple of str
-        The columns to take; () for all of numbers.
+        Columns to use as channels; () for all numeric ones.
     """
 
     format: str = _AUTO
@@ -45,18 +45,18 @@ class LineOptions:
 
     @classmethod
     def of(cls, address: Address) -> LineOptions:
-        """Take them from an address.
+        """Return the options of an address.
 
         Raises
         ------
         UsageError
-            If one is not possible.
+            If the value of an option is not possible.
         """
         rate_hz = None
         if "rate" in address.options:
             rate_hz = address.number("rate", 0.0, least=SLOWEST_HZ, greatest=FASTEST_HZ)
             if "time" in address.options:
-                raise UsageError(f"{address.kind}: rate counts rows, and time names their stamps; say one of them.")
+                raise UsageError(f"{address.kind}: rate= and time= exclude each other; give only one of them.")
         return cls(
             address.chosen("format", (_AUTO, "csv", "json"), _AUTO),
             address.names("columns"),
@@ -68,20 +68,20 @@ class LineOptions:
 
 @dataclass(frozen=True)
 class Columns:
-    """What the cells of a row mean.
+    """The columns of a row.
 
     Attributes
     ----------
     all_names : tuple of str
-        Of all columns.
+        Names of all columns.
     names, units : tuple of str
-        Of the channels, (m,).
+        Names and units of the channels, (m,).
     places : tuple of int
-        Where they stand in a row.
+        Indices of the channels in a row.
     stamp_place : int or None
-        Where the stamp stands; None where rows are counted, or stamped when they come.
+        Index of the stamp in a row; None if stamps are computed from the rate or the arrival times.
     stamp_of : StampReader or None
-        Reads it.
+        Parser of the stamps.
     """
 
     all_names: tuple[str, ...]
@@ -95,17 +95,17 @@ class Columns:
 def columns_of(
     names: Sequence[str], units: Sequence[str], first: Sequence[Cell], options: LineOptions
 ) -> Columns | None:
-    """Say what columns mean, by their names and the first row; None where that row does not tell.
+    """Return the columns from their names and the first row; None if that row is not enough.
 
     Raises
     ------
     UsageError
-        If a column that was named is not there, or more than one could be the time.
+        If a column in the options is absent, or more than one could be the time.
     """
     stamp, times = _stamp_place(names, first, options)
     stamp_of = None if stamp is None else stamp_reader(names[stamp], units[stamp], first[stamp])
     if options.channels:
-        places = [_asked_place(name, "channels", names) for name in options.channels]
+        places = [_place_of_option(name, "channels", names) for name in options.channels]
     else:
         places = [at for at in range(len(names)) if at not in times and number_of(first[at]) is not None]
     places = [at for at in places if at != stamp]
@@ -122,23 +122,23 @@ def columns_of(
 
 
 def _stamp_place(names: Sequence[str], first: Sequence[Cell], options: LineOptions) -> tuple[int | None, list[int]]:
-    """Return where the stamp is, and all that look like times."""
+    """Return the index of the stamp, and the indices of all columns that look like times."""
     times = [at for at, name in enumerate(names) if is_time_name(name)]
     if not times:
         times = [at for at, cell in enumerate(first) if isinstance(cell, str) and kind_of(cell) == TIME]
     if options.rate_hz is not None or options.time == ARRIVAL:
         return None, times
     if options.time:
-        return _asked_place(options.time, "time", names), times
+        return _place_of_option(options.time, "time", names), times
     if len(times) > 1:
-        listed = " or ".join(f"?time={names[at]}" for at in times)
-        raise UsageError(f"{len(times)} columns could be the time; choose one with {listed}, or say ?time={ARRIVAL}.")
+        choices = " or ".join(f"?time={names[at]}" for at in times)
+        raise UsageError(f"{len(times)} columns could be the time; choose one with {choices}, or ?time={ARRIVAL}.")
     return (times[0] if times else None), times
 
 
-def _asked_place(name: str, option: str, names: Sequence[str]) -> int:
+def _place_of_option(name: str, option: str, names: Sequence[str]) -> int:
     place = place_named(name, names)
     if place is None:
-        listed = ", ".join(map(repr, names[:20]))
-        raise UsageError(f"?{option}= names {name!r}, which is no column; there are {listed}.")
+        columns = ", ".join(map(repr, names[:20]))
+        raise UsageError(f"?{option}= names {name!r}, which is not a column; the columns are {columns}.")
     return place

@@ -1,4 +1,4 @@
-"""How lines are written, seen from the first of them."""
+"""Detect the layout of lines from the first ones: CSV or JSON, separator, names and units."""
 
 from __future__ import annotations
 
@@ -12,48 +12,48 @@ from becalm.live.lines.cells import number_of
 from becalm.live.lines.columns import LineOptions, columns_of
 from becalm.live.lines.rows import CsvLayout, JsonLayout, LineLayout, json_object
 
-_SEPARATORS = (";", "\t", ",", "|", " ", "")  # in a draw the earlier one wins
+_SEPARATORS = (";", "\t", ",", "|", " ", "")  # if several give the same number of cells, the first wins
 _REMARK = "#%/"
 _DIGIT = re.compile("[0-9]")
 
 
 def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tuple[LineLayout, list[bytes]] | None:
-    """Understand lines by the newest and those above it; None where it is no row, or not enough to tell.
+    """Return the layout from the newest line and the lines above it; None if they are not enough.
 
-    A row of CSV has numbers, and above it stands a line of as many names, or another such row; or its names were
-    told. Where it has words too, another such row must stand above it in any case.
+    A row of CSV has numbers, and above it is a line with as many names, or another such row; or the options have its
+    names. If it also has words, another such row must be above it in any case.
 
     Parameters
     ----------
     above : sequence of bytes
-        Lines that were not understood.
+        Earlier lines whose layout is unknown.
     line : bytes
-        The newest.
+        Newest line.
     options : LineOptions
-        What was said of them.
+        Format, columns, time and rate of the lines.
 
     Returns
     -------
     LineLayout
-        How they are written.
+        Layout of the lines.
     list of bytes
-        Those of the lines above that hold names and units.
+        Lines above that contain names and units.
 
     Raises
     ------
     UsageError
-        If a column that was named is not there, or more than one could be the time.
+        If a column in the options is absent, or more than one could be the time.
     """
-    if options.format != "csv" and (told := _json_layout(line, options)):
-        return told, []
+    if options.format != "csv" and (layout := _json_layout(line, options)):
+        return layout, []
     row = _plain_text(line)
     if options.format == "json" or row is None or not _DIGIT.search(row):
         return None
     texts = [text for text in map(_plain_text, above) if text is not None]
-    found = list(_csv_rows(texts, row, options))
-    if not found:
+    candidates = list(_csv_rows(texts, row, options))
+    if not candidates:
         return None
-    separator, cells = max(found, key=lambda one: len(one[1]))
+    separator, cells = max(candidates, key=lambda one: len(one[1]))
     heading = _heading(texts, separator, cells, options)
     if separator != ",":
         cells = [cell.replace(",", ".") for cell in cells]
@@ -64,7 +64,7 @@ def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tupl
 
 
 def may_be_names(line: bytes) -> bool:
-    """Whether a line holds words only, however it is cut."""
+    """Return whether a line has only words, with any separator."""
     text = _plain_text(line)
     return text is not None and all(
         kind_of(cell) in (WORDS, GONE) for separator in _SEPARATORS for cell in split(text, separator)
@@ -72,11 +72,11 @@ def may_be_names(line: bytes) -> bool:
 
 
 def _json_layout(line: bytes, options: LineOptions) -> JsonLayout | None:
-    told = json_object(line)
-    if told is None:
+    row = json_object(line)
+    if row is None:
         return None
-    names = options.columns or tuple(told)
-    first = [told.get(name) for name in names]
+    names = options.columns or tuple(row)
+    first = [row.get(name) for name in names]
     if not any(isinstance(cell, float) for cell in first):
         return None
     columns = columns_of(names, [""] * len(names), first, options)
@@ -84,7 +84,7 @@ def _json_layout(line: bytes, options: LineOptions) -> JsonLayout | None:
 
 
 def _plain_text(line: bytes) -> str | None:
-    """Return a line as text; None for noise."""
+    """Return a line as text; None if it is not printable text."""
     try:
         text = line.decode("utf-8")
     except UnicodeDecodeError:
@@ -93,22 +93,23 @@ def _plain_text(line: bytes) -> str | None:
 
 
 def _csv_rows(above: Sequence[str], row: str, options: LineOptions) -> Iterator[tuple[str, list[str]]]:
-    """Give each way to cut a line into cells that can be a row."""
+    """Yield each separator, with its cells, that makes the line a row."""
     for separator in _SEPARATORS:
         cells = split(row, separator)
         kinds = [kind_of(cell) for cell in cells]
         words = kinds.count(WORDS)
         if NUMBER not in kinds or 2 * words >= len(cells):
             continue
-        named = any(_is_heading(text, separator, len(cells)) for text in above)
+        has_names = any(_is_heading(text, separator, len(cells)) for text in above)
         if options.columns:
-            named = len(cells) == len(options.columns)
-        if (named and not words) or ((named or not options.columns) and above and _alike(above[-1], separator, kinds)):
+            has_names = len(cells) == len(options.columns)
+        may_follow = has_names or not options.columns
+        if (has_names and not words) or (may_follow and above and _has_kinds(above[-1], separator, kinds)):
             yield separator, cells
 
 
-def _alike(text: str, separator: str, kinds: Sequence[str]) -> bool:
-    """Whether a line has cells of the same kinds: then words in one of them are no bad reading."""
+def _has_kinds(text: str, separator: str, kinds: Sequence[str]) -> bool:
+    """Return whether a line has cells of these kinds; a column of words is then not a column of bad readings."""
     cells = split(text, separator)
     pairs = zip(cells, kinds, strict=False)
     return len(cells) == len(kinds) and all((kind_of(cell) == WORDS) == (kind == WORDS) for cell, kind in pairs)
@@ -126,12 +127,12 @@ class _Heading(NamedTuple):
 
 
 def _heading(above: Sequence[str], separator: str, row: Sequence[str], options: LineOptions) -> _Heading:
-    """Return names and units of the columns: as told, from the lines above, or numbered."""
+    """Return names and units of the columns: from the options, from the lines above, or numbered."""
     if options.columns:
         return _Heading(options.columns, [""] * len(row), [])
     lines = list(dict.fromkeys(text for text in above if _is_heading(text, separator, len(row))))
     kinds = tuple(NUMBER if number_of(cell) is not None else kind_of(cell) for cell in row)
     header = find_header(lines[-2:], 0, separator, kinds)
-    if not any(header.units):  # then the line above the names is none of theirs
+    if not any(header.units):  # then only the last line is the header
         header = find_header(lines[-1:], 0, separator, kinds)
     return _Heading(unique_names(header.names), header.units, lines[-2:] if any(header.units) else lines[-1:])

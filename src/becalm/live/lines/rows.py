@@ -1,4 +1,4 @@
-"""Lines of CSV and of JSON as rows of numbers, once it is known what their columns mean."""
+"""Parse lines of CSV or JSON into rows of numbers, once the columns are known."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from becalm.files.text.cells import split
 from becalm.live.lines.cells import Cell, number_of, numbers_of
 from becalm.live.lines.columns import Columns
 
-_NOT_PLAIN = (b'"', b"#", b"(")  # quotes, remarks, nan(1): read one by one
-_PIECE = 256  # lines that are read at once where all of them are well
+_NOT_PLAIN = (b'"', b"#", b"(")  # quotes, comments, nan(1): parse such lines one by one
+_PIECE = 256  # lines that are parsed at once if all are valid
 
 
 class UnreadableLineError(ValueError):
-    """A line that is no row, and why."""
+    """A line is not a row; the message says why."""
 
 
 @dataclass
 class Bad:
-    """Lines that could not be read, or not wholly.
+    """Counts of lines that could not be parsed completely.
 
     Attributes
     ----------
     lines : int
-        How many.
+        Number of lines.
     first : bytes
         The first of them.
     why : str
-        What is wrong with it.
+        Reason why the first could not be parsed.
     """
 
     lines: int = 0
@@ -49,18 +49,18 @@ class Bad:
 
 @dataclass
 class Taken:
-    """What was read of some lines.
+    """Rows parsed from lines.
 
     Attributes
     ----------
     values : list of (n, m) float arrays
         Readings.
     stamps : list of (n,) float arrays
-        In seconds; empty where lines have none.
+        Stamps in seconds; empty if the lines have none.
     places : list of int
-        Which of the lines became rows, counted from 0.
+        Indices, from 0, of the lines that became rows.
     lines : int
-        How many lines there were that could have been.
+        Number of lines, without blank lines and comments.
     """
 
     values: list[Floats] = field(default_factory=list)
@@ -70,51 +70,51 @@ class Taken:
 
 
 class LineLayout(Protocol):
-    """How rows are written."""
+    """A layout of rows in lines."""
 
     columns: Columns
 
     def cells(self, line: bytes) -> Sequence[Cell]:
-        """Cut a line into its cells, in the order of the columns; UnreadableError if it is no row."""
+        """Return the cells of a line in the order of the columns; raise UnreadableLineError if it is not a row."""
         ...
 
     def well(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
-        """Read many lines at once, if nothing is wrong with any."""
+        """Return values and stamps of many lines, parsed at once; None if any line is not plain and valid."""
         ...
 
 
 class CsvLayout:
-    """Rows as cells between separators.
+    """The layout of CSV: cells between separators.
 
     Parameters
     ----------
     columns : Columns
-        What the cells mean.
+        Columns of the rows.
     separator : str
-        Between two cells; " " stands for runs of spaces, "" for one cell.
+        Separator of the cells; " " stands for runs of spaces, "" for a single cell.
     """
 
     def __init__(self, columns: Columns, separator: str) -> None:
         self.columns, self.separator = columns, separator
         self._cut = None if separator == " " else separator.encode()
-        self._commas = separator != ","  # which can be decimal signs
+        self._commas = separator != ","  # a comma can be a decimal sign
 
     def cells(self, line: bytes) -> Sequence[Cell]:
-        """Cut a line into its cells."""
+        """Return the cells of a line; raise UnreadableLineError if it is not a row."""
         try:
             text = line.decode("utf-8")
         except UnicodeDecodeError as cause:
-            raise UnreadableLineError("it is no text") from cause
+            raise UnreadableLineError("it is not UTF-8 text") from cause
         cells = split(text, self.separator)
         width = len(self.columns.all_names)
-        if len(cells) > width and not any(cell.strip() for cell in cells[width:]):  # separators that trail
+        if len(cells) > width and not any(cell.strip() for cell in cells[width:]):  # trailing separators
             cells = cells[:width]
         if len(cells) != width:
             raise UnreadableLineError(f"it has {len(cells)} cell{'s' * (len(cells) != 1)}, not {width}")
         return [cell.replace(",", ".") for cell in cells] if self._commas else cells
 
     def well(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
-        """Read many lines at once, if nothing is wrong with any."""
+        """Return values and stamps of many lines, parsed at once; None if any line is not plain and valid."""
         columns = self.columns
         if self._commas:
             lines = [line.replace(b",", b".") for line in lines]
@@ -133,62 +133,62 @@ class CsvLayout:
 
 
 class JsonLayout:
-    """Rows as JSON objects, one a line; a name that is not there is a missing reading, others are left out.
+    """The layout of JSON: one object per line. An absent name is a missing reading; other names are ignored.
 
     Parameters
     ----------
     columns : Columns
-        What the names mean.
+        Columns of the rows.
     """
 
     def __init__(self, columns: Columns) -> None:
         self.columns = columns
 
     def cells(self, line: bytes) -> Sequence[Cell]:
-        """Pick the values of an object."""
-        told = json_object(line)
-        if told is None:
-            raise UnreadableLineError("it is no JSON object")
+        """Return the values of an object; raise UnreadableLineError if it is not a row."""
+        row = json_object(line)
+        if row is None:
+            raise UnreadableLineError("it is not a JSON object")
         columns = self.columns
-        if not any(columns.all_names[place] in told for place in columns.places):
+        if not any(columns.all_names[place] in row for place in columns.places):
             raise UnreadableLineError("it has none of the channels")
-        return [told.get(name) for name in columns.all_names]
+        return [row.get(name) for name in columns.all_names]
 
     def well(self, lines: Sequence[bytes]) -> None:
-        """Leave it to `cells`: objects are read one by one in any case."""
+        """Return None, because objects are always parsed one by one."""
         return
 
 
 def json_object(line: bytes) -> dict[str, Cell] | None:
-    """Read a JSON object, all of its numbers as floats; None if the line holds none."""
+    """Return the JSON object of a line, with all numbers as floats; None if the line is not one."""
     if not line.lstrip().startswith(b"{"):
         return None
     try:
-        told = json.loads(line, parse_int=float)
-    except (ValueError, RecursionError):  # no JSON, no text, or too deep
+        value = json.loads(line, parse_int=float)
+    except (ValueError, RecursionError):  # not JSON, not text, or nested too deeply
         return None
-    return told if isinstance(told, dict) else None
+    return value if isinstance(value, dict) else None
 
 
 def take(layout: LineLayout, lines: Sequence[bytes], bad: Bad) -> Taken:
-    """Read lines; blank ones and remarks are left out, and whatever else cannot be read is counted."""
+    """Parse lines; skip blank lines and comments, and count the other lines that cannot be parsed in `bad`."""
     taken = Taken()
     for start in range(0, len(lines), _PIECE):
         piece = lines[start : start + _PIECE]
         joined = b"".join(piece)
-        well = None if any(mark in joined for mark in _NOT_PLAIN) else layout.well(piece)
-        if well is None:
+        parsed = None if any(mark in joined for mark in _NOT_PLAIN) else layout.well(piece)
+        if parsed is None:
             _take_one_by_one(layout, [line for line in piece if not is_remark(line)], taken, bad)
             continue
-        taken.values.append(well[0])
-        taken.stamps.append(well[1])
+        taken.values.append(parsed[0])
+        taken.stamps.append(parsed[1])
         taken.places += range(taken.lines, taken.lines + len(piece))
         taken.lines += len(piece)
     return taken
 
 
 def is_remark(line: bytes) -> bool:
-    """Whether a line is blank, or a remark that begins with #."""
+    """Return whether a line is blank, or a comment that begins with #."""
     return line.lstrip()[:1] in (b"", b"#")
 
 
@@ -213,19 +213,19 @@ def _take_one_by_one(layout: LineLayout, lines: Sequence[bytes], taken: Taken, b
 
 
 def _row(layout: LineLayout, line: bytes) -> tuple[float | None, list[float], str]:
-    """Return stamp, readings, and what is wrong with one of them."""
+    """Return stamp and readings of a line, and why one of the readings could not be parsed ("" if all could)."""
     columns, cells = layout.columns, layout.cells(line)
-    read = [number_of(cells[place]) for place in columns.places]
+    numbers = [number_of(cells[place]) for place in columns.places]
     why = ""
-    if None in read:
-        place = columns.places[read.index(None)]
-        why = f"{columns.all_names[place]!r} is no number"
-        if all(value is None or value != value for value in read):
+    if None in numbers:
+        place = columns.places[numbers.index(None)]
+        why = f"{columns.all_names[place]!r} is not a number"
+        if all(value is None or value != value for value in numbers):
             raise UnreadableLineError(why)
     stamp = None
     if columns.stamp_place is not None and columns.stamp_of is not None:
         try:
             stamp = columns.stamp_of.one(cells[columns.stamp_place])
         except ValueError as cause:
-            raise UnreadableLineError(f"{columns.all_names[columns.stamp_place]!r} is no time") from cause
-    return stamp, [np.nan if value is None else value for value in read], why
+            raise UnreadableLineError(f"{columns.all_names[columns.stamp_place]!r} is not a time") from cause
+    return stamp, [np.nan if value is None else value for value in numbers], why

@@ -1,1 +1,1 @@
-"""Batches of rows as messages: read, put in order by their numbers, and made."""
+"""Read messages with batches of rows, sort them by their row numbers, and encode such messages."""

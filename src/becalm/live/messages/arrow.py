@@ -1,4 +1,4 @@
-"""Messages as Arrow IPC streams: the schema is read once for all messages that begin with the same bytes."""
+"""Read messages in Arrow IPC format; the schema is parsed once for all messages that begin with the same bytes."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from becalm.live.lines.cells import NumberStamps, StampReader
 from becalm.live.messages.columns import ParsedMessage, RoleFinder, UnreadableMessageError, first_of, stamps_reader
 
 _END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
-_SCHEMAS = 16  # a stream has one; memory stays bounded where a sender makes a new one each time
+_SCHEMAS = 16  # cached schemas; bounded, in case a sender changes its schema with each message
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass
 class _Plan:
-    """How a schema's columns are taken: numbers as one matrix (stamps, sequence, channels), timestamps apart."""
+    """How to read a schema's columns: numeric ones as one matrix (seq, stamps, channels), timestamps separately."""
 
     schema: pa.Schema
     names: tuple[str, ...]
@@ -28,58 +28,64 @@ class _Plan:
     leading: int  # columns of the matrix before the channels
     has_seq: bool
     has_time: bool
-    moment: int  # the column of timestamps, -1 where there is none
+    moment: int  # index of the column of Arrow timestamps, -1 if there is none
     tick_s: float
     stamp: tuple[str, str]  # the column of stamps and its unit
-    stamps: NumberStamps | None = None  # how its numbers are read, as the first of them tells
+    stamps: NumberStamps | None = None  # parser of the stamps, chosen from the first one
 
 
 class ArrowMessages:
-    """Reads Arrow messages."""
+    """A reader of Arrow messages.
+
+    Parameters
+    ----------
+    finder : RoleFinder
+        Finds stamps, row numbers and channels among the columns.
+    """
 
     def __init__(self, finder: RoleFinder) -> None:
         self._finder = finder
         self._plans: dict[bytes, _Plan] = {}
 
     def read(self, payload: bytes) -> ParsedMessage:
-        """Return what a message told.
+        """Return the rows of a message.
 
         Raises
         ------
-        UnreadableError
-            If it does not fit. What Python's errors can say of broken bytes goes through.
+        UnreadableMessageError
+            If the message is broken or has other columns. Broken bytes may also raise Python's own errors.
         """
         try:
             return self._read(payload)
-        except pa.ArrowException as cause:  # not all of Arrow's errors are Python's
+        except pa.ArrowException as cause:  # not all of Arrow's errors derive from Python's
             raise UnreadableMessageError(f"which is broken ({' '.join(str(cause).split())[:80]})") from cause
 
     def _read(self, payload: bytes) -> ParsedMessage:
         size = 8 + int.from_bytes(payload[4:8], "little")
-        plan = self._plans.get(payload[:size]) or self._planned(payload[:size])
+        plan = self._plans.get(payload[:size]) or self._make_plan(payload[:size])
         file = pa.BufferReader(payload)
         file.seek(size)
         parts = []
         while (rest := payload[file.tell() : file.tell() + 8]) and rest != _END:
             batch = pa.ipc.read_record_batch(pa.ipc.read_message(file), plan.schema)
-            batch.validate()  # else a broken message would be read beyond its end
+            batch.validate()  # otherwise a broken message could be read beyond its end
             parts.append(batch)
         if not any(map(len, parts)):
             raise UnreadableMessageError("which has no rows")
-        told = [_matrix(part, plan) for part in parts]
-        matrix = told[0] if len(told) == 1 else np.concatenate(told)
+        matrices = [_matrix(part, plan) for part in parts]
+        matrix = matrices[0] if len(matrices) == 1 else np.concatenate(matrices)
         seq = first_of(matrix[:, 0]) if plan.has_seq else None
-        return _told(matrix, [_moments(part, plan) for part in parts] if plan.moment >= 0 else [], seq, plan)
+        return _parsed(matrix, [_moments(part, plan) for part in parts] if plan.moment >= 0 else [], seq, plan)
 
     def read_many(self, payloads: list[bytes]) -> list[ParsedMessage]:
-        """Return what messages told that begin with the same schema, joined where their rows follow each other.
+        """Return the rows of messages with the same schema; messages with consecutive row numbers are joined.
 
-        They are read as one stream, a third of the work.
+        The messages are read as one stream, which takes a third of the time.
 
         Raises
         ------
-        UnreadableError
-            If one of them is not one whole record batch, or its rows are not numbered one by one, or as `read` does.
+        UnreadableMessageError
+            If a message is not one whole record batch, or its rows are not numbered one by one; also as `read`.
         """
         try:
             return self._read_many(payloads)
@@ -90,7 +96,7 @@ class ArrowMessages:
         first = payloads[0]
         size = 8 + int.from_bytes(first[4:8], "little")
         head = first[:size]
-        plan = self._plans.get(head) or self._planned(head)
+        plan = self._plans.get(head) or self._make_plan(head)
         bodies = [payload[size : -8 if payload.endswith(_END) else None] for payload in payloads]
         stream = pa.py_buffer(b"".join([head, *bodies]))
         batches = list(pa.ipc.open_stream(stream))
@@ -101,12 +107,12 @@ class ArrowMessages:
             raise UnreadableMessageError("one of which is not one whole record batch")
         table = pa.Table.from_batches(batches)
         table.validate()
-        whole = table.combine_chunks().to_batches()[0]
-        matrix = _matrix(whole, plan)
-        moments = _moments(whole, plan) if plan.moment >= 0 else None
+        combined = table.combine_chunks().to_batches()[0]
+        matrix = _matrix(combined, plan)
+        moments = _moments(combined, plan) if plan.moment >= 0 else None
         cuts = _cuts(matrix[:, 0], np.cumsum([len(batch) for batch in batches])) if plan.has_seq else [0, len(matrix)]
         return [
-            _told(
+            _parsed(
                 matrix[cut:end],
                 [] if moments is None else [moments[cut:end]],
                 int(matrix[cut, 0]) if plan.has_seq else None,
@@ -115,11 +121,11 @@ class ArrowMessages:
             for cut, end in pairwise(cuts)
         ]
 
-    def _planned(self, head: bytes) -> _Plan:
+    def _make_plan(self, head: bytes) -> _Plan:
         schema = pa.ipc.read_schema(pa.py_buffer(head))
         roles = self._finder.roles(tuple(schema.names))
-        asked = self._finder.options.channels
-        channels = [one for one in roles.channels if asked or _is_number(schema.field(_index(schema, one[0])).type)]
+        named = self._finder.options.channels
+        channels = [one for one in roles.channels if named or _is_number(schema.field(_index(schema, one[0])).type)]
         if not channels:
             raise UnreadableMessageError("which has no channels")
         stamp = -1 if roles.stamp is None else _index(schema, roles.stamp)
@@ -165,7 +171,7 @@ def _unit(field: pa.Field) -> str:
 
 
 def _tick(kind: pa.DataType) -> float | None:
-    """Return the seconds of a tick of a timestamp or duration; None of other types."""
+    """Return the resolution of a timestamp or duration in seconds; None for other types."""
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         return _SECONDS[kind.unit]
     return None
@@ -184,7 +190,7 @@ def _moments(batch: pa.RecordBatch, plan: _Plan) -> Floats:
 
 
 def _cuts(numbers: Floats, ends: Integers) -> list[int]:
-    """Return where numbers do not go on, which they may only do between messages."""
+    """Return where consecutive row numbers begin and end; they may be interrupted only between messages."""
     breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
     if not np.isin(breaks, ends).all():
         raise UnreadableMessageError("one of which does not number its rows one by one")
@@ -193,7 +199,7 @@ def _cuts(numbers: Floats, ends: Integers) -> list[int]:
     return [0, *breaks.tolist(), len(numbers)]
 
 
-def _told(matrix: Floats, moments: list[Floats], seq: int | None, plan: _Plan) -> ParsedMessage:
+def _parsed(matrix: Floats, moments: list[Floats], seq: int | None, plan: _Plan) -> ParsedMessage:
     time_s = np.concatenate(moments) if moments else None
     if plan.has_time:
         time_s = _seconds(matrix[:, plan.leading - 1], plan)

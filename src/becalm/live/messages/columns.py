@@ -1,4 +1,4 @@
-"""What the columns of a message mean: its rows' numbers and stamps, and its channels."""
+"""Find row numbers, stamps and channels among the columns of a message."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from becalm.live.lines.cells import Cell, StampReader, place_named, stamp_reader
 from becalm.live.lines.columns import ARRIVAL, LineOptions
 
 SEQ = "seq"
-"""The column of the rows' numbers."""
+"""Name of the column of row numbers."""
 
 EXACT_INTEGERS = 2**53
-"""Sequence numbers stay below: every language's float holds them."""
+"""Upper limit of row numbers, below which a float64 holds every integer exactly."""
 
-_KNOWN = 16  # sets of columns; a stream has one, and memory stays bounded where each message has another
+_CACHED = 16  # cached sets of columns; bounded, in case each message has other columns
 
 
 class UnreadableMessageError(ValueError):
-    """Why a message cannot be read; the reader counts it."""
+    """A message cannot be read; the text gives the reason, and the reader counts the message."""
 
 
 @dataclass(frozen=True)
 class ParsedMessage:
-    """What a message told, its channels in its own order."""
+    """The rows of a message, with the channels in the message's order."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -40,7 +40,7 @@ class ParsedMessage:
 
 @dataclass(frozen=True)
 class Roles:
-    """What columns are: which has the rows' numbers, which the stamps, and each channel's column, name and unit."""
+    """The column of row numbers, the column of stamps, and each channel's column, name and unit."""
 
     seq: str | None
     stamp: str | None
@@ -48,43 +48,43 @@ class Roles:
 
 
 class RoleFinder:
-    """Tells columns by their names, as lines do: `time=`, or the one that is called like a time, has the stamps.
+    """Finds the roles of columns by their names; the stamps are in the column `time=`, or the one named like a time.
 
     Parameters
     ----------
     options : LineOptions
-        What was said of them.
+        Columns, time, rate and channels from the address.
     """
 
     def __init__(self, options: LineOptions) -> None:
         self.options = options
-        self._known: dict[tuple[str, ...], Roles] = {}
+        self._roles: dict[tuple[str, ...], Roles] = {}
 
     def roles(self, columns: tuple[str, ...]) -> Roles:
-        """Return what columns are, which may be found not to be numbers yet.
+        """Return the roles of columns; whether the channels are numeric is not checked here.
 
         Raises
         ------
-        UnreadableError
-            If one that was named is not there, or more than one could have the stamps.
+        UnreadableMessageError
+            If a column in the options is absent, or more than one could have the stamps.
         """
-        known = self._known.get(columns)
-        if known is None:
-            if len(self._known) >= _KNOWN:
-                self._known.clear()
-            known = self._known[columns] = self._found(columns)
-        return known
+        roles = self._roles.get(columns)
+        if roles is None:
+            if len(self._roles) >= _CACHED:
+                self._roles.clear()
+            roles = self._roles[columns] = self._find(columns)
+        return roles
 
-    def _found(self, columns: tuple[str, ...]) -> Roles:
+    def _find(self, columns: tuple[str, ...]) -> Roles:
         times = [column for column in columns if is_time_name(column)]
         stamp = self._stamp(columns, times)
         if self.options.channels:
-            there = [_named(name, columns) for name in self.options.channels]
+            used = [_named(name, columns) for name in self.options.channels]
         else:
-            there = [column for column in columns if column not in times and column not in (SEQ, stamp)]
-        heads = [(column, *parse_header(column)) for column in there]
-        names = [name for _, name, _ in heads]
-        channels = tuple((column, name if names.count(name) == 1 else column, unit) for column, name, unit in heads)
+            used = [column for column in columns if column not in times and column not in (SEQ, stamp)]
+        headers = [(column, *parse_header(column)) for column in used]
+        names = [name for _, name, _ in headers]
+        channels = tuple((column, name if names.count(name) == 1 else column, unit) for column, name, unit in headers)
         return Roles(SEQ if SEQ in columns else None, stamp, channels)
 
     def _stamp(self, columns: tuple[str, ...], times: list[str]) -> str | None:
@@ -93,7 +93,7 @@ class RoleFinder:
         if self.options.time:
             return _named(self.options.time, columns)
         if len(times) > 1:
-            raise UnreadableMessageError(f"in which {' and '.join(times)[:80]} could be the time (say ?time=NAME)")
+            raise UnreadableMessageError(f"in which {' and '.join(times)[:80]} could be the time (write ?time=NAME)")
         return times[0] if times else None
 
 
@@ -105,12 +105,12 @@ def _named(name: str, columns: tuple[str, ...]) -> str:
 
 
 def stamps_reader(column: str, unit: str, first: Cell) -> StampReader:
-    """Return what reads a column of stamps.
+    """Return the parser of a column of stamps.
 
     Raises
     ------
     UnreadableMessageError
-        If its first cell is no time.
+        If its first cell is not a time.
     """
     try:
         reader = stamp_reader(column, unit, first)
@@ -122,12 +122,12 @@ def stamps_reader(column: str, unit: str, first: Cell) -> StampReader:
 
 
 def stamps_of(column: str, cells: Sequence[Cell]) -> Floats:
-    """Return the seconds in cells of a column of stamps.
+    """Return the stamps in the cells of a column, in seconds.
 
     Raises
     ------
     UnreadableMessageError
-        If one of them is no time.
+        If a cell is not a time.
     """
     exact = [float(cell) if type(cell) is int else cell for cell in cells]
     reader = stamps_reader(column, "", exact[0] if exact else None)
@@ -138,12 +138,12 @@ def stamps_of(column: str, cells: Sequence[Cell]) -> Floats:
 
 
 def first_of(numbers: Floats) -> int:
-    """Return the first of the rows' numbers, once each is one more than the one before.
+    """Return the first row number, after checking that the numbers increase by one.
 
     Raises
     ------
     UnreadableMessageError
-        If it is not.
+        If there are no rows, or their numbers do not increase by one.
     """
     if not len(numbers):
         raise UnreadableMessageError("which has no rows")

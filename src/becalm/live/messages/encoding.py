@@ -1,4 +1,4 @@
-"""Rows as a message: what sinks send, and what `messages` reads."""
+"""Encode rows as messages for sinks; `becalm.live.messages` can read them again."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ FORMATS = ("arrow", "json")
 
 @dataclass
 class Encoder:
-    """Makes messages of rows.
+    """An encoder of rows as messages.
 
     Parameters
     ----------
     form : str
-        "arrow" or "json".
+        Format, "arrow" or "json".
     units : dict of str to str
-        Units of columns.
+        Units of the columns by name.
     """
 
     form: str = "arrow"
@@ -38,25 +38,25 @@ class Encoder:
 
     @classmethod
     def of(cls, head: Head, form: str) -> Encoder:
-        """Return the one of a stream's outputs.
+        """Return the encoder for a stream's outputs.
 
         Raises
         ------
         UsageError
-            If two columns would have one name: a channel is called `time`, or one `a` and another `a_sigma`.
+            If two columns would have the same name: a channel is called `time`, or one `a` and another `a_sigma`.
         """
         names = [SEQ, TIME, *(name + end for name in head.names for end in ("", SIGMA, VERDICT))]
         twice = [name for number, name in enumerate(names) if name in names[:number]]
         if twice:
             raise UsageError(
                 f"Two columns of a message would be called {twice[0]!r}: each channel NAME has NAME, NAME{SIGMA} and"
-                f" NAME{VERDICT}, beside {SEQ} and {TIME}; give a channel another name at its source."
+                f" NAME{VERDICT}, next to {SEQ} and {TIME}; rename a channel at its source."
             )
         pairs = dict(zip(head.names, head.units, strict=True))
         return cls(form, pairs | {name + SIGMA: unit for name, unit in pairs.items()})
 
     def output(self, output: Output, head: Head) -> bytes:
-        """Return an output: seq, time, and of each channel NAME, NAME_sigma and NAME_verdict."""
+        """Return an output as a message: seq, time, and for each channel NAME, NAME_sigma and NAME_verdict."""
         columns: dict[str, NDArray[np.float64] | Codes] = {TIME: output.time_s}
         for channel, name in enumerate(head.names):
             columns[name] = output.signal[:, channel]
@@ -70,9 +70,9 @@ class Encoder:
         Parameters
         ----------
         columns : dict of str to (B,) arrays
-            In the order they are to have.
+            Columns in the order of the message.
         seq : int or None
-            The number of the first row; None of a stream without numbers.
+            Number of the first row; None for a stream without numbers.
         """
         if self.form == "json":
             return self._json(columns, seq)
@@ -87,7 +87,7 @@ class Encoder:
         return head + bytes(batch.serialize())
 
     def _schema(self, arrays: Mapping[str, NDArray[np.generic]]) -> tuple[object, bytes]:
-        """Return the schema and its bytes, made once for all messages of the same columns."""
+        """Return the schema and its bytes, cached for messages with the same columns."""
         import pyarrow as pa
 
         key = tuple((name, column.dtype.str) for name, column in arrays.items())
@@ -103,11 +103,11 @@ class Encoder:
         return self._last[1], self._last[2]
 
     def _json(self, columns: Mapping[str, Floats | Codes], seq: int | None) -> bytes:
-        """Return columns as lists; what is no finite number is null, as JSON has no word for it."""
-        held: dict[str, object] = {} if seq is None else {SEQ: seq}
+        """Return a JSON object with columns as lists; NaN and infinities, which JSON does not have, become null."""
+        message: dict[str, object] = {} if seq is None else {SEQ: seq}
         if self.units:
-            held["units"] = {name: self.units[name] for name in columns if self.units.get(name)}
+            message["units"] = {name: self.units[name] for name in columns if self.units.get(name)}
         for name, column in columns.items():
-            whole = bool(np.isfinite(column).all())
-            held[name] = column.tolist() if whole else [x if np.isfinite(x) else None for x in column.tolist()]
-        return json.dumps(held, separators=(",", ":")).encode()
+            is_finite = bool(np.isfinite(column).all())
+            message[name] = column.tolist() if is_finite else [x if np.isfinite(x) else None for x in column.tolist()]
+        return json.dumps(message, separators=(",", ":")).encode()

@@ -1,4 +1,4 @@
-"""What a message holds: a batch of rows as Arrow, JSON or lines of CSV, told apart by its first bytes."""
+"""Read a message, a batch of rows as Arrow, JSON or CSV; its first bytes show the format."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from becalm.live.messages.arrow import ArrowMessages
 
 MAXIMUM_BYTES = 16_000_000
-"""A longer message is garbled: nobody batches so, and memory stays bounded."""
+"""Most bytes of a message; a longer one is counted as garbled, so that memory is bounded."""
 
 _ARROW = b"\xff\xff\xff\xff"
 _UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError, MemoryError, OSError, EOFError)
@@ -29,14 +29,14 @@ class MessageRows:
     Attributes
     ----------
     seq : int or None
-        The number of the first row. Rows are numbered, and not messages, so that what is missing is known in rows
-        even where messages differ in length, and a sender may cut its rows into other messages when it sends again.
+        Number of the first row; None without numbers. Rows are numbered instead of messages, so that missing rows can
+        be counted even if messages differ in length, and a sender may split its rows differently when it sends again.
     time_s : (B,) float array or None
-        Stamps in seconds as the sender told them; None where it told none.
+        Stamps of the sender in seconds; None if it sends none.
     values : (B, m) float array
         Readings, C-contiguous, NaN where missing.
     arrived_s : float
-        When the message came, in seconds since 1970.
+        Time when the message arrived, in seconds since 1970.
     """
 
     seq: int | None
@@ -49,7 +49,7 @@ class MessageRows:
         return len(self.values)
 
     def after(self, rows: int) -> MessageRows:
-        """Return what stands behind the first `rows` rows."""
+        """Return the rows after the first `rows` rows."""
         return MessageRows(
             None if self.seq is None else self.seq + rows,
             None if self.time_s is None else self.time_s[rows:],
@@ -59,20 +59,20 @@ class MessageRows:
 
 
 class MessageReader:
-    """Reads messages of one stream; whatever cannot be read is counted and never raises.
+    """A reader of the messages of one stream; unreadable messages are counted and raise no error.
 
-    The first good message tells the channels, and whether there are stamps and sequence numbers; one that differs in
-    these is garbled. Their order may differ: channels are found by name.
+    The first readable message determines the channels, and whether there are stamps and row numbers; a message that
+    differs in these is garbled. The order of the columns may differ, because channels are found by name.
 
-    Arrow is an IPC stream of numeric columns, `unit` in a field's metadata its unit. JSON is an object of numbers (a
-    row) or of lists (columns), or a list of row objects; `units` may be an object in it. CSV needs `columns`. What is
-    text and no time is passed over. Column `seq` numbers the rows: in JSON a single number, of the first row;
-    elsewhere every row's own, one more each. Stamps are read as those of lines are.
+    Arrow is an IPC stream of numeric columns, with the unit as `unit` in a field's metadata. JSON is an object of
+    numbers (a row) or of lists (columns), or a list of row objects; it may contain an object `units`. CSV needs the
+    option `columns`. Text that is not a time is ignored. Column `seq` numbers the rows: in JSON it is the number of
+    the first row, elsewhere it has a number for every row, increasing by one. Stamps are parsed like those of lines.
 
     Parameters
     ----------
     options : LineOptions
-        What was said of columns.
+        Columns, time, rate and channels from the address.
     """
 
     def __init__(self, options: LineOptions) -> None:
@@ -85,49 +85,50 @@ class MessageReader:
         self._shape: tuple[bool, bool] | None = None
 
     def read(self, payload: bytes, arrived_s: float) -> MessageRows | None:
-        """Return the rows of a message; None where it cannot be read, which `losses` tells.
+        """Return the rows of a message; None if it cannot be read, which `losses` counts.
 
         Parameters
         ----------
         payload : bytes
             The message.
         arrived_s : float
-            When it came, in seconds since 1970.
+            Time of its arrival, in seconds since 1970.
         """
         try:
-            return self._batch(self._told(payload), arrived_s)
+            return self._batch(self._parse(payload), arrived_s)
         except _UNREADABLE as cause:
             self._garbled += 1
             self._first = self._first or f"{_short(cause)}: {payload[:40]!r}{'...' if len(payload) > 40 else ''}"
             return None
 
     def read_many(self, messages: list[tuple[bytes, float]]) -> list[MessageRows]:
-        """Return the rows of messages, each with its arrival, in their order; joined where that is faster.
+        """Return the rows of messages in order; several messages may be joined, which is faster.
 
         Parameters
         ----------
         messages : list of (bytes, float)
-            Each message, and when it came, in seconds since 1970.
+            Each message, and the time of its arrival, in seconds since 1970.
         """
-        if len(messages) > 1 and self._shape and self._shape[1]:  # without stamps, each has its own arrival
+        if len(messages) > 1 and self._shape and self._shape[1]:  # without stamps each needs its own arrival time
             payloads = [payload for payload, _ in messages]
             if payloads[0].startswith(_ARROW) and sum(map(len, payloads)) <= MAXIMUM_BYTES:
                 try:
-                    return [self._batch(told, messages[-1][1]) for told in self._arrow_reader().read_many(payloads)]
+                    parsed = self._arrow_reader().read_many(payloads)
+                    return [self._batch(message, messages[-1][1]) for message in parsed]
                 except _UNREADABLE:
-                    pass  # one by one tells which
+                    pass  # read them one by one to find the unreadable ones
         return [batch for batch in (self.read(*message) for message in messages) if batch is not None]
 
     def losses(self) -> tuple[Loss, ...]:
-        """Return what could not be read since this was asked last."""
+        """Return a loss for the unreadable messages since the last call."""
         if not self._garbled:
             return ()
         count, first = self._garbled, self._first
         self._garbled, self._first = 0, ""
-        said = "1 message" if count == 1 else f"{count} messages"
-        return (Loss(LossKind.GARBLED, count, f"{said} could not be read; the first, {first}"),)
+        messages = "1 message" if count == 1 else f"{count} messages"
+        return (Loss(LossKind.GARBLED, count, f"{messages} could not be read; the first, {first}"),)
 
-    def _told(self, payload: bytes) -> ParsedMessage:
+    def _parse(self, payload: bytes) -> ParsedMessage:
         if len(payload) > MAXIMUM_BYTES:
             raise UnreadableMessageError(f"of {len(payload)} bytes (more than {MAXIMUM_BYTES})")
         if payload.startswith(_ARROW):
@@ -145,36 +146,36 @@ class MessageReader:
             self._arrow = ArrowMessages(self._finder)
         return self._arrow
 
-    def _batch(self, told: ParsedMessage, arrived_s: float) -> MessageRows:
-        """Return a message's rows in the stream's order of channels, once they are those of the stream."""
-        _check(told)
-        if told.time_s is None and len(told.values) > 1 and not self._finder.options.rate_hz:
-            raise UnreadableMessageError("which has several rows and no stamps (where that is so, say ?rate=HZ)")
-        shape = (told.seq is not None, told.time_s is not None)
+    def _batch(self, message: ParsedMessage, arrived_s: float) -> MessageRows:
+        """Return a message's rows with the channels in the stream's order, after checking that they fit the stream."""
+        _check(message)
+        if message.time_s is None and len(message.values) > 1 and not self._finder.options.rate_hz:
+            raise UnreadableMessageError("which has several rows and no stamps (give the rate: ?rate=HZ)")
+        shape = (message.seq is not None, message.time_s is not None)
         if self._shape is None:
-            self.names, self.units, self._shape = told.names, told.units, shape
+            self.names, self.units, self._shape = message.names, message.units, shape
         if shape != self._shape:
-            raise UnreadableMessageError("which differs from the first message in having stamps or sequence numbers")
-        if told.names == self.names:
-            return MessageRows(told.seq, told.time_s, told.values, arrived_s)
-        if sorted(told.names) != sorted(self.names):
+            raise UnreadableMessageError("which differs from the first message in having stamps or row numbers")
+        if message.names == self.names:
+            return MessageRows(message.seq, message.time_s, message.values, arrived_s)
+        if sorted(message.names) != sorted(self.names):
             raise UnreadableMessageError(
-                f"whose channels are {', '.join(told.names)[:80]}, not {', '.join(self.names)[:80]}"
+                f"whose channels are {', '.join(message.names)[:80]}, not {', '.join(self.names)[:80]}"
             )
-        values = np.ascontiguousarray(told.values[:, [told.names.index(name) for name in self.names]])
-        return MessageRows(told.seq, told.time_s, values, arrived_s)
+        values = np.ascontiguousarray(message.values[:, [message.names.index(name) for name in self.names]])
+        return MessageRows(message.seq, message.time_s, values, arrived_s)
 
 
-def _check(told: ParsedMessage) -> None:
-    """Refuse numbers that cannot be a sequence, and stamps that are none."""
-    if told.seq is not None and not 0 <= told.seq <= EXACT_INTEGERS - len(told.values):
-        raise UnreadableMessageError(f"whose seq is {told.seq}")
-    if told.time_s is not None and not np.isfinite(told.time_s).all():
+def _check(message: ParsedMessage) -> None:
+    """Raise UnreadableMessageError for row numbers out of range, and for stamps that are not finite."""
+    if message.seq is not None and not 0 <= message.seq <= EXACT_INTEGERS - len(message.values):
+        raise UnreadableMessageError(f"whose seq is {message.seq}")
+    if message.time_s is not None and not np.isfinite(message.time_s).all():
         raise UnreadableMessageError("which has a row without a stamp")
 
 
 def _short(cause: BaseException) -> str:
-    """Return a reason in one short line."""
+    """Return the reason of an error in one short line."""
     if isinstance(cause, UnreadableMessageError):
         return str(cause)
     return f"which is broken ({' '.join(str(cause).split())[:80]})"

@@ -1,4 +1,4 @@
-"""Messages to blocks, for every transport that carries messages: read, put in order, stamped, counted."""
+"""Turn the messages of any transport into blocks: parse, sort and stamp rows, and count losses."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from becalm.live.messages.sequence import Sequence
 
 
 class MessageStream:
-    """Takes the messages of a stream as they come and makes blocks of those that are ready.
+    """A parser of the messages of a stream, which returns their rows as blocks.
 
-    Options of the address: those of lines but `format=` (`columns=`, `channels=`, `time=`, `rate=`).
+    Options of the address: `columns=`, `channels=`, `time=` and `rate=`, as for lines.
 
-    Rows without stamps have, with `rate=`, the time that their numbers tell from the first row's arrival on; where
-    they have no numbers either, the last row of a message has its arrival's time. Without `rate=`, each message may
-    hold one row, of its arrival's time.
+    With `rate=`, rows without stamps are stamped by their numbers from the arrival of the first row; without numbers,
+    the last row of a message gets its arrival time. Without `rate=`, a message without stamps may have only one row,
+    which gets the arrival time.
 
     Parameters
     ----------
     address : Address
-        With the options.
+        Address with the options.
     reorder : int
-        How many messages may wait for one that is behind; 0 of a transport that keeps the order, whose position then
-        tells all.
+        Largest number of messages that wait for a delayed one; 0 for a transport that keeps the order, so that a
+        position never has to include waiting messages.
 
     Attributes
     ----------
     rate_hz : float or None
-        Rows a second as the address says; None where it does not.
+        Sample rate in hertz from the address; None if absent.
     """
 
     OPTIONS = ("columns", "channels", "time", "rate")
@@ -51,22 +51,22 @@ class MessageStream:
 
     @property
     def state(self) -> dict[str, float | int | None]:
-        """Where the rows of the last block end, as plain values for JSON."""
+        """Return the state after the last block as values for JSON."""
         return self._sequence.state
 
     def resume(self, state: Mapping[str, float | int | None]) -> None:
-        """Go on after a state; {} begins."""
+        """Continue from a state; {} starts a new stream."""
         self._sequence = Sequence(self._reorder, self.rate_hz or 0.0)
         self._ready = []
         if state:
             self._sequence.resume(state)
 
     def take(self, payload: bytes, arrived_s: float) -> None:
-        """Hear of a message that came at `arrived_s`, in seconds since 1970."""
+        """Add a message that arrived at `arrived_s`, in seconds since 1970."""
         self.take_many([(payload, arrived_s)])
 
     def take_many(self, messages: list[tuple[bytes, float]]) -> None:
-        """Hear of messages, each with its arrival in seconds since 1970: several at once cost less than one by one."""
+        """Add messages with their arrival times in seconds since 1970; this is faster than adding them one by one."""
         now_s = time.monotonic()
         if messages:
             self._arrived_s = now_s - max(0.0, time.time() - messages[-1][1])
@@ -77,20 +77,20 @@ class MessageStream:
                 self._sequence.take(batch, now_s)
 
     def wait_s(self) -> float:
-        """Return how long `block` may be put off for the sake of messages that came ahead."""
+        """Return the time until `block` must be called because of waiting messages, in seconds."""
         return self._sequence.wait_s(time.monotonic())
 
     def rest(self) -> None:
-        """Let go what waits for messages before it: nothing more will come."""
+        """Release the messages that wait for earlier ones."""
         self._sequence.rest()
 
     def block(self, *, extra: tuple[Loss, ...] = ()) -> Block | None:
-        """Return what is ready; None where that is nothing. The position is left to the source.
+        """Return the rows that are ready and the losses; None if there are none. The source adds the position.
 
         Parameters
         ----------
         extra : tuple of Loss
-            What the source itself noticed.
+            Losses that the source itself has found.
         """
         self._sequence.due(time.monotonic())
         batches = self._ready + self._sequence.ready()

@@ -1,4 +1,4 @@
-"""Messages as text: JSON objects and lines of CSV."""
+"""Read messages as text: JSON and lines of CSV."""
 
 from __future__ import annotations
 
@@ -13,55 +13,55 @@ from becalm.live.messages.columns import SEQ, ParsedMessage, RoleFinder, Unreada
 
 
 def from_json(payload: bytes, finder: RoleFinder) -> ParsedMessage:
-    """Return what a JSON message told: a row, columns as lists, or a list of row objects.
+    """Return the rows of a JSON message: one row, columns as lists, or a list of row objects.
 
     Raises
     ------
     UnreadableMessageError
-        If it holds no such thing. What the parser raises goes through.
+        If the message has another form. The errors of the JSON parser are raised too.
     """
-    held = json.loads(payload)
-    if isinstance(held, list):
-        held = _columns(held)
-    elif not isinstance(held, dict):
-        raise UnreadableMessageError("which is no object")
-    units = held.pop("units", {})
+    message = json.loads(payload)
+    if isinstance(message, list):
+        message = _columns(message)
+    elif not isinstance(message, dict):
+        raise UnreadableMessageError("which is not an object")
+    units = message.pop("units", {})
     units = units if isinstance(units, dict) else {}
-    roles = finder.roles(tuple(held))
-    asked = finder.options.channels
-    channels = [channel for channel in roles.channels if asked or not _is_text(held[channel[0]])]
+    roles = finder.roles(tuple(message))
+    named = finder.options.channels
+    channels = [channel for channel in roles.channels if named or not _is_text(message[channel[0]])]
     if not channels:
         raise UnreadableMessageError("which has no channels")
-    columns = [_numbers(column, held[column]) for column, _, _ in channels]
+    columns = [_numbers(column, message[column]) for column, _, _ in channels]
     rows = len(columns[0])
     if not rows or any(len(column) != rows for column in columns):
         raise UnreadableMessageError("which has no rows, or not the same number of them in all columns")
-    time_s = None if roles.stamp is None else stamps_of(roles.stamp, _cells(held[roles.stamp]))
+    time_s = None if roles.stamp is None else stamps_of(roles.stamp, _cells(message[roles.stamp]))
     if time_s is not None and len(time_s) != rows:
-        raise UnreadableMessageError(f"which has {len(time_s)} stamps of {rows} rows")
+        raise UnreadableMessageError(f"which has {len(time_s)} stamps for {rows} rows")
     return ParsedMessage(
         tuple(name for _, name, _ in channels),
         tuple(str(units.get(column, unit)) for column, _, unit in channels),
-        None if roles.seq is None else _seq(held[SEQ], rows),
+        None if roles.seq is None else _seq(message[SEQ], rows),
         time_s,
         np.stack(columns, axis=1),
     )
 
 
 def from_csv(payload: bytes, finder: RoleFinder) -> ParsedMessage:
-    """Return what lines of CSV told, in the columns that the address named.
+    """Return the rows of a CSV message, whose columns are given by the address.
 
     Raises
     ------
     UnreadableMessageError
-        If the address named none, or a line does not fit them.
+        If the address has no column names, or a line does not fit them.
     """
     names = finder.options.columns
     if not names:
-        raise UnreadableMessageError("which is neither Arrow nor JSON (of CSV, name the columns: ?columns=time,ax,ay)")
+        raise UnreadableMessageError("which is neither Arrow nor JSON (for CSV, name the columns: ?columns=time,ax,ay)")
     rows = [line.split(",") for line in payload.decode("utf-8").splitlines() if line.strip()]
     if not rows or any(len(row) != len(names) for row in rows):
-        raise UnreadableMessageError(f"which has no rows, or one that has not {len(names)} columns")
+        raise UnreadableMessageError(f"which has no rows, or a row without {len(names)} columns")
     cells = dict(zip(names, zip(*rows, strict=True), strict=True))
     roles = finder.roles(names)
     if not roles.channels:
@@ -76,27 +76,27 @@ def from_csv(payload: bytes, finder: RoleFinder) -> ParsedMessage:
 
 
 def _columns(rows: list[Any]) -> dict[str, Any]:
-    """Turn a list of row objects into columns."""
+    """Convert a list of row objects into columns."""
     if not rows or not all(isinstance(row, dict) and row.keys() == rows[0].keys() for row in rows):
-        raise UnreadableMessageError("which is no list of rows with the same columns")
+        raise UnreadableMessageError("which is not a list of rows with the same columns")
     columns: dict[str, Any] = {name: [row[name] for row in rows] for name in rows[0]}
     if "units" in columns:
         columns["units"] = columns["units"][0]
     return columns
 
 
-def _cells(held: object) -> list[Any]:
-    return held if isinstance(held, list) else [held]
+def _cells(value: object) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
-def _is_text(held: object) -> bool:
-    """Tell whether a column has words, which are no readings: the name of a device."""
-    return isinstance((_cells(held) or [None])[0], str | dict)
+def _is_text(value: object) -> bool:
+    """Return whether a column has text instead of readings, such as the name of a device."""
+    return isinstance((_cells(value) or [None])[0], str | dict)
 
 
-def _numbers(name: str, held: object) -> Floats:
+def _numbers(name: str, value: object) -> Floats:
     """Return a number, or a list of numbers and nulls, as a column."""
-    numbers = _cells(held)
+    numbers = _cells(value)
     if not all(number is None or type(number) in (int, float) for number in numbers):
         raise UnreadableMessageError(f"which has no numbers in {name[:40]!r}")
     return np.array(numbers, dtype=np.float64)
@@ -110,11 +110,11 @@ def _read(name: str, cells: tuple[str, ...]) -> Floats:
     return np.array(numbers, dtype=np.float64)
 
 
-def _seq(held: object, rows: int) -> int:
-    """Return the first row's number, told alone or with every row's."""
-    if type(held) is int:
-        return held
-    numbers = _numbers(SEQ, held)
+def _seq(value: object, rows: int) -> int:
+    """Return the number of the first row, from that number alone or from a list with the numbers of all rows."""
+    if type(value) is int:
+        return value
+    numbers = _numbers(SEQ, value)
     if len(numbers) != rows:
         raise UnreadableMessageError("whose seq does not number its rows one by one")
     return first_of(numbers)

@@ -1,1 +1,1 @@
-"""Where clean streams go, one transport a file."""
+"""The sinks of streams, one module for each transport."""

@@ -1,4 +1,4 @@
-"""What sinks of all brokers share: rows wait in an outbox until they are acknowledged, through any number of lines."""
+"""Base class of broker sinks: rows stay in an outbox until they are acknowledged, over several connections."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _STALL_S = 20.0
 _GATHER_S = 0.02
 
 Told = Callable[[int, BecalmError | None], None]
-"""Hears the number of a message that was acknowledged, or why it was refused; on any thread."""
+"""Called, on any thread, with the number of an acknowledged message, or with the error that refused it."""
 
 
 class BrokerConnection(Protocol):
-    """A connection that messages are sent through."""
+    """A connection through which messages are sent."""
 
     changed: threading.Condition
     window: int
@@ -30,31 +30,31 @@ class BrokerConnection(Protocol):
 
     @property
     def ended(self) -> bool:
-        """Whether it ended by itself."""
+        """Return whether the connection was lost."""
         ...
 
     def post(self, letter: Letter) -> int:
-        """Send a message; return the number that its acknowledgement will have."""
+        """Send a message; return the number of its acknowledgement."""
         ...
 
     def check(self) -> None:
-        """Raise what ended the connection, if anything did."""
+        """Raise the error that ended the connection, if any."""
         ...
 
     def close(self) -> None:
-        """End it."""
+        """Close the connection."""
         ...
 
 
 class BrokerSink(ABC):
-    """Publishes rows, and holds each until the broker acknowledged it.
+    """A sink that publishes rows, and keeps each until the broker has acknowledged it.
 
-    A message holds rows of one or several outputs: `seq`, the number of its first row; `time`; and of each channel
-    NAME, NAME_sigma and NAME_verdict. Who reads drops rows that come twice by `seq`, as becalm's own sources do.
-    What happened to the stream is not published; the journal and the log have it.
+    A message contains rows of one or several outputs: `seq`, the number of its first row; `time`; and for each channel
+    NAME, NAME_sigma and NAME_verdict. A reader should drop duplicate rows by `seq`, as becalm's own sources do.
+    Losses are not published; they are in the journal and the log.
 
-    Options: `format=arrow|json` (arrow); `gather=20ms`, for how long rows are gathered into a message; those of
-    `Remote`.
+    Options: `format=arrow|json` (arrow); `gather=20ms`, the time for which rows are collected into one message; those
+    of `Remote`.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class BrokerSink(ABC):
     Attributes
     ----------
     OPTIONS : tuple of str
-        What the addresses of all of them understand.
+        Options that the addresses of all broker sinks have.
     """
 
     OPTIONS = ("format", "gather", *OPTIONS)
@@ -83,7 +83,7 @@ class BrokerSink(ABC):
         """Return a new connection."""
 
     def open(self, head: Head) -> None:
-        """Connect, or raise as `Sink.open`; what was left without an acknowledgement is published again."""
+        """Connect; unacknowledged messages are published again. Raises errors as `Sink.open`."""
         self.close()
         self._outbox.begin(head)
         self._acknowledged = set()
@@ -92,25 +92,25 @@ class BrokerSink(ABC):
         self._send()
 
     def write(self, output: Output) -> None:
-        """Publish rows; where the broker is away they wait here, and `flush` tells it.
+        """Publish rows; if the broker is away, they are kept, and `flush` raises the error.
 
         Raises
         ------
         OutputError
-            If the broker takes no message as large as a single row.
+            If a single row exceeds the broker's largest message.
         """
         self._outbox.put(output, self._largest())
         self._send()
 
     def flush(self) -> None:
-        """Wait until the broker acknowledged all.
+        """Wait until the broker has acknowledged all messages.
 
         Raises
         ------
         AwayError
-            If it went away, or is silent: `open` publishes again what it did not acknowledge.
+            If the broker is away or silent; `open` publishes the unacknowledged messages again.
         InputError
-            If it refuses messages.
+            If the broker refuses messages.
         """
         self._outbox.seal(self._largest())
         left, since = len(self._outbox), time.monotonic()
@@ -118,30 +118,30 @@ class BrokerSink(ABC):
             self._send()
             line = self._line
             if line is None:
-                raise self._remote.away("it went away before")
-            heard = self._listen(line)
+                raise self._remote.away("the connection was lost before")
+            has_event = self._wait(line)
             if self._refusal is not None:
                 raise self._refusal
             self._outbox.acknowledged(self._acknowledged)
             if len(self._outbox) < left:
                 left, since = len(self._outbox), time.monotonic()
-            elif not heard and time.monotonic() > since + _STALL_S:
+            elif not has_event and time.monotonic() > since + _STALL_S:
                 raise self._remote.away(f"it acknowledged nothing for {_STALL_S:g} s")
             else:
                 line.check()
 
     def close(self) -> None:
-        """Disconnect; what is not acknowledged stays here. Harmless twice."""
+        """Disconnect; unacknowledged messages are kept. May be called twice."""
         line, self._line = self._line, None
         if line is not None:
             line.close()
 
     def _largest(self) -> int:
-        """Return how many bytes a message may have."""
+        """Return the largest size of a message in bytes."""
         return LARGEST if self._line is None else self._line.largest
 
     def _send(self) -> None:
-        """Publish what may be under way."""
+        """Publish messages up to the connection's window."""
         line = self._line
         if line is None or line.ended:
             return
@@ -149,13 +149,13 @@ class BrokerSink(ABC):
         while self._outbox.flying < line.window and (letter := self._outbox.next()) is not None:
             self._outbox.sent(line.post(letter))
 
-    def _listen(self, line: BrokerConnection) -> bool:
-        """Wait a while for acknowledgements, or for the end; whether something came."""
+    def _wait(self, line: BrokerConnection) -> bool:
+        """Wait up to 1 s for an acknowledgement, a refusal or the end; return whether there is one."""
         with line.changed:
             return line.changed.wait_for(lambda: bool(self._acknowledged or self._refusal or line.ended), 1.0)
 
-    def _told(self, number: int, refusal: BecalmError | None) -> None:
-        """Hear of a message, on the line's thread."""
+    def _on_result(self, number: int, refusal: BecalmError | None) -> None:
+        """Record the result of a message; the connection's thread calls this."""
         line = self._line
         if refusal is None:
             self._acknowledged.add(number)

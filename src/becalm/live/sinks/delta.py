@@ -1,4 +1,4 @@
-"""delta: rows and checkpoint in one commit of a Delta table."""
+"""The sink delta: write rows and checkpoint in one commit of a Delta table."""
 
 from __future__ import annotations
 
@@ -27,32 +27,32 @@ if TYPE_CHECKING:
 _APPLICATION = "becalm"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 _LOG_KEPT = {"delta.logRetentionDuration": "interval 7 days"}
-_CONFLICTS = ("oncurrent", "changed since last commit")  # as deltalake says that another one committed
-_OTHER = "is written to by another process too; stop it, or give another folder."
-_LOOKED_THROUGH = (16, 1024, None)  # commits; others may have made some since the last of ours
+_CONFLICTS = ("oncurrent", "changed since last commit")  # in deltalake's messages about a concurrent commit
+_OTHER = "is also written by another process; stop that process, or give another folder."
+_SEARCHED_COMMITS = (16, 1024, None)  # other programs may have committed since becalm's last commit
 
 
 class DeltaSink:
-    """Keeps a stream in a Delta table: each commit adds rows and tells where the stream stands.
+    """A keeper that writes a stream to a Delta table: each commit adds rows and names a checkpoint.
 
-    The columns are those of the journal's Parquet files. Filters and position are in a file beside the table
-    (`_becalm/`) that is written before the commit naming it. The number of rows is also Delta's own
-    transaction identifier, by which the commit of a second writer fails. Losses are in the commits' metadata
-    (`becalm` in the table's history, for as long as the log is kept: seven days).
+    The columns are those of the journal's Parquet files. The checkpoint, with filters and position, is a file in the
+    table's folder `_becalm/`, written before the commit that names it. The number of rows is also Delta's transaction
+    identifier, so that the commit of a second writer fails. Losses are in the metadata of the commits (`becalm` in
+    the table's history, for the seven days for which the log is kept).
 
-    Each call of `keep` makes a file and a commit (10 to 20 ms), so it should come about once a second; `OPTIMIZE` and
-    `VACUUM` may be run at any time, beside the stream.
+    Each call of `keep` makes a file and a commit (10 to 20 ms), so it should be called about once a second. `OPTIMIZE`
+    and `VACUUM` may be run at any time while the stream runs.
 
     Parameters
     ----------
     address : Address
-        `delta:DIR` or `delta:URI`, as `delta:s3://bucket/path`; what the store wants to know (keys, region) is in the
-        environment. A folder's files are synced to the disk, which deltalake itself does not do.
+        `delta:DIR` or `delta:URI`, for example `delta:s3://bucket/path`; credentials and region of the store come from
+        the environment. Files in a folder are synced to the disk, which deltalake itself does not do.
 
     Raises
     ------
     UsageError
-        If the address has no place, or options.
+        If the address has no folder or URI, or has options.
     """
 
     def __init__(self, address: Address) -> None:
@@ -66,14 +66,14 @@ class DeltaSink:
         self._checkpoint_file = ""
 
     def last(self) -> Checkpoint | None:
-        """Return the last checkpoint that was kept; None of a new stream.
+        """Return the last committed checkpoint; None for a new stream.
 
         Raises
         ------
         AwayError
-            If a store behind a URI cannot be reached now.
+            If a remote store cannot be reached now.
         BecalmError
-            If the table cannot be read, or is none of a stream.
+            If the table cannot be read, or is not the table of a stream.
         """
         self._checkpoint_file = ""
         with self._reading():
@@ -87,72 +87,73 @@ class DeltaSink:
                 if self._table.metadata().name != _APPLICATION:
                     raise UsageError(f"The table {self._shown} was not made by becalm live; give another folder.")
                 return None
-            return self._stored()
+            return self._read_checkpoint()
 
     def open(self, head: Head) -> None:
-        """Make the table of a new stream, or look whether it is this one's.
+        """Create the table of a new stream, or check that the table belongs to this stream.
 
         Raises
         ------
         AwayError
-            If a store behind a URI cannot be reached now.
+            If a remote store cannot be reached now.
         BecalmError
-            If the table cannot be made, or is of another stream.
+            If the table cannot be created, or belongs to another stream.
         """
         last = self.last()
         self._head, self._schema = head, _plain_schema(table_schema(head))
         if last is not None:
             self._refuse_other(head)
-            self._forget_others()
-        elif self._table is None or self._there() != self._schema:  # new, or one of which no row came
-            self._make()
+            self._remove_old_checkpoints()
+        elif self._table is None or self._table_schema() != self._schema:  # a new stream, or a table without rows
+            self._create()
 
-    def _make(self) -> None:
-        with self._taking_back(()):
-            said = "A stream that becalm live made clean; time_s in seconds."
+    def _create(self) -> None:
+        with self._undoing(()):
+            text = "A stream that becalm live made clean; time_s in seconds."
             self._table = library().DeltaTable.create(
-                self._place, self._schema, "overwrite", name=_APPLICATION, description=said, configuration=_LOG_KEPT
+                self._place, self._schema, "overwrite", name=_APPLICATION, description=text, configuration=_LOG_KEPT
             )
             self._files.commit_lasts(self._table.version())
             self._files.lock(f"{self._shown} {_OTHER}")
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
-        """Keep rows and checkpoint in one commit; when this returns they are on the disk, or with the store.
+        """Write rows and checkpoint in one commit; when this returns they are on the disk, or in the remote store.
 
         Raises
         ------
         BecalmError
-            As `Keeper.keep`; only a store behind a URI can be away.
+            The errors of `Keeper.keep`; only a remote store can be away.
         OutputError
-            If another process wrote to the table, or it cannot be written to.
+            If another process wrote to the table, or it cannot be written.
         """
         if self._head is None or self._table is None:
             raise AwayError(f"{self._shown} is not open.")
         table = output_table(self._head, outputs).cast(self._schema)
-        mark = f"{checkpoint.rows:015}-{secrets.token_hex(4)}"
-        made = (f"rows-{mark}.parquet", f"{BESIDE}/{mark}.json")
-        with self._taking_back(made):
-            added = [self._added(made[0], table)] if table.num_rows else []
-            self._files.put(f"{mark}.json", _packed(checkpoint))
+        stem = f"{checkpoint.rows:015}-{secrets.token_hex(4)}"
+        new_files = (f"rows-{stem}.parquet", f"{BESIDE}/{stem}.json")
+        with self._undoing(new_files):
+            actions = [self._add_action(new_files[0], table)] if table.num_rows else []
+            self._files.put(f"{stem}.json", _packed(checkpoint))
         losses = [asdict(loss) | {"row": one.first_row} for one in outputs for loss in one.losses]
-        self._commit(added, {"rows": checkpoint.rows, "checkpoint": f"{mark}.json", "losses": losses}, made)
+        self._commit(actions, {"rows": checkpoint.rows, "checkpoint": f"{stem}.json", "losses": losses}, new_files)
         if self._checkpoint_file:
             self._files.remove(f"{BESIDE}/{self._checkpoint_file}")
-        self._checkpoint_file = f"{mark}.json"
+        self._checkpoint_file = f"{stem}.json"
 
     def close(self) -> None:
-        """Let go of the table; harmless twice."""
+        """Release the table; may be called twice."""
         self._files.unlock()
         self._table = None
 
-    def _forget_others(self) -> None:
-        """Remove checkpoints of commits that never were; later ones may be of another who is about to commit."""
+    def _remove_old_checkpoints(self) -> None:
+        """Remove older checkpoints without a commit; newer ones may belong to a process that is about to commit."""
         current = self._checkpoint_file
         for name in self._files.beside():
             if name != current and name.partition("-")[0] <= current.partition("-")[0]:
                 self._files.remove(f"{BESIDE}/{name}")
 
-    def _added(self, name: str, table: pa.Table) -> Any:
+    def _add_action(self, name: str, table: pa.Table) -> Any:
+        """Write a Parquet file; return the action that adds it to the table."""
         size = self._files.put_table(name, table)
         statistics = {
             "numRecords": table.num_rows,
@@ -163,69 +164,70 @@ class DeltaSink:
         action = library("transaction").AddAction
         return action(name, size, {}, int(time.time() * 1000), data_change=True, stats=json.dumps(statistics))
 
-    def _commit(self, added: list[Any], told: dict[str, Any], made: tuple[str, ...]) -> None:
-        """Commit, and have it on the disk; where an error is told the log says whether there was a commit."""
+    def _commit(self, actions: list[Any], metadata: dict[str, Any], new_files: tuple[str, ...]) -> None:
+        """Commit and sync; after an error of deltalake, the log shows whether the commit was made."""
         module = library()
         properties = module.CommitProperties(
-            custom_metadata={_APPLICATION: json.dumps(told)},
-            app_transactions=[module.Transaction(_APPLICATION, told["rows"])],
+            custom_metadata={_APPLICATION: json.dumps(metadata)},
+            app_transactions=[module.Transaction(_APPLICATION, metadata["rows"])],
         )
         before, failure = self._table.version(), None
         try:
-            self._table.create_write_transaction(added, "append", self._schema, commit_properties=properties)
-        except Exception as cause:  # what deltalake raises is of many kinds
+            self._table.create_write_transaction(actions, "append", self._schema, commit_properties=properties)
+        except Exception as cause:  # deltalake raises many kinds of errors
             failure = cause
         try:
             self._table.update_incremental()
-            kept = any(one.get("checkpoint") == told["checkpoint"] for one in self._every_told(_LOOKED_THROUGH[0]))
+            newest = self._commit_metadata(_SEARCHED_COMMITS[0])
+            is_committed = any(one.get("checkpoint") == metadata["checkpoint"] for one in newest)
             for version in range(before + 1, self._table.version() + 1):
                 self._files.commit_lasts(version)
         except Exception as cause:
-            raise AwayError(f"{self._shown} was given rows, and then could not be read ({_said(cause)}).") from cause
-        if failure is not None and not kept:
-            with self._taking_back(made):
+            raise AwayError(f"{self._shown} could not be read after a commit ({_first_line(cause)}).") from cause
+        if failure is not None and not is_committed:
+            with self._undoing(new_files):
                 raise failure
-        if self._rows() != told["rows"]:
+        if self._rows() != metadata["rows"]:
             raise OutputError(f"{self._shown} {_OTHER}")
 
     def _rows(self) -> int | None:
         rows: int | None = self._table.transaction_version(_APPLICATION)
         return rows
 
-    def _stored(self) -> Checkpoint:
-        told = self._told()
-        if not told:
+    def _read_checkpoint(self) -> Checkpoint:
+        metadata = self._last_metadata()
+        if not metadata:
             raise InputError(
-                f"The log of {self._shown} no longer has the commit that says where the stream stands; its rows can be"
-                " read, and a stream can go on in another folder."
+                f"The log of {self._shown} no longer has the commit with the stream's checkpoint; its rows can be"
+                " read, but the stream cannot continue there. Give another folder."
             )
-        self._checkpoint_file = told["checkpoint"]
+        self._checkpoint_file = metadata["checkpoint"]
         return _unpacked(self._files.get(self._checkpoint_file))
 
-    def _told(self) -> dict[str, Any]:
-        """Return what the newest commit of a stream tells."""
+    def _last_metadata(self) -> dict[str, Any]:
+        """Return the metadata of the stream's last commit; {} if the log no longer has it."""
         rows = self._rows()
-        for limit in _LOOKED_THROUGH:
-            for told in self._every_told(limit):
-                if rows is not None and told.get("rows") == rows:
-                    return told
+        for limit in _SEARCHED_COMMITS:
+            for metadata in self._commit_metadata(limit):
+                if rows is not None and metadata.get("rows") == rows:
+                    return metadata
         return {}
 
-    def _every_told(self, limit: int | None) -> Iterator[dict[str, Any]]:
-        """Return what commits tell, the newest first; those of others tell nothing."""
+    def _commit_metadata(self, limit: int | None) -> Iterator[dict[str, Any]]:
+        """Return becalm's metadata of the last commits, the newest first; {} for commits of other programs."""
         return (json.loads(commit.get(_APPLICATION, "{}")) for commit in self._table.history(limit))
 
-    def _there(self) -> pa.Schema:
-        """Return the columns of the table."""
+    def _table_schema(self) -> pa.Schema:
+        """Return the schema of the stored table."""
         return pa.schema(self._table.schema().to_arrow())
 
     def _refuse_other(self, head: Head) -> None:
-        """Refuse other channels; of units one of the two may not be known, and those of the table stay."""
-        there = self._there()
-        pairs = zip(map(_unit, there), map(_unit, self._schema), strict=False)
-        if there.names != self._schema.names or any(old and new and old != new for old, new in pairs):
+        """Raise a UsageError for other channels or units; a unit missing on one side is accepted, the table's stay."""
+        stored = self._table_schema()
+        pairs = zip(map(_unit, stored), map(_unit, self._schema), strict=False)
+        if stored.names != self._schema.names or any(old and new and old != new for old, new in pairs):
             raise UsageError(f"The table {self._shown} has other channels or units; give another folder.")
-        self._schema = there
+        self._schema = stored
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
@@ -233,35 +235,35 @@ class DeltaSink:
             yield
         except BecalmError:
             raise
-        except Exception as cause:  # what deltalake raises is of many kinds
+        except Exception as cause:  # deltalake raises many kinds of errors
             if self._remote:
-                raise AwayError(f"{self._shown} cannot be read now ({_said(cause)}).") from cause
-            raise InputError(f"{self._shown} cannot be read as a Delta table ({_said(cause)}).") from cause
+                raise AwayError(f"{self._shown} cannot be read now ({_first_line(cause)}).") from cause
+            raise InputError(f"{self._shown} cannot be read as a Delta table ({_first_line(cause)}).") from cause
 
     @contextmanager
-    def _taking_back(self, made: Sequence[str]) -> Iterator[None]:
-        """Say what failed, and remove the files that were made for a commit that is none."""
+    def _undoing(self, new_files: Sequence[str]) -> Iterator[None]:
+        """After an error, remove the files of the failed commit, and raise an error with a message for the user."""
         try:
             yield
         except BecalmError:
             raise
         except Exception as cause:
-            for name in made:
+            for name in new_files:
                 self._files.remove(name)
-            raise self._meant(cause) from cause
+            raise self._error_of(cause) from cause
 
-    def _meant(self, cause: Exception) -> BecalmError:
+    def _error_of(self, cause: Exception) -> BecalmError:
         if any(words in str(cause) for words in _CONFLICTS):
             return OutputError(f"{self._shown} {_OTHER}")
         if getattr(cause, "errno", None) in _FULL or "os error 28" in str(cause):
-            return StorageFullError(f"There is no room for {self._shown} ({_said(cause)}); make room.")
+            return StorageFullError(f"The disk has no room for {self._shown} ({_first_line(cause)}); free some.")
         if self._remote:
-            return AwayError(f"{self._shown} cannot be written to now ({_said(cause)}).")
-        return OutputError(f"{self._shown} cannot be written to ({_said(cause)}); nothing of these rows was kept.")
+            return AwayError(f"{self._shown} cannot be written now ({_first_line(cause)}).")
+        return OutputError(f"{self._shown} cannot be written ({_first_line(cause)}); none of these rows was committed.")
 
 
 def _plain_schema(schema: pa.Schema) -> pa.Schema:
-    """Return a schema of types that Delta has: words instead of dictionaries of words."""
+    """Return a schema with plain text instead of dictionaries, which Delta does not have."""
     plain = [f.with_type(f.type.value_type) if pa.types.is_dictionary(f.type) else f for f in schema]
     return pa.schema(plain)
 
@@ -280,11 +282,11 @@ def _packed(checkpoint: Checkpoint) -> bytes:
 def _unpacked(packed: bytes) -> Checkpoint:
     outer = json.loads(packed)
     if hashlib.blake2b(outer["checkpoint"].encode()).hexdigest() != outer["blake2b"]:
-        raise ValueError("a checkpoint beside the table is damaged")
+        raise ValueError("the checkpoint file is damaged")
     inner = json.loads(outer["checkpoint"])
     return Checkpoint(**{**inner, "snapshot": base64.b64decode(inner["snapshot"])})
 
 
-def _said(cause: Exception) -> str:
-    """Return the first line of what was raised."""
+def _first_line(cause: Exception) -> str:
+    """Return the first line of an error's text."""
     return (str(cause).strip().splitlines() or [type(cause).__name__])[0][:300].rstrip(".")

@@ -1,4 +1,4 @@
-"""The files of a Delta table, in a folder or behind a URI; those in a folder last through a power cut."""
+"""Write and read the files of a Delta table in a folder or a remote store; files in a folder are synced."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from becalm.live.locking import locked
 from becalm.live.optional_libraries import wanted
 
 BESIDE = "_becalm"
-"""Where checkpoints are; readers and cleaners of Delta tables pass by names that begin with an underscore."""
+"""Folder of the checkpoints; programs that read or clean Delta tables ignore names with a leading underscore."""
 
-_LOG = "_delta_log"
-_told = logging.getLogger(__name__)
+_LOG_FOLDER = "_delta_log"
+_log = logging.getLogger(__name__)
 
 
 class DeltaFiles:
-    """Writes, reads and removes files of one table.
+    """The files of one table.
 
     Parameters
     ----------
     place : str
-        A folder, or a URI.
+        Folder or URI of the table.
     """
 
     def __init__(self, place: str) -> None:
@@ -42,7 +42,7 @@ class DeltaFiles:
         self._lock: sqlite3.Connection | None = None
 
     def put_table(self, name: str, table: pa.Table) -> int:
-        """Write a Parquet file that lasts, and return its size in bytes."""
+        """Write a Parquet file and sync it; return its size in bytes."""
         packed = io.BytesIO()
         rows = ParquetTableWriter(packed)
         rows.write(table)
@@ -51,77 +51,75 @@ class DeltaFiles:
         return packed.tell()
 
     def put(self, name: str, content: bytes) -> None:
-        """Write some bytes beside the table, to last."""
+        """Write a file to the checkpoint folder and sync it."""
         self._fs.create_dir(BESIDE)
         self._put(f"{BESIDE}/{name}", content)
 
     def get(self, name: str) -> bytes:
-        """Return what was put beside the table."""
+        """Return the content of a file in the checkpoint folder."""
         with self._fs.open_input_stream(f"{BESIDE}/{name}") as file:
             return bytes(file.read())
 
     def remove(self, name: str) -> None:
-        """Remove a file, if it is there and lets itself be removed."""
+        """Remove a file; ignore errors."""
         with suppress(OSError):
             self._fs.delete_file(name)
 
     def beside(self) -> list[str]:
-        """Return the names of what was put beside the table."""
-        found = self._fs.get_file_info(fs.FileSelector(BESIDE, allow_not_found=True))
-        return [one.base_name for one in found if one.base_name.endswith(".json")]
+        """Return the names of the files in the checkpoint folder."""
+        files = self._fs.get_file_info(fs.FileSelector(BESIDE, allow_not_found=True))
+        return [one.base_name for one in files if one.base_name.endswith(".json")]
 
     def lock(self, refusal: str) -> None:
-        """Keep other processes from a table in a folder; behind a URI the second one's commit fails.
+        """Lock a table in a folder against other writers; in a remote store a second writer's commit fails instead.
 
         Raises
         ------
         UsageError
-            If another one has it.
+            If another process writes to the table; `refusal` is the message.
         """
         if self.folder is not None and self._lock is None:
             (self.folder / BESIDE).mkdir(exist_ok=True)
             self._lock = locked(self.folder / BESIDE / "lock", refusal)
 
     def unlock(self) -> None:
-        """Let others write; harmless twice."""
+        """Release the lock; may be called twice."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
 
     def commit_lasts(self, version: int) -> None:
-        """Make a commit last through a power cut: deltalake itself leaves it to the system when to write it."""
-        self._last(f"{_LOG}/{version:020}.json")
+        """Sync a commit to the disk, which deltalake does not do, so that a power cut does not lose it."""
+        self._sync(f"{_LOG_FOLDER}/{version:020}.json")
 
     def set_torn_commit_aside(self) -> None:
-        """Rename a last commit that a power cut tore; whoever made it never heard that it was kept."""
+        """Rename the last commit if a power cut left it incomplete; it was never reported as committed."""
         if self.folder is None:
             return
-        commits = sorted((self.folder / _LOG).glob("*.json"))
-        if commits and not _whole(commits[-1]):
+        commits = sorted((self.folder / _LOG_FOLDER).glob("*.json"))
+        if commits and not _is_complete(commits[-1]):
             commits[-1].rename(commits[-1].with_suffix(".json.torn"))
-            _told.warning(
-                "The last commit in %s was torn, and is kept aside as %s.torn.", self.folder, commits[-1].name
-            )
+            _log.warning("The last commit in %s was torn; it was renamed to %s.torn.", self.folder, commits[-1].name)
 
     def _put(self, name: str, content: bytes) -> None:
         with self._fs.open_output_stream(name) as file:
             file.write(content)
-        self._last(name)
+        self._sync(name)
 
     @cached_property
     def _fs(self) -> fs.FileSystem:
-        """The files as pyarrow sees them; made late, as a store may refuse what is not there yet."""
+        """Return the table's file system; it is made on first use, because a store may refuse a missing table."""
         if self.folder is None:
             return fs.PyFileSystem(_store(self._place))
         return fs.SubTreeFileSystem(str(self.folder.resolve()), fs.LocalFileSystem())
 
-    def _last(self, name: str) -> None:
-        """Have a file and its name on the disk, where it is one; behind a URI it is when it is closed."""
+    def _sync(self, name: str) -> None:
+        """Sync a local file and its folders to the disk; a remote file is stored once it is closed."""
         if self.folder is None:
             return
         file, top = self.folder / name, self.folder.parent
-        with file.open("r+b") as made:
-            os.fsync(made.fileno())
+        with file.open("r+b") as opened:
+            os.fsync(opened.fileno())
         for folder in file.parents:
             if folder.is_relative_to(top):
                 sync_folder(folder)
@@ -139,7 +137,7 @@ def library(part: str = "") -> Any:
 
 
 class _PlainBytes:
-    """A file that is given plain bytes only, as deltalake's must be; pyarrow hands buffers of its own to files."""
+    """A file wrapper that converts pyarrow's buffers to bytes, which deltalake's files require."""
 
     def __init__(self, file: Any) -> None:
         self._file = file
@@ -152,7 +150,7 @@ class _PlainBytes:
 
 
 def _store(place: str) -> Any:
-    """Return the files behind a URI, by deltalake's own way to it."""
+    """Return deltalake's file system for a URI, as a handler for pyarrow."""
     handler = library("fs").DeltaStorageHandler
 
     class Store(handler):  # type: ignore[misc, valid-type]
@@ -162,7 +160,7 @@ def _store(place: str) -> Any:
     return Store(place)
 
 
-def _whole(commit: Path) -> bool:
+def _is_complete(commit: Path) -> bool:
     try:
         return bool([json.loads(line) for line in commit.read_bytes().splitlines()])
     except ValueError:

@@ -1,4 +1,4 @@
-"""Rows to an MQTT broker, by QoS 1: each message is kept here until the broker acknowledged it."""
+"""Publish rows to an MQTT broker with QoS 1; each message is kept until the broker has acknowledged it."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from becalm.live.brokers.remote import Remote
 from becalm.live.sinks.broker import BrokerConnection, BrokerSink, Told
 from becalm.live.sinks.outbox import Letter
 
-_WINDOW = 100  # messages ahead of their acknowledgements, where the broker takes as many
+_WINDOW = 100  # most unacknowledged messages; fewer if the broker's limit is lower
 
 
 class MqttSink(BrokerSink):
-    """Publishes rows: `mqtt://HOST:PORT/TOPIC?format=json`.
+    """A sink that publishes rows to a topic: `mqtt://HOST:PORT/TOPIC?format=json`.
 
-    Messages are those of `BrokerSink`. Where the broker was away, or becalm was killed, rows may come twice, by the
-    same numbers and in order.
+    Messages are those of `BrokerSink`. After the broker was away, or becalm was killed, rows may be published twice,
+    with the same numbers and in order.
 
-    Options: `version=5|3.1.1`; `client=NAME`, where the broker lets only known ones in; those of `BrokerSink`.
+    Options: `version=5|3.1.1`; `client=NAME`, if the broker accepts only certain clients; those of `BrokerSink`.
 
     Parameters
     ----------
     address : Address
-        As above.
+        Address as above.
 
     Raises
     ------
     UsageError
-        If the address has no topic, or other options.
+        If the address has no topic, or unknown options.
     """
 
     def __init__(self, address: Address) -> None:
@@ -42,7 +42,7 @@ class MqttSink(BrokerSink):
         self._session = Session(name, address.chosen("version", VERSIONS, VERSIONS[0]), kept_s=0.0, window=1)
 
     def _connect(self) -> BrokerConnection:
-        line = _MqttLine(self._remote, self._session, self._told)
+        line = _MqttLine(self._remote, self._session, self._on_result)
         line.connect(reached=self._reached)
         return line
 
@@ -50,9 +50,9 @@ class MqttSink(BrokerSink):
 class _MqttLine(MqttLink):
     """A connection that publishes to the address's topic."""
 
-    def __init__(self, remote: Remote, session: Session, told: Told) -> None:
-        super().__init__(remote, session, on_acknowledged=self._heard)
-        self._told = told
+    def __init__(self, remote: Remote, session: Session, on_result: Told) -> None:
+        super().__init__(remote, session, on_acknowledged=self._on_answer)
+        self._on_result = on_result
         self._topic = topic_of(remote)
 
     def connect(self, *, reached: bool) -> None:
@@ -63,6 +63,6 @@ class _MqttLine(MqttLink):
     def post(self, letter: Letter) -> int:
         return self.publish(self._topic, letter.payload)
 
-    def _heard(self, number: int, refusal: str) -> None:
+    def _on_answer(self, number: int, refusal: str) -> None:
         error = InputError(f"The broker refuses messages of {self._topic}: {refusal}.") if refusal else None
-        self._told(number, error)
+        self._on_result(number, error)

@@ -1,4 +1,4 @@
-"""Rows to a NATS JetStream stream: each message is kept here until the server stored it."""
+"""Publish rows to a NATS JetStream stream; each message is kept until the server has stored it."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from becalm.live.sinks.outbox import Letter
 if TYPE_CHECKING:
     from nats.aio.msg import Msg
 
-_WINDOW = 256  # messages ahead of their acknowledgements
-_HEADERS = 512  # bytes that a message's headers take at most
+_WINDOW = 256  # most unacknowledged messages
+_HEADERS = 512  # most bytes of a message's headers
 _ID = "Nats-Msg-Id"
 
 
 class NatsSink(BrokerSink):
-    """Publishes rows: `nats://HOST:PORT/STREAM?subject=clean.pump`.
+    """A sink that publishes rows to a stream: `nats://HOST:PORT/STREAM?subject=clean.pump`.
 
-    Messages are those of `BrokerSink`. A message's Nats-Msg-Id tells its first row and what it holds, so that the
-    server drops one that it has. Where the server was killed, each row is in the stream once and in order. Where
-    becalm was killed, rows since its last commit are sent again, perhaps in other messages.
+    Messages are those of `BrokerSink`. A message's Nats-Msg-Id is made of its first row and a hash of its contents, so
+    that the server drops duplicates. After the server was killed, each row is in the stream once and in order. After
+    becalm was killed, rows since its last commit are published again, possibly in other messages.
 
-    Options: `subject=`, which the stream must hold; those of `BrokerSink`.
+    Options: `subject=`, which must be a subject of the stream; those of `BrokerSink`.
 
     Parameters
     ----------
     address : Address
-        As above.
+        Address as above.
 
     Raises
     ------
     UsageError
-        If the address has no stream or subject, or other options.
+        If the address has no stream or subject, or unknown options.
     """
 
     def __init__(self, address: Address) -> None:
@@ -47,14 +47,14 @@ class NatsSink(BrokerSink):
         self._stream = stream_of(self._remote)
         self._subject = address.options.get("subject", "")
         if not self._subject or set(self._subject) & set("*> \t"):
-            raise UsageError(f"{address} does not name one subject to publish to; add subject=clean.pump")
+            raise UsageError(f"{address} does not name one subject to publish to; add one, as subject=clean.pump")
 
     def _connect(self) -> BrokerConnection:
-        line = _NatsLine(self._remote, self._stream, self._subject, self._told)
+        line = _NatsLine(self._remote, self._stream, self._subject, self._on_result)
         line.connect(reached=self._reached)
         try:
             check_subject(line.stream_info(self._stream, reached=self._reached), self._subject)
-            if self._refusal is None:  # else an earlier message may be missing before the last
+            if self._refusal is None:  # after a refusal, a message before the last one may be missing
                 self._outbox.arrived(line.last_id())
         except BaseException:
             line.close()
@@ -67,11 +67,11 @@ class _NatsLine(NatsLink):
 
     window = _WINDOW
 
-    def __init__(self, remote: Remote, stream: str, subject: str, told: Told) -> None:
+    def __init__(self, remote: Remote, stream: str, subject: str, on_result: Told) -> None:
         super().__init__(remote)
         self._stream = stream
         self._subject = subject
-        self._told = told
+        self._on_result = on_result
         self._numbers = itertools.count(1)
         self._inbox = ""
         self.largest = 0
@@ -80,10 +80,10 @@ class _NatsLine(NatsLink):
         super().connect(reached=reached)
         self.largest = self.client.max_payload - _HEADERS
         self._inbox = self.client.new_inbox()
-        self.call(self.client.subscribe(f"{self._inbox}.*", cb=self._hear))
+        self.call(self.client.subscribe(f"{self._inbox}.*", cb=self._on_answer))
 
     def last_id(self) -> str:
-        """Return what the last message of the subject is called; "" where there is none, or one without a name."""
+        """Return the Nats-Msg-Id of the subject's last message; "" if there is no message, or it has none."""
         from nats.errors import Error
         from nats.js.errors import NotFoundError
 
@@ -98,10 +98,10 @@ class _NatsLine(NatsLink):
     def post(self, letter: Letter) -> int:
         number = next(self._numbers)
         headers = {_ID: letter.name, "Nats-Expected-Stream": self._stream}
-        self.start(self._sent(letter.payload, f"{self._inbox}.{number}", headers))
+        self.start(self._publish(letter.payload, f"{self._inbox}.{number}", headers))
         return number
 
-    async def _sent(self, payload: bytes, reply: str, headers: dict[str, str]) -> None:
+    async def _publish(self, payload: bytes, reply: str, headers: dict[str, str]) -> None:
         from nats.errors import Error
 
         try:
@@ -109,18 +109,19 @@ class _NatsLine(NatsLink):
         except (Error, OSError) as cause:
             self.end(self._remote.away(cause))
 
-    async def _hear(self, answer: Msg) -> None:
-        """Hear what became of a message."""
+    async def _on_answer(self, answer: Msg) -> None:
+        """Record the server's answer to a message."""
         number = int(answer.subject.rpartition(".")[2])
-        if not answer.data:  # nobody stores what is published there: the server lost JetStream, or the stream
-            self.end(self._remote.away(f"nobody stores what is published to {self._subject}"))
+        if not answer.data:  # the server lost JetStream, or the stream
+            self.end(self._remote.away(f"messages published to {self._subject} are not stored"))
             return
         error = json.loads(answer.data).get("error")
         if error is None:
-            self._told(number, None)
+            self._on_result(number, None)
             return
-        said = error.get("description", error)
-        if int(error.get("code", 0)) >= 500:  # its disk is full, or it has no leader now
-            self._told(number, self._remote.away(f"it does not store what is published to {self._subject}: {said}"))
+        reason = error.get("description", error)
+        if int(error.get("code", 0)) >= 500:  # the server's disk is full, or the stream has no leader now
+            self._on_result(number, self._remote.away(f"it does not store messages of {self._subject}: {reason}"))
         else:
-            self._told(number, InputError(f"NATS refuses messages of {self._subject} in {self._stream}: {said}."))
+            refusal = InputError(f"NATS refuses messages of {self._subject} in {self._stream}: {reason}.")
+            self._on_result(number, refusal)

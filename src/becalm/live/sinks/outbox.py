@@ -1,4 +1,4 @@
-"""Messages on their way to a broker: made of outputs, in order, and held until they are acknowledged."""
+"""Make messages for a broker from outputs, and keep them in order until they are acknowledged."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from becalm.live.block import Head, Output
 from becalm.live.messages.encoding import Encoder
 
 LARGEST = 250_000
-"""Bytes of the largest message that is made where a broker takes larger ones: brokers copy and queue them whole."""
+"""Most bytes of a message, even if the broker takes larger ones, because brokers copy and queue whole messages."""
 
 
 @dataclass(frozen=True)
 class Letter:
-    """A message.
+    """A message for a broker.
 
     Attributes
     ----------
     first_row : int
-        The number of its first row.
+        Number of its first row.
     payload : bytes
-        What it holds.
+        Encoded rows.
     """
 
     first_row: int
@@ -35,19 +35,19 @@ class Letter:
 
     @property
     def name(self) -> str:
-        """What no other message has, and the same one sent again has too."""
+        """Return a unique name, which is the same if the message is sent again."""
         return f"{self.first_row}-{hashlib.blake2b(self.payload, digest_size=12).hexdigest()}"
 
 
 class Outbox:
-    """What was written and is not acknowledged, in order; it outlives connections.
+    """The rows that are written and not acknowledged, in order; it stays across reconnections.
 
     Parameters
     ----------
     form : str
-        "arrow" or "json".
+        Format, "arrow" or "json".
     gather_s : float
-        For how long outputs are gathered into one message: a message costs more than its rows.
+        Time for which outputs are collected into one message, in seconds; each message has a cost of its own.
     """
 
     def __init__(self, form: str, gather_s: float) -> None:
@@ -61,7 +61,7 @@ class Outbox:
         self._flying: deque[tuple[int, Letter]] = deque()
 
     def begin(self, head: Head) -> None:
-        """Make ready for a stream, or for a new connection: what was sent and not acknowledged is sent again."""
+        """Prepare for a stream or a new connection; messages that were sent and not acknowledged are sent again."""
         if self._head != head:
             self.seal(LARGEST)
             self._head, self._encoder = head, Encoder.of(head, self._form)
@@ -69,12 +69,12 @@ class Outbox:
         self._flying.clear()
 
     def put(self, output: Output, largest: int) -> None:
-        """Take rows, and make messages of at most `largest` bytes of those that were gathered for long enough.
+        """Add rows; make messages of at most `largest` bytes once rows are collected for `gather_s`.
 
         Raises
         ------
         OutputError
-            If a single row is larger.
+            If a single row is larger than `largest`.
         """
         if not len(output):
             return
@@ -84,31 +84,31 @@ class Outbox:
         if not self._gathered:
             self._since_s = time.monotonic()
         self._gathered.append(output)
-        held = sum(out.signal.nbytes for out in self._gathered) * 3
-        if held >= LARGEST or time.monotonic() - self._since_s >= self._gather_s:
+        size = sum(out.signal.nbytes for out in self._gathered) * 3
+        if size >= LARGEST or time.monotonic() - self._since_s >= self._gather_s:
             self.seal(largest)
 
     def seal(self, largest: int) -> None:
-        """Make messages of all that was gathered; raises as `put` does."""
+        """Make messages of all collected rows; raises errors as `put`."""
         gathered, self._gathered = self._gathered, []
         if self._head is not None and gathered:
             self._waiting.extend(self._letters(self._head, _joined(gathered), min(largest, LARGEST)))
 
     def next(self) -> Letter | None:
-        """Return the message that is to be sent next; None where none waits."""
+        """Return the next message to send; None if there is none."""
         return self._waiting[0] if self._waiting else None
 
     def sent(self, number: int) -> None:
-        """Hear that this message was sent, by the number that its acknowledgement will have."""
+        """Record that the next message was sent; `number` is that of its acknowledgement."""
         self._flying.append((number, self._waiting.popleft()))
 
     def acknowledged(self, numbers: set[int]) -> None:
-        """Forget messages that are acknowledged, up to the first that is not; take their numbers out of the set."""
+        """Drop the acknowledged messages before the first unacknowledged one; remove their numbers from the set."""
         while self._flying and self._flying[0][0] in numbers:
             numbers.remove(self._flying.popleft()[0])
 
     def arrived(self, name: str) -> None:
-        """Hear that a message came before its connection ended, and so did all before it; unknown ones are others'."""
+        """Drop the messages up to this name, which were stored before the connection ended; ignore an unknown name."""
         names = [letter.name for letter in self._waiting]
         if name in names:
             for _ in range(names.index(name) + 1):
@@ -116,11 +116,11 @@ class Outbox:
 
     @property
     def flying(self) -> int:
-        """How many messages were sent and not acknowledged."""
+        """Return the number of messages that were sent and not acknowledged."""
         return len(self._flying)
 
     def __len__(self) -> int:
-        """Return how many messages are not acknowledged."""
+        """Return the number of messages that are not acknowledged, sent or not."""
         return len(self._waiting) + len(self._flying)
 
     def _letters(self, head: Head, output: Output, largest: int) -> Iterator[Letter]:
@@ -133,7 +133,7 @@ class Outbox:
             yield from self._letters(head, _rows(output, half, len(output)), largest)
         else:
             raise OutputError(
-                f"A row of {len(head.names)} channels takes {len(payload)} bytes, and the broker takes messages of "
+                f"A row of {len(head.names)} channels has {len(payload)} bytes, but the broker's largest message has "
                 f"{largest}; raise its limit, or clean fewer channels."
             )
 
@@ -153,7 +153,7 @@ def _joined(outputs: list[Output]) -> Output:
 
 
 def _rows(output: Output, start: int, stop: int) -> Output:
-    """Return some rows of an output."""
+    """Return the rows from `start` to `stop` of an output."""
     return replace(
         output,
         first_row=output.first_row + start,

@@ -1,4 +1,4 @@
-"""parquet: the hours of a stream as files that are whole."""
+"""The sink parquet: write a stream to one Parquet file per hour."""
 
 from __future__ import annotations
 
@@ -20,31 +20,32 @@ from becalm.live.sinks.parquet_part import PART, PartFile, told
 from becalm.live.tables import EPOCH_S, table_schema
 
 _HOUR_S = 3600.0
-_LATEST_S = 1e11  # the year 5138: what is later counts something else
+_LATEST_S = 1e11  # the year 5138; a later stamp is not a date
 _LOCK = ".becalm.lock"
 _log = logging.getLogger(__name__)
 
 
 class ParquetSink:
-    """Writes DIR/YYYY-MM-DD/HH.parquet (UTC) as hours close; where stamps do not count from 1970, DIR/rows-N.parquet.
+    """A sink that writes DIR/YYYY-MM-DD/HH.parquet (UTC), or DIR/rows-N.parquet if stamps do not count from 1970.
 
-    N is the first row. A file has a temporary name until it is whole. What was not whole when a process was killed is
-    lost here, and is kept aside as *.part-left-1 when the sink is opened again; the journal is what keeps. A name
-    that is taken becomes HH_02.parquet, and so on: nothing is written over. One process writes to a folder.
+    N is the first row. A file has a temporary name until it is complete. If the process is killed, the rows of an
+    incomplete file are lost in this sink, and the file is renamed to *.part-left-1 when the sink is opened again; the
+    journal loses no rows. If a name exists, the next file is HH_02.parquet, and so on: nothing is overwritten. Only
+    one process may write to a folder.
 
-    The columns are `row`, `time_s` and of each channel NAME, NAME_raw, NAME_sigma and NAME_verdict, in words; units
-    are in the columns' metadata, the recipe in that of the file.
+    The columns are `row`, `time_s` and for each channel NAME, NAME_raw, NAME_sigma and NAME_verdict (words); units
+    are in the metadata of the columns, the recipe in that of the file.
 
     Parameters
     ----------
     address : Address
-        `parquet:DIR`; `rows=N` closes a file after N rows. Without it that is an hour at the nominal rate, and where
-        stamps count from 1970, and go back, two.
+        `parquet:DIR`; `rows=N` closes a file after N rows. The default is the rows of an hour at the nominal rate;
+        of two hours if stamps count from 1970, because they may go back.
 
     Raises
     ------
     UsageError
-        If the address has no folder, or other options.
+        If the address has no folder, or unknown options.
     """
 
     def __init__(self, address: Address) -> None:
@@ -52,19 +53,19 @@ class ParquetSink:
         if not address.rest:
             raise UsageError("parquet: needs a folder; write parquet:DIR.")
         self._folder = Path(address.rest)
-        self._asked = int(address.number("rows", 0, least=1)) if "rows" in address.options else None
+        self._rows_option = int(address.number("rows", 0, least=1)) if "rows" in address.options else None
         self._lock, self._taken = Lock(), list[Output]()
         self._lock_file: sqlite3.Connection | None = None
         self._part: PartFile | None = None
-        self._over: list[PartFile] = []  # to be made whole
+        self._over: list[PartFile] = []  # complete in memory, to be finished on disk
 
     def open(self, head: Head) -> None:
-        """Make the folder, and put aside what a killed process left there.
+        """Create the folder, and rename incomplete files that a killed process left there.
 
         Raises
         ------
         BecalmError
-            If the folder cannot be written to, another process does, or channels' names do not go together.
+            If the folder cannot be written, another process writes to it, or the names of two columns are the same.
         """
         self.close()
         table_schema(head)
@@ -72,32 +73,34 @@ class ParquetSink:
         with told(self._folder):
             self._folder.mkdir(parents=True, exist_ok=True)
             self._lock_file = locked(
-                self._folder / _LOCK, f"Another process writes to {self._folder}; name another folder."
+                self._folder / _LOCK, f"Another process writes to {self._folder}; choose another folder."
             )
             for left in sorted(self._folder.rglob(f".*{PART}")):
-                aside = _aside(left)
-                left.rename(aside)
+                renamed = _free_name(left)
+                left.rename(renamed)
                 _log.warning(
-                    "%s was not whole when its writer ended; its rows are lost here. It is %s now.", left, aside
+                    "%s was incomplete when its writer ended; its rows are lost here. It was renamed to %s.",
+                    left,
+                    renamed,
                 )
 
     def write(self, output: Output) -> None:
-        """Take some rows into memory; `flush`, which another thread may call, has the work with them."""
+        """Buffer rows in memory; `flush`, which another thread may call, writes them."""
         if len(output):
             with self._lock:
                 self._taken.append(output)
 
     def flush(self) -> None:
-        """Write what can be written, and make the files whole whose hours have closed.
+        """Write the buffered rows, and finish the files of completed hours.
 
         Raises
         ------
         StorageFullError
-            If there is no room; nothing is lost, and it may be tried again.
+            If the disk is full; nothing is lost, and the call may be repeated.
         OutputError
-            If files cannot be written at all.
+            If the files cannot be written at all.
         """
-        self._place()
+        self._distribute()
         while self._over:
             self._over[0].finish()
             del self._over[0]
@@ -105,8 +108,8 @@ class ParquetSink:
             self._part.drain()
 
     def close(self) -> None:
-        """Make the last file whole, or raise as `flush`; harmless twice."""
-        self._place()
+        """Finish the last file; raises errors as `flush`. May be called twice."""
+        self._distribute()
         if self._part is not None:
             self._over.append(self._part)
             self._part = None
@@ -115,41 +118,41 @@ class ParquetSink:
             self._lock_file.close()
             self._lock_file = None
 
-    def _place(self) -> None:
-        """Put each row into the file of its hour, in memory."""
+    def _distribute(self) -> None:
+        """Add each buffered row to the file of its hour, in memory."""
         with self._lock:
             taken, self._taken = self._taken, []
         for output in taken:
             start = 0
             while start < len(output):
-                part = self._part = self._part or self._begun(output, start)
+                part = self._part = self._part or self._new_part(output, start)
                 end = self._end(part, output, start)
                 if end > start:
-                    part.take(_some(output, start, end))
+                    part.take(_rows(output, start, end))
                 if end < len(output) or part.rows >= self._most:
                     self._over.append(part)
                     self._part = None
                 start = end
 
-    def _begun(self, output: Output, start: int) -> PartFile:
-        """Begin the file of the hour, or of the number, of a row."""
+    def _new_part(self, output: Output, start: int) -> PartFile:
+        """Return a new file, named after the hour or the number of row `start` of an output."""
         stamp, hour_rows = float(output.time_s[start]), max(int(self._head.rate_hz * _HOUR_S), 1)
         if EPOCH_S <= stamp < _LATEST_S:
             hour = datetime.fromtimestamp(stamp // _HOUR_S * _HOUR_S, UTC)
             self._until_s = hour.timestamp() + _HOUR_S
-            self._most = self._asked or 2 * hour_rows
+            self._most = self._rows_option or 2 * hour_rows
             return PartFile(self._folder / f"{hour:%Y-%m-%d}" / f"{hour:%H}.parquet", self._head)
-        self._until_s, self._most = np.inf, self._asked or hour_rows
+        self._until_s, self._most = np.inf, self._rows_option or hour_rows
         return PartFile(self._folder / f"rows-{output.first_row + start:012}.parquet", self._head)
 
     def _end(self, part: PartFile, output: Output, start: int) -> int:
-        """Return the row of an output, from `start`, before which a file ends."""
+        """Return the row of an output before which a file ends, counting from `start`."""
         stamps = output.time_s[start : start + self._most - part.rows]
         later = (stamps >= self._until_s) & (stamps < _LATEST_S)
         return start + (int(later.argmax()) if later.any() else len(stamps))
 
 
-def _some(output: Output, start: int, end: int) -> Output:
+def _rows(output: Output, start: int, end: int) -> Output:
     if start == 0 and end == len(output):
         return output
     parts = ("time_s", "values", "signal", "sigma", "verdicts")
@@ -158,6 +161,6 @@ def _some(output: Output, start: int, end: int) -> Output:
     )
 
 
-def _aside(left: Path) -> Path:
-    """Return a name, free yet, that no reader takes for a file that is whole."""
+def _free_name(left: Path) -> Path:
+    """Return an unused name that readers do not take for a complete file."""
     return next(path for turn in count(1) if not (path := left.with_name(f"{left.name}-left-{turn}")).exists())

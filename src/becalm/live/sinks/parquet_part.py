@@ -1,4 +1,4 @@
-"""One Parquet file while it is written: under a temporary name, and whole before it gets its own."""
+"""Write one Parquet file under a temporary name, and rename it once it is complete."""
 
 from __future__ import annotations
 
@@ -19,50 +19,50 @@ from becalm.live.protocols import StorageFullError
 from becalm.live.tables import output_table
 
 PART = ".part"
-"""Ends the name of a file that is not whole yet."""
+"""Suffix of the name of an incomplete file."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-_MOST_ROWS, _MOST_OUTPUTS = 1 << 16, 1 << 12  # held until they are made a table: an output may be a single row
+_MOST_ROWS, _MOST_OUTPUTS = 1 << 16, 1 << 12  # buffered until they are made a table; an output may be a single row
 
 
 class PartFile:
-    """Takes outputs; what does not fit on the disk waits here, so that each step may be tried again.
+    """A Parquet file that is being written; bytes that do not fit on the disk stay in memory until the next attempt.
 
     Parameters
     ----------
     target : Path
-        The file's own name; where that is taken it becomes NAME_02, NAME_03, ...
+        Final name of the file; if it exists, NAME_02, NAME_03, ... is used.
     head : Head
-        What all rows share.
+        Names, units, rate and recipe of the stream.
     """
 
     def __init__(self, target: Path, head: Head) -> None:
         self._target, self._head = target, head
         self._path = target.with_name(f".{target.name}{PART}")
-        self._packed = io.BytesIO()  # what is not on the disk yet
+        self._packed = io.BytesIO()  # bytes that are not on the disk yet
         self._rows = ParquetTableWriter(self._packed)
-        self._held: list[Output] = []
-        self._held_rows = self._written = 0
+        self._buffered: list[Output] = []
+        self._buffered_rows = self._written = 0
         self._ended = self._made = False
         self.rows = 0
 
     def take(self, output: Output) -> None:
-        """Take some rows into memory."""
-        self._held.append(output)
-        self._held_rows += len(output)
+        """Buffer rows in memory."""
+        self._buffered.append(output)
+        self._buffered_rows += len(output)
         self.rows += len(output)
-        if self._held_rows >= _MOST_ROWS or len(self._held) >= _MOST_OUTPUTS:
+        if self._buffered_rows >= _MOST_ROWS or len(self._buffered) >= _MOST_OUTPUTS:
             self._tabulate()
 
     def drain(self) -> None:
-        """Write what is packed.
+        """Write the encoded bytes to the disk.
 
         Raises
         ------
         StorageFullError
-            If there is no room; it waits for the next call.
+            If the disk is full; the bytes are kept for the next call.
         OutputError
-            If it cannot be written at all.
+            If the file cannot be written at all.
         """
         size = self._packed.tell()
         if not size:
@@ -71,35 +71,35 @@ class PartFile:
             self._target.parent.mkdir(parents=True, exist_ok=True)
             with self._path.open("r+b" if self._made else "xb", buffering=0) as file:
                 self._made = True
-                file.seek(self._written)  # what a full disk cut short is written over
-                with self._packed.getbuffer() as waiting:
+                file.seek(self._written)  # overwrite a write that a full disk cut short
+                with self._packed.getbuffer() as content:
                     done = 0
                     while done < size:
-                        done += file.write(waiting[done:])
+                        done += file.write(content[done:])
                 os.fsync(file.fileno())
         self._written += size
         self._packed.seek(0)
         self._packed.truncate()
 
     def finish(self) -> Path:
-        """Make the file whole, and give it its own name; or raise as `drain`, and it may be tried again."""
+        """Complete the file and rename it; raises errors as `drain`, after which the call may be repeated."""
         if not self._ended:
             self._tabulate()
             self._rows.close()
             self._ended = True
         self.drain()
         with told(self._target):
-            target = self._free()
+            target = self._free_path()
             self._path.rename(target)
             sync_folder(target.parent)
         return target
 
     def _tabulate(self) -> None:
-        if self._held:
-            self._rows.write(output_table(self._head, self._held))
-        self._held, self._held_rows = [], 0
+        if self._buffered:
+            self._rows.write(output_table(self._head, self._buffered))
+        self._buffered, self._buffered_rows = [], 0
 
-    def _free(self) -> Path:
+    def _free_path(self) -> Path:
         path = self._target
         for turn in count(2):
             if not path.exists():
@@ -110,12 +110,12 @@ class PartFile:
 
 @contextmanager
 def told(path: Path) -> Iterator[None]:
-    """Say in a sentence why a file cannot be written."""
+    """Turn errors while writing a file into messages for the user."""
     try:
         yield
     except OSError as cause:
         if cause.errno in _FULL:
-            raise StorageFullError(f"There is no room for {path} ({cause.strerror}); make room.") from cause
+            raise StorageFullError(f"The disk has no room for {path} ({cause.strerror}); free some.") from cause
         raise OutputError(f"{path} cannot be written ({cause.strerror}); choose another folder.") from cause
-    except sqlite3.Error as cause:  # of the lock beside it
+    except sqlite3.Error as cause:  # from the lock file
         raise OutputError(f"{path} cannot be locked ({cause}); choose another folder.") from cause

@@ -1,4 +1,4 @@
-"""postgres: rows, filters and position in one transaction of a PostgreSQL server."""
+"""The sink postgres: write rows, filters and position in one transaction of a PostgreSQL server."""
 
 from __future__ import annotations
 
@@ -18,47 +18,48 @@ from becalm.live.sinks.postgres_tables import Tables
 if TYPE_CHECKING:
     import psycopg
 
-_LINGERS_S, _AGAIN_S = 3.0, 0.05
+_LOCK_WAIT_S, _LOCK_RETRY_S = 3.0, 0.05
 
 
 class PostgresSink:
-    """Keeps a stream in three tables: NAME, NAME_checkpoint and NAME_losses.
+    """A keeper that writes a stream to three tables: NAME, NAME_checkpoint and NAME_losses.
 
-    NAME has a column `row` (its key), `time_s` as told and `time` as an instant where that counts from 1970, and of
-    each channel NAME, NAME_raw, NAME_sigma and NAME_verdict, a number that the column's comment explains; the
-    comments of the others are units. While a stream writes, an advisory lock keeps others from its tables.
+    The columns of NAME are `row` (the key), `time_s`, `time` (a timestamp, if `time_s` counts from 1970), and for each
+    channel NAME, NAME_raw, NAME_sigma and NAME_verdict. A verdict is a number that the column's comment explains; the
+    comments of the other columns are units. While a stream writes, an advisory lock keeps other streams from its
+    tables.
 
     Parameters
     ----------
     address : Address
-        `postgres://USER@HOST:PORT/DATABASE?table=NAME`; without HOST the server on loopback. The password is in the
-        environment (PGPASSWORD), in ~/.pgpass, or in a file (`password_file=FILE`; the user may stand above it),
-        never in the address. For TLS `sslmode=verify-full&sslrootcert=FILE`, and `sslcert=`, `sslkey=` where the
-        server asks for a certificate.
+        `postgres://USER@HOST:PORT/DATABASE?table=NAME`; without HOST the server on loopback. The password comes from
+        the environment (PGPASSWORD), from ~/.pgpass, or from a file (`password_file=FILE`, with the user optionally in
+        the line above), never from the address. For TLS, `sslmode=verify-full&sslrootcert=FILE`, and `sslcert=`,
+        `sslkey=` if the server requires a client certificate.
 
     Raises
     ------
     UsageError
-        If the address cannot be understood, or holds a password.
+        If the address cannot be parsed, or contains a password.
     """
 
     def __init__(self, address: Address) -> None:
         self._place = place_of(address)
         self._connection: psycopg.Connection | None = None
-        self._had = False  # the lock: what holds it after a broken connection may be what is left of that
+        self._had_lock = False  # if True, the holder of the lock may be the server's side of a lost connection
 
     def last(self) -> Checkpoint | None:
-        """Return the last checkpoint that was kept; None of a new stream.
+        """Return the last committed checkpoint; None for a new stream.
 
         Raises
         ------
         AwayError
             If the server cannot be reached now.
         BecalmError
-            If it never can, or another process writes to the tables.
+            If the server can never be reached, or another process writes to the tables.
         """
         psycopg = driver()
-        connection = self._reached()
+        connection = self._connection_with_lock()
         try:
             rows, checkpoint = self._tables.exist(connection)
             if rows and not checkpoint:
@@ -68,42 +69,42 @@ class PostgresSink:
                 )
             return self._tables.last(connection) if checkpoint else None
         except psycopg.Error as cause:
-            raise self._meant(connection, cause) from cause
+            raise self._error_of(connection, cause) from cause
 
     def open(self, head: Head) -> None:
-        """Make the tables of a new stream, or look whether they are this one's.
+        """Create the tables of a new stream, or check that the tables belong to this stream.
 
         Raises
         ------
         AwayError
             If the server cannot be reached now.
         BecalmError
-            If it never can, or the tables are of another stream, or another process writes to them.
+            If the server can never be reached, the tables belong to another stream, or another process writes to them.
         """
         psycopg = driver()
         last = self.last()
-        connection = self._reached()
+        connection = self._connection_with_lock()
         try:
             with connection.transaction():
                 if last is None:
                     self._tables.make(connection, head)
                 else:
-                    self._go_on(connection, head)
+                    self._check_channels(connection, head)
         except psycopg.Error as cause:
-            raise self._meant(connection, cause) from cause
+            raise self._error_of(connection, cause) from cause
         self._binary, self._copying = BinaryRows(len(head.names)), self._tables.copying(head)
 
     def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
-        """Keep rows and checkpoint in one transaction; when this returns the server has them on its disk.
+        """Write rows and checkpoint in one transaction; when this returns the server has them on its disk.
 
         Raises
         ------
         StorageFullError
-            If the server has no room; nothing is kept, and the same call may be made again.
+            If the server's disk is full; nothing is committed, and the same call may be made again.
         AwayError
-            If it went away; `last` tells after opening again whether this call's rows were kept.
+            If the connection was lost; after opening again, `last` shows whether the rows were committed.
         OutputError
-            If it does not take them, as where this user may not write.
+            If the server refuses them, for example because this user may not write.
         """
         psycopg = driver()
         connection = self._connection
@@ -115,10 +116,10 @@ class PostgresSink:
                 self._tables.tell_losses(connection, outputs)
                 self._tables.stand(connection, checkpoint)
         except psycopg.Error as cause:
-            raise self._meant(connection, cause) from cause
+            raise self._error_of(connection, cause) from cause
 
     def close(self) -> None:
-        """Let go of the server; harmless twice."""
+        """Close the connection; may be called twice."""
         if self._connection is not None:
             with suppress(driver().Error):
                 self._connection.close()
@@ -135,13 +136,13 @@ class PostgresSink:
             copy.write(ENDS)
 
     def _locked(self, connection: psycopg.Connection) -> bool:
-        """Take the lock; what was killed a moment ago may hold it a little longer."""
-        until = time.monotonic() + _LINGERS_S
+        """Take the lock; wait up to 3 s, because the lock of a killed process is released a little later."""
+        until = time.monotonic() + _LOCK_WAIT_S
         while not (locked := self._tables.locked(connection)) and time.monotonic() < until:
-            time.sleep(_AGAIN_S)
+            time.sleep(_LOCK_RETRY_S)
         return locked
 
-    def _reached(self) -> psycopg.Connection:
+    def _connection_with_lock(self) -> psycopg.Connection:
         """Return the connection, which holds the lock."""
         if self._connection is not None:
             return self._connection
@@ -151,30 +152,30 @@ class PostgresSink:
         try:
             locked = self._locked(connection)
         except driver().Error as cause:
-            raise self._meant(connection, cause) from cause
+            raise self._error_of(connection, cause) from cause
         if not locked:
             self.close()
-            said = f"Another process writes to {self._place.table!r} at {self._place.shown}"
-            if self._had:
-                raise AwayError(f"{said}, perhaps what is left of the connection before.")
-            raise UsageError(f"{said}; stop it, or give another table with table=NAME.")
-        self._had = True
+            message = f"Another process writes to {self._place.table!r} at {self._place.shown}"
+            if self._had_lock:
+                raise AwayError(f"{message}, or the server has not noticed yet that the last connection ended.")
+            raise UsageError(f"{message}; stop it, or give another table with table=NAME.")
+        self._had_lock = True
         return connection
 
-    def _go_on(self, connection: psycopg.Connection, head: Head) -> None:
-        """Refuse other channels; of units one of the two may not be known, and is told as soon as it is."""
-        names, known = self._tables.head(connection)
-        units = tuple(new or old for new, old in zip(head.units, known, strict=False))
-        if head.names != names or any(old and old != unit for old, unit in zip(known, units, strict=True)):
-            there = ", ".join(f"{name} [{unit}]" for name, unit in zip(names, known, strict=True))
+    def _check_channels(self, connection: psycopg.Connection, head: Head) -> None:
+        """Raise a UsageError for other channels or units; store units that the table does not have yet."""
+        names, stored = self._tables.head(connection)
+        units = tuple(new or old for new, old in zip(head.units, stored, strict=False))
+        if head.names != names or any(old and old != unit for old, unit in zip(stored, units, strict=True)):
+            channels = ", ".join(f"{name} [{unit}]" for name, unit in zip(names, stored, strict=True))
             raise UsageError(
-                f"The table {self._place.table!r} at {self._place.shown} is of other channels ({there}); give another"
+                f"The table {self._place.table!r} at {self._place.shown} has other channels ({channels}); give another"
                 " with table=NAME."
             )
-        if units != known:
+        if units != stored:
             self._tables.tell_units(connection, replace(head, units=units))
 
-    def _meant(self, connection: psycopg.Connection, cause: psycopg.Error) -> Exception:
+    def _error_of(self, connection: psycopg.Connection, cause: psycopg.Error) -> Exception:
         broken = connection.broken or connection.closed
         if broken:
             self.close()

@@ -1,4 +1,4 @@
-"""How a PostgreSQL server is reached: the address taken apart, the connection, and what its errors mean."""
+"""Connect to a PostgreSQL server: parse the address, open the connection, and translate its errors."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     import psycopg
 
 LONGEST_NAME = 63
-"""Bytes of a name; PostgreSQL cuts off the rest in silence."""
+"""Most bytes of a name; PostgreSQL silently truncates longer names."""
 
 _TLS = ("sslmode", "sslrootcert", "sslcert", "sslkey")
 _TLS_MODES = ("disable", "allow", "prefer", "require", "verify-ca", "verify-full")
 _FORM = "postgres://USER@HOST:PORT/DATABASE?table=NAME"
 _ALIVE = {"connect_timeout": 10, "keepalives_idle": 15, "keepalives_interval": 5, "keepalives_count": 3}
-_SILENT_MS = 30_000  # what was sent and not acknowledged by then makes the connection dead
-_NOTICED = "-c tcp_keepalives_idle=15 -c tcp_keepalives_interval=5 -c tcp_keepalives_count=3"  # the server's own side
+_SILENT_MS = 30_000  # time after which unacknowledged data closes the connection
+_SERVER_OPTIONS = "-c tcp_keepalives_idle=15 -c tcp_keepalives_interval=5 -c tcp_keepalives_count=3"
 
 _REFUSALS = (
     "password authentication failed",
@@ -37,26 +37,26 @@ _REFUSALS = (
     "certificate",
     "invalid",
 )
-"""What no waiting mends, as libpq and the server say it; no code comes with a refused connection."""
+"""Parts of messages of libpq and the server about permanent errors; a refused connection has no error code."""
 
-_FULL = ("53100", "58030")  # disk full, and failing to write as it may when it is
+_FULL = ("53100", "58030")  # disk full, and an I/O error, which a full disk can cause
 _AWAY = ("08", "53", "57P")  # classes: connection, resources, shutdown
 
 
 @dataclass(frozen=True)
 class TablePlace:
-    """Where the tables are.
+    """The place of a stream's tables.
 
     Attributes
     ----------
     table : str
-        The table of rows; the others are named after it.
+        Name of the table of rows; the other tables are named after it.
     shown : str
-        Server and database for a person, without user and password.
+        Server and database for messages, without user and password.
     asked : dict
-        What libpq is told; no password.
+        Parameters for libpq, without the password.
     password_file : Path or None
-        Holds the password, or the user and, below, the password.
+        File with the password, or with the user in the first line and the password in the second.
     """
 
     table: str
@@ -66,12 +66,12 @@ class TablePlace:
 
 
 def place_of(address: Address) -> TablePlace:
-    """Take an address apart.
+    """Parse an address.
 
     Raises
     ------
     UsageError
-        If it names no database or table, or holds a password.
+        If it has no database or table, or contains a password.
     """
     address.refuse_unknown(("table", "password_file", *_TLS))
     try:
@@ -81,7 +81,7 @@ def place_of(address: Address) -> TablePlace:
         raise UsageError(f"{address} has no host and port that can be read; write {_FORM}.") from cause
     if parts.password is not None:
         raise UsageError(
-            f"{address} holds a password, which logs and lists of processes would show; put it into PGPASSWORD,"
+            f"{address} contains a password, which logs and process lists would show; put it into PGPASSWORD,"
             " ~/.pgpass or a file (&password_file=FILE)."
         )
     database, table = unquote(parts.path.lstrip("/")), address.options.get("table", "")
@@ -99,40 +99,40 @@ def place_of(address: Address) -> TablePlace:
 
 
 def refuse_long(name: str, end: str = "") -> None:
-    """Refuse a name that PostgreSQL would cut or cannot hold.
+    """Check that PostgreSQL can hold a name with the suffix `end`.
 
     Raises
     ------
     UsageError
-        If it is one.
+        If PostgreSQL would truncate it, or it contains a NUL character.
     """
     if "\0" in name or len((name + end).encode("utf-8", "surrogatepass")) > LONGEST_NAME:
         raise UsageError(
-            f"PostgreSQL's names have at most {LONGEST_NAME} bytes, and {name + end!r} has more; shorten it."
+            f"PostgreSQL's names have at most {LONGEST_NAME} bytes, but {name + end!r} has more; shorten it."
         )
 
 
 def connected(place: TablePlace) -> psycopg.Connection:
-    """Return a new connection that commits for good.
+    """Return a new connection, whose commits wait for the server's disk.
 
     Raises
     ------
     AwayError
         If the server cannot be reached now.
     InputError
-        If it never can: a wrong password, no such database, no such certificate.
+        If the server can never be reached: a wrong password, no such database, no such certificate.
     """
     library = driver()
-    asked = {**place.asked, **_ALIVE, "tcp_user_timeout": _SILENT_MS, "options": _NOTICED}
+    parameters = {**place.asked, **_ALIVE, "tcp_user_timeout": _SILENT_MS, "options": _SERVER_OPTIONS}
     if place.password_file is not None:
-        asked |= _login_in(place.password_file)
+        parameters |= _read_login(place.password_file)
     try:
-        connection: psycopg.Connection = library.connect(**asked, autocommit=True, application_name="becalm")
+        connection: psycopg.Connection = library.connect(**parameters, autocommit=True, application_name="becalm")
         connection.execute(
             "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'"
         )
     except library.Error as cause:
-        raise _unreached(place, cause) from cause
+        raise _connection_error(place, cause) from cause
     return connection
 
 
@@ -148,51 +148,55 @@ def driver() -> Any:
 
 
 def meant(place: TablePlace, cause: psycopg.Error, *, broken: bool) -> BecalmError:
-    """Return what an error of an open connection means for who writes.
+    """Return the error to raise for an error of an open connection.
 
     Parameters
     ----------
     place : TablePlace
-        Where to.
+        Place of the tables.
     cause : psycopg.Error
-        What was raised.
+        Error of the connection.
     broken : bool
-        Whether the connection is gone.
+        True if the connection is lost.
     """
-    code, said = cause.sqlstate or "", _said(cause)
+    code, reason = cause.sqlstate or "", _message_of(cause)
     if code in _FULL:
-        return StorageFullError(f"The disk of PostgreSQL at {place.shown} has no room ({said}); make room there.")
+        return StorageFullError(f"The disk of PostgreSQL at {place.shown} is full ({reason}); free some space there.")
     if broken or code.startswith(_AWAY):
-        return AwayError(f"PostgreSQL at {place.shown} went away ({said}).")
+        return AwayError(f"The connection to PostgreSQL at {place.shown} was lost ({reason}).")
     if code == "42501":
-        return OutputError(f"PostgreSQL at {place.shown} does not let this user write ({said}); GRANT it there.")
-    if code == "23505":
-        return OutputError(f"Rows of this stream are in {place.table!r} already ({said}); give another table.")
-    return OutputError(f"PostgreSQL at {place.shown} did not take what was written ({said}); nothing of it was kept.")
-
-
-def _unreached(place: TablePlace, cause: psycopg.Error) -> BecalmError:
-    said = _said(cause)
-    needs_password = cause.pgconn is not None and cause.pgconn.needs_password
-    if needs_password or any(words in said for words in _REFUSALS):
-        return InputError(
-            f"PostgreSQL at {place.shown} cannot be entered ({said}); the user stands before the host (USER@HOST), the"
-            " password in PGPASSWORD, ~/.pgpass or password_file=FILE."
+        return OutputError(
+            f"PostgreSQL at {place.shown} does not let this user write ({reason}); GRANT the permission there."
         )
-    return AwayError(f"PostgreSQL at {place.shown} cannot be reached now ({said}).")
+    if code == "23505":
+        return OutputError(f"Rows of this stream are in {place.table!r} already ({reason}); give another table.")
+    return OutputError(f"PostgreSQL at {place.shown} refused the rows ({reason}); none of them was committed.")
 
 
-def _said(cause: psycopg.Error) -> str:
-    """Return what the server or libpq said in one line."""
+def _connection_error(place: TablePlace, cause: psycopg.Error) -> BecalmError:
+    reason = _message_of(cause)
+    needs_password = cause.pgconn is not None and cause.pgconn.needs_password
+    if needs_password or any(words in reason for words in _REFUSALS):
+        return InputError(
+            f"PostgreSQL at {place.shown} refuses the login ({reason}); write the user before the host (USER@HOST), and"
+            " the password into PGPASSWORD, ~/.pgpass or password_file=FILE."
+        )
+    return AwayError(f"PostgreSQL at {place.shown} cannot be reached now ({reason}).")
+
+
+def _message_of(cause: psycopg.Error) -> str:
+    """Return the message of the server or libpq in one line."""
     return " ".join((cause.diag.message_primary or str(cause)).split())[:300].rstrip(".")
 
 
-def _login_in(path: Path) -> dict[str, str]:
-    """Return the password, and the user before it where there are two lines."""
+def _read_login(path: Path) -> dict[str, str]:
+    """Return the password in a file, and the user if the file has two lines."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as cause:
-        raise InputError(f"The password file {path} cannot be read; give one that holds the password.") from cause
+        raise InputError(f"The password file {path} cannot be read; give a file that contains the password.") from cause
     if len(lines) not in (1, 2):
-        raise InputError(f"The password file {path} has {len(lines)} lines; write the password, or the user above it.")
+        raise InputError(
+            f"The password file {path} has {len(lines)} lines; write the password, or a line with the user above it."
+        )
     return dict(zip(("user", "password")[-len(lines) :], lines, strict=True))

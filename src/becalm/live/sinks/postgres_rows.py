@@ -1,4 +1,4 @@
-"""Rows as PostgreSQL's binary COPY takes them: each cell its length, then its big-endian bytes."""
+"""Encode rows for PostgreSQL's binary COPY: for each cell its length, then its big-endian bytes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from becalm.live.block import Output
 
 BEGINS = b"PGCOPY\n\xff\r\n\0" + bytes(8)
-"""What comes before the first row: the signature, no flags, no extension."""
+"""Bytes before the first row: the signature, no flags, no extension."""
 ENDS = b"\xff\xff"
-"""What comes after the last row."""
+"""Bytes after the last row."""
 
-_MOST_BYTES = 1 << 18  # of one piece: it stays in the cache between being made and being sent
+_MOST_BYTES = 1 << 18  # of one piece, so that it stays in the processor's cache until it is sent
 
 
 class BinaryRows:
-    """Makes the bytes of rows: row, time_s, for each channel clean, raw and sigma, then all verdicts.
+    """An encoder of rows: row, time_s, for each channel clean, raw and sigma, then all verdicts.
 
     Parameters
     ----------
     channels : int
-        How many, m.
+        Number of channels, m.
     """
 
     def __init__(self, channels: int) -> None:
@@ -43,15 +43,15 @@ class BinaryRows:
             self._piece[name]["length"] = self._layout[name].base["value"].itemsize
 
     def of(self, output: Output) -> Iterator[memoryview]:
-        """Return the rows of an output, piece by piece; each piece lasts until the next is asked for."""
+        """Yield the encoded rows of an output in pieces; each piece is valid until the next one is taken."""
         for first in range(0, len(output), len(self._piece)):
-            some = slice(first, min(first + len(self._piece), len(output)))
-            piece = self._piece[: some.stop - some.start]
-            piece["row"]["value"] = np.arange(output.first_row + some.start, output.first_row + some.stop)
-            piece["time"]["value"] = output.time_s[some]
+            rows = slice(first, min(first + len(self._piece), len(output)))
+            piece = self._piece[: rows.stop - rows.start]
+            piece["row"]["value"] = np.arange(output.first_row + rows.start, output.first_row + rows.stop)
+            piece["time"]["value"] = output.time_s[rows]
             for place, values in enumerate((output.signal, output.values, output.sigma)):
-                piece["floats"]["value"][:, :, place] = values[some]
-            piece["verdicts"]["value"] = output.verdicts[some]
+                piece["floats"]["value"][:, :, place] = values[rows]
+            piece["verdicts"]["value"] = output.verdicts[rows]
             yield piece.view(np.uint8).data
 
 

@@ -1,4 +1,4 @@
-"""The three tables of a stream in PostgreSQL: rows, the one checkpoint, and what was lost on the way."""
+"""The three tables of a stream in PostgreSQL: rows, the checkpoint, and losses."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from psycopg import sql
 
 INSTANT = "time"
-"""The column of instants, which the server itself makes of `time_s` where that counts from 1970."""
+"""Column of timestamps, which the server computes from `time_s` if that counts from 1970."""
 
-_LATEST_S = 1e11  # the year 5138: what is later counts something else
+_LATEST_S = 1e11  # the year 5138; a later stamp is not a date
 _MOST_CHANNELS = 300  # a row must fit into a page of 8 kB
 _VERDICTS = ", ".join(f"{verdict.value} {verdict.name.lower()}" for verdict in Verdict)
 
 
 class Tables:
-    """What is asked of the tables of one stream, by name.
+    """The SQL queries on the tables of one stream.
 
     Parameters
     ----------
     table : str
-        The table of rows; any text of up to 63 bytes with its ends.
+        Name of the table of rows, any text; with the suffix `_checkpoint` it has at most 63 bytes.
     """
 
     def __init__(self, table: str) -> None:
@@ -40,49 +40,49 @@ class Tables:
         self._sql, self.name = sql, table
         names = {"rows": table, "checkpoint": f"{table}_checkpoint", "losses": f"{table}_losses"}
         self._names = {which: sql.Identifier(name) for which, name in names.items()}
-        self._beside_values = {which: sql.Identifier(name.replace("%", "%%")) for which, name in names.items()}
+        self._escaped_names = {which: sql.Identifier(name.replace("%", "%%")) for which, name in names.items()}
         digest = hashlib.blake2b(table.encode(), digest_size=8).digest()
         self._key = int.from_bytes(digest, "big", signed=True)
 
     def locked(self, connection: psycopg.Connection) -> bool:
-        """Lock the tables until the connection ends; False where another connection has them."""
-        found = connection.execute("SELECT pg_try_advisory_lock(%s)", (self._key,)).fetchone()
-        return bool(found and found[0])
+        """Lock the tables until the connection ends; return False if another connection holds the lock."""
+        row = connection.execute("SELECT pg_try_advisory_lock(%s)", (self._key,)).fetchone()
+        return bool(row and row[0])
 
     def exist(self, connection: psycopg.Connection) -> tuple[bool, bool]:
-        """Return whether there are rows, and whether there is a checkpoint."""
-        asked = "SELECT to_regclass({}) IS NOT NULL, to_regclass({}) IS NOT NULL"
+        """Return whether the table of rows exists, and whether the table of the checkpoint exists."""
+        query = "SELECT to_regclass({}) IS NOT NULL, to_regclass({}) IS NOT NULL"
         quoted = [self._names[which].as_string(connection) for which in ("rows", "checkpoint")]
-        found = connection.execute(self._sql.SQL(asked).format(*map(self._sql.Literal, quoted))).fetchone()
-        assert found is not None
-        return bool(found[0]), bool(found[1])
+        row = connection.execute(self._sql.SQL(query).format(*map(self._sql.Literal, quoted))).fetchone()
+        assert row is not None
+        return bool(row[0]), bool(row[1])
 
     def last(self, connection: psycopg.Connection) -> Checkpoint | None:
-        """Return the checkpoint; None where nothing was kept yet."""
-        asked = "SELECT rows, position, snapshot, recipe, source FROM {checkpoint} WHERE snapshot IS NOT NULL"
-        found = connection.execute(self._of(asked)).fetchone()
-        return None if found is None else Checkpoint(found[0], found[1], bytes(found[2]), found[3], found[4])
+        """Return the checkpoint; None if nothing is committed yet."""
+        query = "SELECT rows, position, snapshot, recipe, source FROM {checkpoint} WHERE snapshot IS NOT NULL"
+        row = connection.execute(self._of(query)).fetchone()
+        return None if row is None else Checkpoint(row[0], row[1], bytes(row[2]), row[3], row[4])
 
     def head(self, connection: psycopg.Connection) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the channels and units that the tables were made for."""
-        found = connection.execute(self._of("SELECT channels, units FROM {checkpoint}")).fetchone()
-        return (tuple(found[0]), tuple(found[1])) if found is not None else ((), ())
+        """Return the stored names and units of the channels."""
+        row = connection.execute(self._of("SELECT channels, units FROM {checkpoint}")).fetchone()
+        return (tuple(row[0]), tuple(row[1])) if row is not None else ((), ())
 
     def make(self, connection: psycopg.Connection, head: Head) -> None:
-        """Make the tables for a new stream, in the place of those of one of which no row came.
+        """Create the tables of a new stream; tables without committed rows are replaced.
 
         Raises
         ------
         UsageError
-            If the channels' names or number are not for PostgreSQL.
+            If PostgreSQL cannot hold the channels' names, or so many channels.
         """
         columns = _columns(head)
-        made = self._sql.SQL(", ").join(
+        definitions = self._sql.SQL(", ").join(
             self._sql.SQL("{} {}").format(self._sql.Identifier(name), self._sql.SQL(kind)) for name, kind, _ in columns
         )
         if self.exist(connection)[1]:
             connection.execute(self._of("DROP TABLE {rows}, {checkpoint}, {losses}"))
-        connection.execute(self._of("CREATE TABLE {rows} ({columns})", columns=made))
+        connection.execute(self._of("CREATE TABLE {rows} ({columns})", columns=definitions))
         connection.execute(
             self._of(
                 "CREATE TABLE {checkpoint} (one boolean PRIMARY KEY DEFAULT true CHECK (one), rows bigint NOT NULL,"
@@ -107,33 +107,33 @@ class Tables:
         self.tell_units(connection, head)
 
     def tell_units(self, connection: psycopg.Connection, head: Head) -> None:
-        """Write units, as comments of the columns too."""
+        """Store the units, and write them as comments of the columns."""
         connection.execute(
             self._with_values("UPDATE {checkpoint} SET units = %s"), ([_plain(unit) for unit in head.units],)
         )
-        for name, _, said in _columns(head):
-            about = {"column": self._sql.Identifier(name), "said": self._sql.Literal(said)}
-            connection.execute(self._of("COMMENT ON COLUMN {rows}.{column} IS {said}", **about))
+        for name, _, comment in _columns(head):
+            parts = {"column": self._sql.Identifier(name), "comment": self._sql.Literal(comment)}
+            connection.execute(self._of("COMMENT ON COLUMN {rows}.{column} IS {comment}", **parts))
 
     def copying(self, head: Head) -> sql.Composed:
-        """Return the COPY that takes what `BinaryRows` makes."""
+        """Return the COPY statement for the bytes of `BinaryRows`."""
         written = [self._sql.Identifier(name) for name, kind, _ in _columns(head) if "GENERATED" not in kind]
         return self._of("COPY {rows} ({columns}) FROM STDIN (FORMAT BINARY)", columns=self._sql.SQL(", ").join(written))
 
     def tell_losses(self, connection: psycopg.Connection, outputs: list[Output]) -> None:
-        """Write what was lost, each beside the row after it."""
-        told = [
+        """Write the losses, each with the number of the row after it."""
+        rows = [
             (one.first_row, loss.kind.value, loss.rows, _plain(loss.says), loss.noticed_s)
             for one in outputs
             for loss in one.losses
         ]
-        if told:
+        if rows:
             with connection.cursor() as cursor:
                 query = "INSERT INTO {losses} VALUES (%s, %s, %s, %s, to_timestamp(%s))"
-                cursor.executemany(self._with_values(query), told)
+                cursor.executemany(self._with_values(query), rows)
 
     def stand(self, connection: psycopg.Connection, checkpoint: Checkpoint) -> None:
-        """Write where the stream stands."""
+        """Write the checkpoint."""
         connection.execute(
             self._with_values(
                 "UPDATE {checkpoint} SET rows = %s, position = %s, snapshot = %s, recipe = %s, source = %s,"
@@ -152,34 +152,34 @@ class Tables:
         return self._sql.SQL(query).format(**self._names, **parts)
 
     def _with_values(self, query: Any) -> sql.Composed:
-        """Return a query that values come with: in these psycopg takes each % of a name for a place of one."""
-        return self._sql.SQL(query).format(**self._beside_values)
+        """Return a query that is executed with values; in names in such a query, psycopg needs %% for each %."""
+        return self._sql.SQL(query).format(**self._escaped_names)
 
 
 def _columns(head: Head) -> list[tuple[str, str, str]]:
-    """Return names, types and comments: verdicts come last, so that eight bytes stay aligned."""
+    """Return names, types and comments of the columns; verdicts come last, so that numbers of 8 bytes are aligned."""
     names = [INSTANT, *column_names(head)]
     if INSTANT in head.names:
-        raise UsageError(
-            f"A channel is called {INSTANT!r}, as the column of instants; give it another name at its source."
-        )
+        raise UsageError(f"A channel is called {INSTANT!r}, like the column of timestamps; rename it at its source.")
     if len(head.names) > _MOST_CHANNELS:
         raise UsageError(
-            f"{len(head.names)} channels came, and a row of PostgreSQL holds {_MOST_CHANNELS} of them; write to"
-            " journal:DIR or parquet:DIR, or name fewer channels."
+            f"The stream has {len(head.names)} channels, but a row of PostgreSQL holds at most {_MOST_CHANNELS}; write"
+            " to journal:DIR or parquet:DIR, or select fewer channels."
         )
     for name in names:
         refuse_long(name)
     number = "double precision"
-    made = f"timestamptz GENERATED ALWAYS AS (CASE WHEN {TIME} >= {EPOCH_S} AND {TIME} < {_LATEST_S}"
+    instant = f"timestamptz GENERATED ALWAYS AS (CASE WHEN {TIME} >= {EPOCH_S} AND {TIME} < {_LATEST_S}"
     columns = [(ROW, "bigint PRIMARY KEY", "counted from 0 over the whole life of the stream"), (TIME, number, "s")]
     for name, unit in zip(head.names, head.units, strict=True):
         columns += [(name + end, number, _plain(unit)) for end in ("", RAW, SIGMA)]
     columns += [(name + VERDICT, "smallint", _VERDICTS) for name in head.names]
-    columns.append((INSTANT, f"{made} THEN to_timestamp({TIME}) END) STORED", "of time_s, where it counts from 1970"))
+    columns.append(
+        (INSTANT, f"{instant} THEN to_timestamp({TIME}) END) STORED", "of time_s, where it counts from 1970")
+    )
     return columns
 
 
 def _plain(text: str) -> str:
-    """Return text without what PostgreSQL's text cannot hold: NUL, and halves of characters."""
+    """Return text with the characters replaced that PostgreSQL cannot hold: NUL and lone surrogates."""
     return text.encode("utf-8", "replace").decode("utf-8").replace("\0", "\N{REPLACEMENT CHARACTER}")

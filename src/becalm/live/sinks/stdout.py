@@ -1,4 +1,4 @@
-"""Clean rows as lines of text, for the next program or a person."""
+"""Write clean rows as lines of text to standard output, for another program or a person."""
 
 from __future__ import annotations
 
@@ -23,43 +23,47 @@ _UNKNOWN_IN_JSON = dict.fromkeys(("nan", "inf", "-inf"), "null")
 
 
 class StdoutSink:
-    """CSV with one line of names, or a JSON object a row: time in seconds, then of each channel signal and sigma.
+    """A sink for CSV with a header line, or one JSON object per row: time in seconds, and each channel's signal, sigma.
 
-    Each number has the fewest digits that give it back to the bit; what is not known is an empty cell, or null. Rows
-    are out when `write` returns: nothing is held back.
+    Each number has the fewest digits that restore it exactly; an unknown number is an empty cell, or null. Rows are
+    not buffered: they are written when `write` returns.
 
     Parameters
     ----------
     address : Address
         `stdout:?format=csv`, or json.
     descriptor : int
-        The file descriptor to write to; standard output.
+        File descriptor to write to, by default standard output.
 
     Raises
     ------
     UsageError
-        If an option is not known or not possible.
+        If an option is unknown, or its value is not possible.
     """
 
     def __init__(self, address: Address, descriptor: int = 1) -> None:
         address.refuse_unknown(("format",))
         if address.rest:
-            raise UsageError(f"stdout: takes no name, {address.rest!r} came; write stdout: alone, or parquet:FOLDER.")
+            raise UsageError(
+                f"stdout: takes no name, but {address.rest!r} was given; write stdout: alone, or parquet:FOLDER."
+            )
         self._json = address.chosen("format", ("csv", "json"), "csv") == "json"
         self._unknown = _UNKNOWN_IN_JSON if self._json else _UNKNOWN_IN_CSV
         self._descriptor = descriptor
-        self._line = ""  # with a place for each number; "" before anything was written
+        self._line = ""  # format of a line, with a %s for each number; "" before `open`
 
     def open(self, head: Head) -> None:
-        """Write the names, the first time.
+        """Write the header of CSV, the first time only.
 
         Raises
         ------
         OutputError
-            If they cannot be written, or standard output is closed: another file may have its number then.
+            If it cannot be written, or standard output is closed, because another file may then have its descriptor.
         """
         if self._descriptor == 1 and sys.__stdout__ is None:
-            raise OutputError("Standard output is closed; give it to a program or a file, or leave --sink stdout: out.")
+            raise OutputError(
+                "Standard output is closed; connect it to a program or a file, or leave out --sink stdout:."
+            )
         if self._line:
             return
         names = [_TIME, *(name + end for name in head.names for end in ("", SIGMA))]
@@ -73,12 +77,12 @@ class StdoutSink:
         self._write(text.getvalue())
 
     def write(self, output: Output) -> None:
-        """Write some rows.
+        """Write rows.
 
         Raises
         ------
         OutputError
-            If they cannot be written, as where the other program has ended.
+            If they cannot be written, for example because the reading program has ended.
         """
         if not len(output):
             return
@@ -91,17 +95,17 @@ class StdoutSink:
         self._write("".join([self._line % (*texts[at : at + width],) for at in range(0, len(texts), width)]))
 
     def flush(self) -> None:
-        """Do nothing: all that was written is out."""
+        """Do nothing: rows are not buffered."""
 
     def close(self) -> None:
-        """Leave the output open: it is not ours."""
+        """Do nothing: standard output was opened by the parent process."""
 
     def _write(self, text: str) -> None:
         left = memoryview(text.encode("utf-8", "surrogateescape"))
         while left:
             try:
                 left = left[os.write(self._descriptor, left) :]
-            except BlockingIOError:  # it was made so by whoever shares it
+            except BlockingIOError:  # another process that shares the descriptor has made it non-blocking
                 select.select([], [self._descriptor], [])
             except BrokenPipeError as cause:
                 raise OutputError(

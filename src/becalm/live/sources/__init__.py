@@ -1,1 +1,1 @@
-"""Where streams come from, one transport a file."""
+"""The sources of streams, one module for each transport."""

@@ -1,4 +1,4 @@
-"""What sources of lines share: bytes that come in pieces, until a row is whole."""
+"""Base class of sources of text lines: collect bytes until a row is complete."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from becalm.live.lines.feeding import Lines
 
 
 class LineSource(ABC):
-    """CSV or JSON lines from whatever gives bytes once; what comes while nobody reads is gone.
+    """A source of CSV or JSON lines that cannot replay; bytes that arrive while it is not read may be lost.
 
-    Options of the address: `format=csv|json`, `columns=time,ax,ay`, `time=COLUMN`, `rate=100`, `channels=ax`, all of
-    which may be left out.
+    Options of the address, all optional: `format=csv|json`, `columns=time,ax,ay`, `time=COLUMN`, `rate=100`,
+    `channels=ax`.
 
     Parameters
     ----------
     address : Address
-        With the options.
+        Address with the options.
     own_options : sequence of str
-        Names of those beside the options of lines.
+        Names of the source's own options, in addition to the options for lines.
 
     Attributes
     ----------
     rate_hz : float or None
-        Rows a second, where it was told.
+        Sample rate in hertz, if the option `rate` is given.
 
     Raises
     ------
     UsageError
-        If an option is not known or not possible.
+        If an option is unknown, or its value is not possible.
     """
 
     replays = False
@@ -44,17 +44,17 @@ class LineSource(ABC):
         self.rate_hz, self._lines = options.rate_hz, Lines(options)
 
     def committed(self, position: str) -> None:  # noqa: B027  (there is nothing to do)
-        """Do nothing: who sends need not hear it."""
+        """Do nothing: the sender needs no acknowledgement."""
 
     @abstractmethod
-    def _more(self, timeout_s: float) -> bytes | None:
-        """Wait so many seconds at most for bytes; None where none came."""
+    def _read_bytes(self, timeout_s: float) -> bytes | None:
+        """Return the next bytes; None if none arrive within `timeout_s`."""
 
     def _rows(self, timeout_s: float) -> Block | None:
-        """Wait for rows; None where no line ended in that time."""
+        """Return the next rows; None if no line is completed within `timeout_s`."""
         until = time.monotonic() + timeout_s
         while True:
-            data = self._more(max(0.0, until - time.monotonic()))
+            data = self._read_bytes(max(0.0, until - time.monotonic()))
             block = None if data is None else self._lines.feed(data, time.time())
             if block is not None or time.monotonic() >= until:
                 return block

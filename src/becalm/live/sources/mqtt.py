@@ -1,4 +1,4 @@
-"""Rows from an MQTT broker: by QoS 1, in a session that it keeps, acknowledged when they are kept here for good."""
+"""Read rows from an MQTT broker with QoS 1 in a persistent session; acknowledge them once they are committed."""
 
 from __future__ import annotations
 
@@ -21,43 +21,43 @@ from becalm.live.position import told_by
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessage
 
-_AT_ONCE = 256  # messages in a block: a backlog is told in pieces
+_BLOCK_MESSAGES = 256  # most messages in a block, so that a backlog is split
 _QUEUED_BYTES = 64_000_000
 
 
 class _Message(NamedTuple):
-    number: int  # for its acknowledgement; 0 of QoS 0, which has none
+    number: int  # message identifier for the acknowledgement; 0 for QoS 0, which has none
     payload: bytes
     came_s: float  # seconds since 1970
     arrived_s: float  # time.monotonic()
 
 
 class MqttSource:
-    """Reads a topic: `mqtt://HOST:PORT/TOPIC`.
+    """A source that reads a topic: `mqtt://HOST:PORT/TOPIC`.
 
-    A message is acknowledged once its rows are kept for good: a broker that keeps sessions gives again what was not,
-    and what comes twice is left out by its numbers. Whatever the broker itself loses is known by gaps in `seq`, and
-    counted; mosquitto as installed writes its store every half an hour, so kill -9 loses all that it held.
-    A sender that numbers no rows gets neither: its messages may come twice, and what is lost is not known.
-    Messages are read as `MessageStream` tells.
+    A message is acknowledged once its rows are committed. A broker that keeps sessions sends unacknowledged messages
+    again; duplicates are recognized by the row numbers and left out. Rows that the broker itself loses are counted by
+    the gaps in `seq`; mosquitto by default writes its store every 30 minutes, so kill -9 loses what it held.
+    If the sender does not number its rows, duplicates are not left out and losses are not counted.
+    `MessageStream` describes the messages.
 
-    Version 5 lets the broker send `window` messages ahead of their acknowledgements. Version 3.1.1 has no word for
-    it: mosquitto then sends 20 for every commit, until its `max_inflight_messages` is raised.
+    With version 5 the broker may send `window` messages before they are acknowledged. Version 3.1.1 cannot set this
+    number: mosquitto then sends 20 messages for each commit, unless its `max_inflight_messages` is raised.
 
-    Options: `client=NAME`, by which the broker knows this session (made of the topic; two readers of one topic need
-    two, or the broker drops either for the other: it is away again and again); `keep=7d`, how long the broker keeps
-    the session of one who is away; `version=5|3.1.1`; `window=10000`; those of `MessageStream` and
+    Options: `client=NAME`, the client identifier of this session, by default made from the topic (two readers of one
+    topic need two names, or the broker disconnects one for the other repeatedly); `keep=7d`, the time for which the
+    broker keeps the session while the client is away; `version=5|3.1.1`; `window=10000`; those of `MessageStream` and
     `Remote`.
 
     Parameters
     ----------
     address : Address
-        As above.
+        Address as above.
 
     Raises
     ------
     UsageError
-        If the address has no topic, a pattern of topics, or other options.
+        If the address has no topic, a pattern of topics, or unknown options.
     """
 
     OWN_OPTIONS = ("client", "keep", "version", "window")
@@ -80,54 +80,54 @@ class MqttSource:
         self._reached = False
         self._queue: deque[_Message] = deque()
         self._queued_bytes = 0
-        self._noticed: tuple[Loss, ...] = ()
-        self._blocks: int | None = None  # how many had rows
-        self._kept = 0  # up to which of them all is kept for good
-        self._guard = threading.Lock()  # rows are read by one thread and committed by another
-        self._unacknowledged: deque[tuple[int, int]] = deque()  # (number, the block that has to be kept first)
+        self._pending_losses: tuple[Loss, ...] = ()
+        self._blocks: int | None = None  # number of blocks with rows
+        self._kept = 0  # number of these blocks that are committed
+        self._guard = threading.Lock()  # one thread reads rows, another commits them
+        self._unacknowledged: deque[tuple[int, int]] = deque()  # (message, block that must be committed before)
 
     def open(self, position: str) -> None:
-        """Connect, or raise as `Source.open`, and go on with the session; what is not acknowledged comes again."""
+        """Connect and continue the session; unacknowledged messages arrive again. Raises errors as `Source.open`."""
         self.close()
-        told = told_by("mqtt", position, "blocks")
+        fields = told_by("mqtt", position, "blocks")
         if self._blocks is None:
-            self._blocks = self._kept = told.get("blocks", 0)
-        self._stream.resume(told.get("rows", {}))
+            self._blocks = self._kept = fields.get("blocks", 0)
+        self._stream.resume(fields.get("rows", {}))
         self._queue.clear()
         self._queued_bytes = 0
         with self._guard:
             self._unacknowledged.clear()
-        self._link = link = MqttLink(self._remote, self._session, on_message=self._came)
+        self._link = link = MqttLink(self._remote, self._session, on_message=self._on_message)
         link.connect(reached=self._reached)
         if (position or self._reached) and not link.remembered:
-            says = f"{self._remote.host} has forgotten this client, and the messages that it held for it."
-            self._noticed += (Loss(LossKind.GAP, None, says),)
+            text = f"{self._remote.host} no longer has this client's session; messages that it held for it are lost."
+            self._pending_losses += (Loss(LossKind.GAP, None, text),)
         self._reached = True
         link.subscribe(self._topic)
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the rows of the messages that came; None where none did within `timeout_s`.
+        """Return the rows of the received messages; None if none arrives within `timeout_s`.
 
         Raises
         ------
         AwayError
-            If the connection ended.
+            If the connection is lost.
         """
         link = self._link
         if link is None:
             raise self._remote.away("it is not open")
         with link.changed:
-            link.changed.wait_for(lambda: self._queue or link.ended, 0.0 if self._noticed else timeout_s)
-            taken = [self._queue.popleft() for _ in range(min(len(self._queue), _AT_ONCE))]
+            link.changed.wait_for(lambda: self._queue or link.ended, 0.0 if self._pending_losses else timeout_s)
+            taken = [self._queue.popleft() for _ in range(min(len(self._queue), _BLOCK_MESSAGES))]
             self._queued_bytes -= sum(len(message.payload) for message in taken)
             link.changed.notify_all()
-        if not taken and not self._noticed:
+        if not taken and not self._pending_losses:
             link.check()
             return None
         self._stream.take_many([(message.payload, message.came_s) for message in taken])
-        block = self._stream.block(extra=self._noticed)
-        self._noticed = ()
-        self._settle(taken, new=block is not None and len(block) > 0)
+        block = self._stream.block(extra=self._pending_losses)
+        self._pending_losses = ()
+        self._await_commit(taken, new=block is not None and len(block) > 0)
         if block is None:
             return None
         arrived_s = taken[-1].arrived_s if taken else time.monotonic()
@@ -136,8 +136,7 @@ class MqttSource:
 
     def committed(self, position: str) -> None:
         """Acknowledge the messages of all blocks up to `position`."""
-        told = told_by("mqtt", position, "blocks")
-        self._kept = max(self._kept, told.get("blocks", 0))
+        self._kept = max(self._kept, told_by("mqtt", position, "blocks").get("blocks", 0))
         self._acknowledge()
 
     def close(self) -> None:
@@ -146,28 +145,31 @@ class MqttSource:
         if link is not None:
             link.close()
 
-    def _came(self, message: MQTTMessage) -> None:
-        """Queue a message, on paho's thread; a full queue lets the broker wait."""
+    def _on_message(self, message: MQTTMessage) -> None:
+        """Queue a message; paho's thread calls this and waits while the queue is full."""
         link = self._link
         if link is None:
             return
-        held = _Message(message.mid if message.qos else 0, bytes(message.payload), time.time(), time.monotonic())
+        queued = _Message(message.mid if message.qos else 0, bytes(message.payload), time.time(), time.monotonic())
         with link.changed:
             while self._queued_bytes > _QUEUED_BYTES and not link.closing:
                 link.changed.wait(0.1)
-            self._queue.append(held)
-            self._queued_bytes += len(held.payload)
+            self._queue.append(queued)
+            self._queued_bytes += len(queued.payload)
             link.changed.notify_all()
 
-    def _settle(self, taken: list[_Message], *, new: bool) -> None:
-        """Note what has to be kept before these messages are acknowledged: their rows, or, without, those before."""
+    def _await_commit(self, taken: list[_Message], *, new: bool) -> None:
+        """Record the block that must be committed before these messages are acknowledged.
+
+        This is the block of their rows, which is `new`; for messages without rows it is the block before.
+        """
         blocks = self._blocks = (self._blocks or 0) + new
         with self._guard:
             self._unacknowledged.extend((message.number, blocks) for message in taken if message.number)
         self._acknowledge()
 
     def _acknowledge(self) -> None:
-        """Acknowledge, in order, what may be."""
+        """Acknowledge in order the messages whose rows are committed."""
         with self._guard:
             link = self._link
             while link is not None and self._unacknowledged and self._unacknowledged[0][1] <= self._kept:

@@ -1,4 +1,4 @@
-"""Voltages from a National Instruments device, sampled by its own clock."""
+"""Read voltages from a National Instruments device that samples with its own clock."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ from becalm.live.protocols import AwayError
 _OPTIONS = ("rate", "range", "wiring", "columns", "rows")
 _WIRINGS = {"default": "DEFAULT", "rse": "RSE", "nrse": "NRSE", "diff": "DIFF", "pseudo-diff": "PSEUDO_DIFF"}
 _BLOCK_S = 0.01
-_BUFFER_S = 10.0  # how long the device goes on while nobody reads
+_BUFFER_S = 10.0  # length of the driver's buffer, in seconds
 _LEAST_BUFFER = 10_000
 _MOST_ROWS = 1 << 16
-_BAD_VALUE = -200077  # the driver's number for a rate or range that the device does not have
+_BAD_VALUE = -200077  # the driver's error code for a rate or range that the device does not support
 
 
 class NiSource:
-    """Analogue inputs of a device that NI-DAQmx drives, sampled continuously at a rate that the hardware keeps.
+    """A source that reads analogue inputs through NI-DAQmx, sampled continuously at a rate set by the hardware.
 
-    No hardware was there when this was written: it follows the documentation of nidaqmx, and was tried against a
-    stand-in only, never with a device or the vendor's driver.
+    This was written from the documentation of nidaqmx and tested only with a simulated driver, never with a device or
+    the vendor's driver.
 
-    Rows are counted by the device's clock from the moment when it was started. A stream that reads too slowly by more
-    than ten seconds makes the driver stop; then, as when the device is unplugged, it is away, and is started anew.
+    The stamps count the device's samples from the moment when it was started. If the stream reads more than ten
+    seconds too slowly, the driver stops. The source is then away, as after unplugging, and the device is started again.
 
     Parameters
     ----------
     address : Address
-        `ni:Dev1/ai0:3?rate=1000&range=10&wiring=diff&columns=ax,bridge (mV)&rows=10`. `rate` must be told; `range` is
-        the greatest voltage, 10 by default; names may hold a unit of voltage, which readings are in then; `rows` is
-        how many rows a block has at least, by default those of 10 ms.
+        `ni:Dev1/ai0:3?rate=1000&range=10&wiring=diff&columns=ax,bridge (mV)&rows=10`. `rate` in hertz is required;
+        `range` is the greatest voltage, 10 by default; a name may contain a unit of voltage, to which readings are
+        converted; `rows` is the least number of rows in a block, by default those of 10 ms.
 
     Attributes
     ----------
     rate_hz : float or None
-        Rows a second; once it is open, as the device keeps it.
+        Sample rate in hertz; once the source is open, the actual rate of the device.
 
     Raises
     ------
     UsageError
-        If an option is not known or not possible, or the rate is missing.
+        If an option is unknown, its value is not possible, or the rate is missing.
     """
 
     replays = False
@@ -60,7 +60,7 @@ class NiSource:
         address.refuse_unknown(_OPTIONS)
         if not address.rest or "rate" not in address.options:
             raise UsageError("ni: needs channels and a rate in hertz; write ni:Dev1/ai0:3?rate=1000.")
-        self._channels, self._told_names = address.rest, address.names("columns")
+        self._channels, self._column_names = address.rest, address.names("columns")
         self._rate_hz = address.number("rate", 0.0, least=SLOWEST_HZ, greatest=FASTEST_HZ)
         self._volts = address.number("range", 10.0, least=1e-3, greatest=1e4)
         self._wiring = _WIRINGS[address.chosen("wiring", tuple(_WIRINGS), "default")]
@@ -81,9 +81,9 @@ class NiSource:
         Raises
         ------
         AwayError
-            If it cannot be reached now.
+            If the device cannot be reached now.
         UsageError
-            If the driver is not installed, or the device cannot do what was asked.
+            If the driver is not installed, or the device does not support the settings.
         """
         self.close()
         nidaqmx = wanted("ni:", "nidaqmx")
@@ -103,26 +103,28 @@ class NiSource:
                 self._rate_hz, sample_mode=constants.AcquisitionType.CONTINUOUS, samps_per_chan=buffer
             )
             self.rate_hz = float(self._task.timing.samp_clk_rate)
-            self._name(list(self._task.channel_names))
+            self._set_names(list(self._task.channel_names))
             self._reader = AnalogMultiChannelReader(self._task.in_stream)
             self._task.start()
         except (errors.DaqNotFoundError, errors.DaqNotSupportedError) as cause:
             raise UsageError(
-                "ni: needs the vendor's driver, which is not installed here; get NI-DAQmx from ni.com."
+                "ni: needs the vendor's driver, which is not installed; get NI-DAQmx from ni.com."
             ) from cause
         except errors.Error as cause:
             if getattr(cause, "error_code", None) == _BAD_VALUE:
-                raise UsageError(f"ni: {self._channels} cannot do that: {_first_line(cause)}") from cause
+                raise UsageError(
+                    f"ni: {self._channels} does not support these settings: {_first_line(cause)}"
+                ) from cause
             raise AwayError(f"The device of {self._channels} cannot be reached: {_first_line(cause)}") from cause
         self._began_s, self._count = time.time(), 0
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the rows that wait, or None where fewer than a block came within `timeout_s`.
+        """Return the rows in the buffer; None if they are fewer than a block after `timeout_s`.
 
         Raises
         ------
         AwayError
-            If the device went away, or was read too slowly.
+            If the device was disconnected, or was read too slowly.
         """
         if self._task is None:
             raise AwayError(f"The device of {self._channels} is closed.")
@@ -144,17 +146,17 @@ class NiSource:
         )
 
     def committed(self, position: str) -> None:
-        """Do nothing: a device need not hear it."""
+        """Do nothing: a device needs no acknowledgement."""
 
     def close(self) -> None:
         """Stop the device."""
         task, self._task, self._reader = self._task, None, None
         if task is not None:
-            with suppress(Exception):  # what is unplugged may fail in any way
+            with suppress(Exception):  # an unplugged device may raise any error
                 task.close()
 
     def _wait(self, timeout_s: float) -> int:
-        """Return how many rows can be read, 0 if they are fewer than a block after `timeout_s`."""
+        """Return the number of rows that can be read; 0 if they are fewer than a block after `timeout_s`."""
         until = time.monotonic() + timeout_s
         while (ready := int(self._task.in_stream.avail_samp_per_chan)) < self._block_rows:
             left_s = until - time.monotonic()
@@ -163,11 +165,14 @@ class NiSource:
             time.sleep(min(left_s, max(1e-3, self._block_rows / self._rate_hz / 4)))
         return min(ready, _MOST_ROWS)
 
-    def _name(self, channels: list[str]) -> None:
-        """Take the names that were told, or the device's own without its name: ai0."""
-        names = self._told_names or tuple(channel.rpartition("/")[2] for channel in channels)
+    def _set_names(self, channels: list[str]) -> None:
+        """Set names, units and factors: names from the option, or the device's channel names, such as ai0."""
+        names = self._column_names or tuple(channel.rpartition("/")[2] for channel in channels)
         if len(names) != len(channels):
-            raise UsageError(f"ni: {self._channels} are {len(channels)} channels, and columns= names {len(names)}.")
+            raise UsageError(
+                f"ni: {self._channels} has {len(channels)} channels, but columns= has {len(names)} names; give one for"
+                " each channel."
+            )
         self._names = tuple(unique_names(names))
         self._units = tuple(parse_header(name)[1] or "V" for name in names)
         self._factors = np.array([conversion("V", unit).factor for unit in self._units])

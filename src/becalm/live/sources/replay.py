@@ -1,4 +1,4 @@
-"""A recording given as if it came now: at its own speed, at a multiple of it, or as fast as it goes."""
+"""Replay a recording as a live stream: at its own speed, at a multiple of it, or as fast as possible."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from becalm.live.protocols import EndOfStream
 
 _OPTIONS = ("speed", "rows", "group", "rate", "time", "channels", "stamps")
 _BLOCK_ROWS = 1000
-_BLOCK_S = 0.01  # where the file's own pace is kept
-_CHUNK_ROWS = 1 << 16  # about so many are read at once, and given in blocks
+_BLOCK_S = 0.01  # length of a block if the speed is limited
+_CHUNK_ROWS = 1 << 16  # approximate number of rows read at once, and returned in blocks
 _HEAD_BYTES = 1 << 16
 AS_FAST_AS_IT_GOES = float("inf")
 
 
 class _Rows(NamedTuple):
-    """Rows that were read, and not given yet."""
+    """A chunk of rows that was read from the file."""
 
     first: int
     time_s: Floats
@@ -37,28 +37,29 @@ class _Rows(NamedTuple):
 
 
 class ReplaySource:
-    """Any file that becalm reads, from any of its rows on.
+    """A source that replays any file becalm can read, from any of its rows.
 
     Parameters
     ----------
     address : Address
         `replay:FILE?speed=10&rows=1000&group=NAME&rate=100&time=COLUMN&channels=a,b&stamps=as-written`. `speed` is in
-        seconds of the recording a second, or "max", for as fast as it goes; `rows` counts those of each block but the
-        last, by default 1000, or what 10 ms hold where the pace is kept; the rest is as for `becalm clean`.
+        seconds of the recording per second, or "max" for as fast as possible; `rows` is the number of rows in each
+        block except the last, by default 1000, or those of 10 ms if the speed is limited; the other options are those
+        of `becalm clean`.
 
     Attributes
     ----------
     names, units : tuple of str
-        The channels, once it is open.
+        Names and units of the channels, once the source is open.
     rate_hz : float or None
-        Rows a second, once it is open.
+        Sample rate in hertz, once the source is open.
     step_s : float or None
-        One step of the file's clock, once it is open; what `Block.elapsed` counts.
+        Step of the file's clock in seconds, once the source is open; `Block.elapsed` counts these steps.
 
     Raises
     ------
     UsageError
-        If an option is not known or not possible.
+        If an option is unknown, or its value is not possible.
     """
 
     replays = True
@@ -68,40 +69,40 @@ class ReplaySource:
         if not address.rest:
             raise UsageError("replay: names no file; write replay:FILE.")
         self._path, self._options = Path(address.rest), _read_options(address)
-        told = address.options.get("speed", "max")
-        self._speed = AS_FAST_AS_IT_GOES if told == "max" else address.number("speed", 1.0, least=1e-6)
-        self._block_rows = self._asked_rows = int(address.number("rows", 0, least=1, greatest=1e7))
+        is_max = address.options.get("speed", "max") == "max"
+        self._speed = AS_FAST_AS_IT_GOES if is_max else address.number("speed", 1.0, least=1e-6)
+        self._block_rows = self._rows_option = int(address.number("rows", 0, least=1, greatest=1e7))
         self._file: OpenSource | None = None
         self._chunks: Iterator[_Rows] = iter(())
         self._rows: _Rows | None = None
-        self._at = 0  # in self._rows
-        self._started: tuple[float, float] | None = None  # time.monotonic(), and the file's
-        self._print: dict[str, int | str] = {}
+        self._index = 0  # of the next row in self._rows
+        self._started: tuple[float, float] | None = None  # time.monotonic(), and the file's time
+        self._fingerprint: dict[str, int | str] = {}
         self.names: tuple[str, ...] = ()
         self.units: tuple[str, ...] = ()
         self.rate_hz: float | None = None
         self.step_s: float | None = None
 
     def open(self, position: str) -> None:
-        """Open the file, and go on after `position`.
+        """Open the file, and continue after `position`.
 
         Raises
         ------
         InputError
-            If the file cannot be read, or is not the one that `position` was told of.
+            If the file cannot be read, or `position` belongs to another file.
         """
         self.close()
-        self._print = _fingerprint(self._path)
+        self._fingerprint = _fingerprint(self._path)
         first = self._row_after(position)
         with advising_addresses():
             file = self._file = open_source(self._path, self._options)
         self.names, self.units = file.names, file.units
         self.rate_hz, self.step_s = file.rate_hz, file.clock.step_s
-        self._block_rows = self._asked_rows or _fitting_rows(file.rate_hz, self._speed)
+        self._block_rows = self._rows_option or _fitting_rows(file.rate_hz, self._speed)
         self._chunks, self._rows, self._started = _read(file, first, self._block_rows), None, None
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the next block, once its last row would have come; None if that is not within `timeout_s`.
+        """Return the next block once its last row is due; None if it is not due within `timeout_s`.
 
         Raises
         ------
@@ -109,17 +110,17 @@ class ReplaySource:
             After the last row.
         """
         rows = self._rows
-        if rows is None or self._at == len(rows.time_s):
+        if rows is None or self._index == len(rows.time_s):
             rows = self._rows = next(self._chunks, None)
-            self._at = 0
+            self._index = 0
         if rows is None:
             raise EndOfStream
-        stop = min(self._at + self._block_rows, len(rows.time_s))
-        if not self._has_come(float(rows.time_s[self._at]), float(rows.time_s[stop - 1]), timeout_s):
+        stop = min(self._index + self._block_rows, len(rows.time_s))
+        if not self._is_due(float(rows.time_s[self._index]), float(rows.time_s[stop - 1]), timeout_s):
             return None
-        some = slice(self._at, stop)
-        self._at = stop
-        position = json.dumps({"row": rows.first + stop, **self._print})
+        some = slice(self._index, stop)
+        self._index = stop
+        position = json.dumps({"row": rows.first + stop, **self._fingerprint})
         return Block(
             self.names,
             self.units,
@@ -131,7 +132,7 @@ class ReplaySource:
         )
 
     def committed(self, position: str) -> None:
-        """Do nothing: a file need not hear it."""
+        """Do nothing: a file needs no acknowledgement."""
 
     def close(self) -> None:
         """Close the file."""
@@ -140,8 +141,8 @@ class ReplaySource:
             self._file.close()
             self._file = None
 
-    def _has_come(self, first_s: float, last_s: float, timeout_s: float) -> bool:
-        """Wait until a row of the file would have come."""
+    def _is_due(self, first_s: float, last_s: float, timeout_s: float) -> bool:
+        """Wait until the row at `last_s` is due, at most `timeout_s`; return whether it is due."""
         if self._speed == AS_FAST_AS_IT_GOES:
             return True
         if self._started is None:
@@ -153,14 +154,14 @@ class ReplaySource:
         return left_s <= timeout_s
 
     def _row_after(self, position: str) -> int:
-        told = told_by("replay", position, "row")
-        if not told:
+        fields = told_by("replay", position, "row")
+        if not fields:
             return 0
-        row = int(told.pop("row"))
-        if told != self._print:
+        row = int(fields.pop("row"))
+        if fields != self._fingerprint:
             raise InputError(
-                f"{self._path} is not the file that the stream stopped in: it changed since, or is another one."
-                " Put the old one back, or begin a new stream by naming another sink."
+                f"{self._path} is not the file that the stream stopped in: it was changed, or it is another file."
+                " Restore the old file, or start a new stream with another sink."
             )
         return row
 
@@ -188,13 +189,13 @@ def _fitting_rows(rate_hz: float, speed: float) -> int:
 
 
 def _fingerprint(path: Path) -> dict[str, int | str]:
-    """Tell a file from others: by its size, and a hash of its first and last bytes."""
-    whole = path / BAG if path.is_dir() else path
-    if whole.exists() and not whole.is_file():
-        raise InputError(f"{path} cannot be read again, as a replay must be; give what comes from a pipe to stdin:.")
+    """Return the size of a file and a hash of its first and last bytes, which identify it."""
+    file_path = path / BAG if path.is_dir() else path
+    if file_path.exists() and not file_path.is_file():
+        raise InputError(f"{path} is not a file, so it cannot be replayed; to read from a pipe, use stdin:.")
     try:
-        with whole.open("rb") as file:
-            size = whole.stat().st_size
+        with file_path.open("rb") as file:
+            size = file_path.stat().st_size
             ends = hashlib.sha256(file.read(_HEAD_BYTES))
             file.seek(max(0, size - _HEAD_BYTES))
             ends.update(file.read(_HEAD_BYTES))

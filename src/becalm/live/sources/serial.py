@@ -1,4 +1,4 @@
-"""Lines from a serial port."""
+"""Read lines from a serial port."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from becalm.live.sources.lined import LineSource
 
 _OPTIONS = ("baud", "bytes", "parity", "stop", "flow")
 _PARITIES = {"none": "N", "even": "E", "odd": "O"}
-_NAP_S = 0.05  # the longest that one read of the port waits
+_READ_TIMEOUT_S = 0.05  # longest wait of one read from the port
 
 
 class SerialSource(LineSource):
-    """Lines from a serial port, as `LineSource` tells.
+    """A `LineSource` that reads a serial port.
 
-    Whoever opens a port may come in the middle of a line: the first line after each opening is left out and not
-    counted, unless nothing is known yet and it holds names only, as of a board that begins anew when it is opened.
+    The port may be opened in the middle of a line, so the first line after each opening is left out and not counted.
+    The exception is a first line of names only, from a board that restarts when its port is opened.
 
     Parameters
     ----------
     address : Address
-        `serial:/dev/ttyUSB0?baud=115200&bytes=8&parity=none&stop=1&flow=none`, and the options of lines. In place of
-        a port, what pyserial can open: `serial:socket://HOST:PORT`.
+        `serial:/dev/ttyUSB0?baud=115200&bytes=8&parity=none&stop=1&flow=none`, and the options of `LineSource`.
+        Instead of a port it may have a URL that pyserial can open: `serial:socket://HOST:PORT`.
     """
 
     def __init__(self, address: Address) -> None:
@@ -42,7 +42,7 @@ class SerialSource(LineSource):
             "stopbits": int(address.chosen("stop", ("1", "2"), "1")),
             "rtscts": flow == "rtscts",
             "xonxoff": flow == "xonxoff",
-            "timeout": _NAP_S,
+            "timeout": _READ_TIMEOUT_S,
             "exclusive": True,
         }
         self._name = address.rest
@@ -54,39 +54,39 @@ class SerialSource(LineSource):
         Raises
         ------
         AwayError
-            If it is not there, or another program has it.
+            If the port is absent, or another program uses it.
         BecalmError
-            If it can never be opened so.
+            If the port can never be opened with these settings.
         """
         self.close()
         serial = wanted("serial:", "serial", "pyserial")
         try:
             self._port = serial.serial_for_url(self._name, **self._settings)
-        except ValueError as cause:  # no such speed, no such kind of URL
-            raise UsageError(f"serial: {self._name} cannot be opened so: {cause}.") from cause
-        except OSError as cause:  # pyserial's own error is one
+        except ValueError as cause:  # an unsupported speed, or an unknown kind of URL
+            raise UsageError(f"serial: {self._name} cannot be opened with these settings: {cause}.") from cause
+        except OSError as cause:  # the base class of pyserial's own error
             if cause.errno in (errno.EACCES, errno.EPERM):
                 raise InputError(
-                    f"The port {self._name} may not be opened by you; on Linux, type: sudo usermod -aG dialout $USER,"
-                    " and log in again."
+                    f"You have no permission to open the port {self._name}; on Linux, type: sudo usermod -aG dialout"
+                    " $USER, and log in again."
                 ) from cause
             raise AwayError(f"The port {self._name} cannot be opened: {cause}.") from cause
         self._lines.begin_within()
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the rows that came, or None where none did within `timeout_s`, or 50 ms more.
+        """Return the received rows; None if none arrives within `timeout_s`, which may take 50 ms more.
 
         Raises
         ------
         AwayError
             If the port was unplugged.
         UsageError
-            If what was said of the lines does not fit them.
+            If the options of the address do not fit the lines.
         """
         try:
             return self._rows(timeout_s)
         except OSError as cause:
-            raise AwayError(f"The port {self._name} went away: {cause}.") from cause
+            raise AwayError(f"The port {self._name} can no longer be read: {cause}.") from cause
 
     def close(self) -> None:
         """Close the port."""
@@ -94,7 +94,7 @@ class SerialSource(LineSource):
         if port is not None:
             port.close()
 
-    def _more(self, timeout_s: float) -> bytes | None:
+    def _read_bytes(self, timeout_s: float) -> bytes | None:
         if self._port is None:
             raise AwayError(f"The port {self._name} is closed.")
         waiting = self._port.in_waiting

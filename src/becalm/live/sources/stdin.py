@@ -1,4 +1,4 @@
-"""Lines that another program writes into a pipe."""
+"""Read lines that another program writes to a pipe."""
 
 from __future__ import annotations
 
@@ -17,46 +17,46 @@ _PIECE = 1 << 18
 
 
 class StdinSource(LineSource):
-    """Lines from a pipe or a terminal, as `LineSource` tells.
+    """A `LineSource` that reads standard input, from a pipe or a terminal.
 
     Parameters
     ----------
     address : Address
-        `stdin:`, and the options of lines.
+        `stdin:`, and the options of `LineSource`.
     descriptor : int
-        The file descriptor to read; standard input.
+        File descriptor to read, by default standard input.
     """
 
     def __init__(self, address: Address, descriptor: int = 0) -> None:
         super().__init__(address)
         if address.rest:
             raise UsageError(
-                f"stdin: takes no name, {address.rest!r} came; write stdin: alone, or replay:FILE for a file."
+                f"stdin: takes no name, but {address.rest!r} was given; write stdin: alone, or replay:FILE for a file."
             )
         self._descriptor, self._ended = descriptor, False
 
     def open(self, position: str) -> None:
-        """See that there is a pipe.
+        """Check that standard input is open.
 
         Raises
         ------
         InputError
-            If standard input is closed: another file may have its number then.
+            If standard input is closed, because another file may then have its descriptor.
         """
         if self._descriptor == 0 and sys.__stdin__ is None:
             raise InputError("Standard input is closed; pipe lines of CSV or JSON into becalm live stdin:.")
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the rows that came, or None where none did within `timeout_s`.
+        """Return the received rows; None if none arrives within `timeout_s`.
 
         Raises
         ------
         EndOfStream
-            If the pipe is closed, and all was read.
+            If the pipe is closed, and all rows were read.
         InputError
-            If standard input cannot be read: it is a folder, perhaps.
+            If standard input cannot be read, for example because it is a folder.
         UsageError
-            If what was said of the lines does not fit them.
+            If the options of the address do not fit the lines.
         """
         try:
             if not self._ended:
@@ -70,9 +70,9 @@ class StdinSource(LineSource):
         raise EndOfStream
 
     def close(self) -> None:
-        """Leave the pipe open: it is not ours."""
+        """Do nothing: the pipe was opened by the parent process."""
 
-    def _more(self, timeout_s: float) -> bytes | None:
+    def _read_bytes(self, timeout_s: float) -> bytes | None:
         ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
         if not ready:
             return None

@@ -1,4 +1,4 @@
-"""A measuring instrument on GPIB, USB, LAN or a serial port, asked again and again, or listened to."""
+"""Read a measuring instrument on GPIB, USB, LAN or a serial port, by queries or by listening."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from becalm.live.protocols import AwayError
 
 _OPTIONS = ("query", "interval", "columns", "setup", "backend", "timeout", "end")
 _ENDS = {"lf": "\n", "cr": "\r", "crlf": "\r\n", "none": ""}
-_MOST_SILENCES = 3  # in a row; then it is away
-_NO_READING = 9.9e37  # SCPI's numbers for over range and not a number begin here
+_MOST_SILENCES = 3  # consecutive timeouts after which the instrument is away
+_NO_READING = 9.9e37  # SCPI's values for overrange and not-a-number are at least this large
 
 
 class VisaSource:
-    """Numbers from an instrument that answers in text, as a voltmeter; each row is stamped when its answer came.
+    """A source that reads an instrument with text answers, such as a voltmeter; the stamp is the arrival time.
 
-    An answer is one row: one number, or several with commas. What does not come in time is counted as missing, and
-    what is no row of numbers as garbled; a number that SCPI writes for over range is a missing reading. Three silences
-    in a row, or an error of the bus, and the instrument is away.
+    An answer is one row: one number, or several separated by commas. A timeout is counted as a missing row, and an
+    answer that is not a row of numbers as garbled; SCPI's value for overrange becomes a missing reading. After three
+    consecutive timeouts, or an error of the bus, the instrument is away.
 
     Parameters
     ----------
     address : Address
         `visa:GPIB0::7::INSTR?query=READ?&interval=100ms&columns=bridge (V)&setup=*RST&backend=@py&timeout=3s&end=lf`.
-        `query` is sent for each row, `READ?` by default; `query=` listens to an instrument that talks by itself.
-        `interval` is the time between two questions, by default none; `setup` is sent once at each opening;
+        `query` is sent for each row, `READ?` by default; `query=` listens to an instrument that sends by itself.
+        `interval` is the time between two queries, by default 0; `setup` is sent once at each opening;
         `backend` is PyVISA's: @ivi is the vendor's library, @py is pyvisa-py, FILE@sim is pyvisa-sim.
 
     Raises
     ------
     UsageError
-        If an option is not known or not possible.
+        If an option is unknown, or its value is not possible.
     """
 
     replays = False
@@ -56,25 +56,25 @@ class VisaSource:
         self._query = address.options.get("query", "READ?")
         self._interval_s = address.seconds("interval", 0.0)
         if self._interval_s and not self._query:
-            raise UsageError("visa: listens where query= is empty, and an interval is for questions; say one of them.")
+            raise UsageError("visa: an empty query= listens, but interval= is for queries; give only one of them.")
         self._end = _ENDS[address.chosen("end", tuple(_ENDS), "lf")]
         self._wait_s = address.seconds("timeout", 3.0)
         names = address.names("columns")
         self._names = tuple(unique_names(names))
         self._manager: Any = None
         self._instrument: Any = None
-        self._due_s = -math.inf  # time.monotonic() of the next question
+        self._due_s = -math.inf  # time.monotonic() of the next query
         self._silences = 0
 
     def open(self, position: str) -> None:
-        """Reach the instrument, and set it up.
+        """Connect to the instrument, and set it up.
 
         Raises
         ------
         AwayError
-            If it cannot be reached now.
+            If the instrument cannot be reached now.
         UsageError
-            If there is no VISA library, or the instrument is none that answers in text.
+            If there is no VISA library, or the instrument does not answer in text.
         """
         self.close()
         pyvisa = _pyvisa()
@@ -82,11 +82,11 @@ class VisaSource:
             self._manager = pyvisa.ResourceManager(self._options.get("backend", ""))
         except (OSError, ValueError) as cause:
             why = str(cause).partition(" 'Traceback")[0].strip()
-            raise UsageError(f"visa: has no library to talk with: {why}. Name one with backend=@py.") from cause
+            raise UsageError(f"visa: finds no VISA library: {why}. Choose one, for example backend=@py.") from cause
         try:
             self._instrument = self._manager.open_resource(self._resource)
             if not isinstance(self._instrument, pyvisa.resources.MessageBasedResource):
-                raise UsageError(f"visa: {self._resource} is no instrument that answers in text.")
+                raise UsageError(f"visa: {self._resource} is not an instrument that answers in text.")
             self._instrument.timeout = 1000 * self._wait_s
             self._instrument.read_termination = self._instrument.write_termination = self._end or None
             if setup := self._options.get("setup"):
@@ -96,14 +96,14 @@ class VisaSource:
         self._silences, self._due_s = 0, -math.inf
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the next row; None where the next question is due later than in `timeout_s`.
+        """Return the next row; None if the next query is not due within `timeout_s`.
 
-        A question that was asked is waited for as long as the address says, whatever `timeout_s` is.
+        Once a query is sent, this waits for the answer up to the address's `timeout`, even beyond `timeout_s`.
 
         Raises
         ------
         AwayError
-            If the instrument went away.
+            If the instrument can no longer be reached.
         """
         left_s = self._due_s - time.monotonic()
         if left_s > 0:
@@ -112,7 +112,7 @@ class VisaSource:
             return None
         now_s = time.monotonic()
         on_time = self._due_s + self._interval_s > now_s
-        self._due_s = (self._due_s if on_time else now_s) + self._interval_s  # what was missed is not made up for
+        self._due_s = (self._due_s if on_time else now_s) + self._interval_s  # late queries are not caught up
         answer = self._answer()
         if answer is not None:
             self._silences = 0
@@ -122,22 +122,22 @@ class VisaSource:
         self._silences += 1
         if self._silences >= _MOST_SILENCES:
             raise AwayError(f"The instrument {self._resource} did not answer {_MOST_SILENCES} times in a row.")
-        said = f"The instrument did not answer {self._query!r} within {self._wait_s:g} s."
-        return self._losses(Loss(LossKind.MISSING, 1, said))
+        message = f"The instrument did not answer {self._query!r} within {self._wait_s:g} s."
+        return self._losses(Loss(LossKind.MISSING, 1, message))
 
     def committed(self, position: str) -> None:
-        """Do nothing: an instrument need not hear it."""
+        """Do nothing: an instrument needs no acknowledgement."""
 
     def close(self) -> None:
-        """Let go of the instrument."""
-        held, self._instrument, self._manager = (self._instrument, self._manager), None, None
-        for one in held:
-            if one is not None:
-                with suppress(Exception):  # what is away may fail in any way
-                    one.close()
+        """Close the connection to the instrument."""
+        resources, self._instrument, self._manager = (self._instrument, self._manager), None, None
+        for resource in resources:
+            if resource is not None:
+                with suppress(Exception):  # an unreachable instrument may raise any error
+                    resource.close()
 
     def _answer(self) -> str | None:
-        """Ask, and return what the instrument said; None where it said nothing."""
+        """Send the query, and return the answer; None after a timeout."""
         pyvisa = _pyvisa()
         if self._instrument is None:
             raise AwayError(f"The instrument {self._resource} is closed.")
@@ -149,21 +149,20 @@ class VisaSource:
             return repr(cause.object)
         except (pyvisa.errors.Error, OSError) as cause:
             if getattr(cause, "error_code", None) != pyvisa.constants.StatusCode.error_timeout:
-                raise AwayError(f"The instrument {self._resource} went away: {cause}.") from cause
-            with suppress(Exception):  # that a late answer is not taken for the next; not every bus can
+                raise AwayError(f"The instrument {self._resource} can no longer be reached: {cause}.") from cause
+            with suppress(Exception):  # drop a late answer, so that it is not read as the next; not every bus can
                 self._instrument.clear()
             return None
         return answer
 
     def _row(self, answer: str) -> Block:
         came_s = time.time()
-        read = [number_of(cell) for cell in answer.split(",")]
-        values = [math.nan if value is None or abs(value) >= _NO_READING else value for value in read]
-        names = self._names or tuple(unique_names(["value"] * len(read)))
-        if None in read or len(read) != len(names):
-            shown = repr(answer[:60])
-            said = f"The instrument answered {shown}, not {_needed(self._names)}."
-            return self._losses(Loss(LossKind.GARBLED, 1, said))
+        numbers = [number_of(cell) for cell in answer.split(",")]
+        values = [math.nan if value is None or abs(value) >= _NO_READING else value for value in numbers]
+        names = self._names or tuple(unique_names(["value"] * len(numbers)))
+        if None in numbers or len(numbers) != len(names):
+            message = f"The instrument answered {answer[:60]!r}, not {_expected(self._names)}."
+            return self._losses(Loss(LossKind.GARBLED, 1, message))
         self._names = names
         return Block(names, self._units, np.array([came_s]), np.array([values]), arrived_s=time.monotonic())
 
@@ -176,8 +175,8 @@ class VisaSource:
         return tuple(parse_header(name)[1] for name in self._names)
 
 
-def _needed(names: tuple[str, ...]) -> str:
-    return "a number" if len(names) < 2 else f"{len(names)} numbers with commas"
+def _expected(names: tuple[str, ...]) -> str:
+    return "a number" if len(names) < 2 else f"{len(names)} numbers separated by commas"
 
 
 def _pyvisa() -> Any:

@@ -1,1 +1,1 @@
-"""Whoever looks at a stream from outside: counts, a status file, metrics, logs, and what notices a standstill."""
+"""Monitor a stream: counts, a status file, metrics, logs and a watchdog."""

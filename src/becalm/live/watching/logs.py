@@ -1,4 +1,4 @@
-"""A line for whatever happens to a stream: JSON into a file that never grows too large, or name=value on stderr."""
+"""Log the events of a stream: JSON lines in a rotated file of bounded size, or name=value lines on stderr."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from becalm.live.optional_libraries import wanted
 from becalm.live.watching.secrets import Scrubber
 
 FILE_BYTES, OLD_FILES = 10_000_000, 5
-"""When a log file is put aside, and how many of those are kept: 60 MB at most."""
+"""Size at which a log file is rotated, and number of old files that are kept: at most 60 MB in all."""
 
 LOSSES_EVERY_S = 60.0
-"""How often losses of one kind get a line; the first gets its own at once."""
+"""Interval between log lines for losses of one kind; the first loss is logged at once."""
 
 
 class Log(Closing):
-    """The log of one stream, from which secrets are scrubbed; any thread may write to it.
+    """The log of one stream, without secrets; any thread may write to it.
 
-    A log that cannot be written, on a full disk say, stops no stream: lines are lost until it can.
+    If the log cannot be written, for example on a full disk, the stream continues and lines are lost.
 
     Parameters
     ----------
     where : str
         A file for JSON lines, or "-" for name=value lines on stderr.
     environment : mapping of str to str
-        Whose secrets never to tell: see `Scrubber`.
+        Environment variables whose secrets are never logged: see `Scrubber`.
     clock : callable
         `time.monotonic`.
 
     Raises
     ------
     UsageError
-        If structlog is not here.
+        If structlog is not installed.
     OutputError
-        If there can be no such file.
+        If the file cannot be created.
     """
 
     def __init__(
@@ -62,78 +62,78 @@ class Log(Closing):
         self._pending: dict[LossKind, _Pending] = {}
 
     def info(self, event: str, **values: object) -> None:
-        """Tell what happened: a word or a few, and values with names."""
+        """Log an event: a few words, and named values."""
         self._lines.info(event, **values)
 
     def warning(self, event: str, **values: object) -> None:
-        """Tell what somebody may have to look at."""
+        """Log an event that the user may have to check."""
         self._lines.warning(event, **values)
 
     def error(self, event: str, **values: object) -> None:
-        """Tell what stopped the stream, or would have."""
+        """Log an error that stopped the stream, or a refused request."""
         self._lines.error(event, **values)
 
     def unexpected(self, cause: BaseException) -> str:
-        """Tell an error that nobody foresaw, with its traceback; return the sentence for a person."""
+        """Log an unexpected error with its traceback; return a message for the user."""
         self._lines.error("unexpected", exc_info=cause)
         return (
-            f"Something went wrong that becalm did not foresee ({type(cause).__name__}); the log ({self._where}) tells"
-            " where. Please report it with those lines."
+            f"An unexpected error occurred in becalm ({type(cause).__name__}); the log ({self._where}) shows where."
+            " Please report it with those lines."
         )
 
     def loss(self, loss: Loss) -> None:
-        """Tell a loss: the first of its kind at once, later ones once a minute, counted together."""
+        """Log a loss: the first of its kind at once, later ones once a minute with their sum."""
         now_s = self._clock()
         with self._lock:
             pending = self._pending.setdefault(loss.kind, _Pending(now_s - LOSSES_EVERY_S))
             pending.events += 1
             pending.rows += loss.rows or 0
             pending.last = loss
-            self._tell_pending(pending, now_s)
+            self._log_pending(pending, now_s)
 
     def turn(self) -> None:
-        """Tell what was counted for a minute; to be called now and then."""
-        self._tell_all(self._clock())
+        """Log losses that have been counted for a minute; to be called every few seconds."""
+        self._log_all(self._clock())
 
     def close(self) -> None:
-        """Tell what is still counted and let go of the file; harmless twice."""
-        self._tell_all(float("inf"))
+        """Log the losses still counted and close the file; may be called twice."""
+        self._log_all(float("inf"))
         self._handler.close()
 
-    def _tell_all(self, now_s: float) -> None:
+    def _log_all(self, now_s: float) -> None:
         with self._lock:
             for pending in self._pending.values():
-                self._tell_pending(pending, now_s)
+                self._log_pending(pending, now_s)
 
-    def _tell_pending(self, pending: _Pending, now_s: float) -> None:
-        if pending.last is None or now_s - pending.told_s < LOSSES_EVERY_S:
+    def _log_pending(self, pending: _Pending, now_s: float) -> None:
+        if pending.last is None or now_s - pending.logged_s < LOSSES_EVERY_S:
             return
         values = {"events": pending.events, "rows": pending.rows, "says": pending.last.says}
         self._lines.warning("loss", kind=pending.last.kind.value, **values)
-        pending.told_s, pending.events, pending.rows, pending.last = now_s, 0, 0, None
+        pending.logged_s, pending.events, pending.rows, pending.last = now_s, 0, 0, None
 
 
 class _Pending:
-    """Losses of one kind that no line told yet."""
+    """Losses of one kind that are counted but not logged yet."""
 
-    def __init__(self, told_s: float) -> None:
-        self.told_s = told_s
+    def __init__(self, logged_s: float) -> None:
+        self.logged_s = logged_s
         self.events = self.rows = 0
         self.last: Loss | None = None
 
 
 class _RotatingFile(RotatingFileHandler):
-    """A log file that is put aside before it grows too large."""
+    """A log file that is rotated before it grows too large."""
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802  (its name in the library)
-        """Lose the line: there may be no room for it, which is no reason to stop a stream."""
+        """Drop the line; a full disk must not stop the stream."""
 
 
 class _Stderr(logging.StreamHandler[Any]):
     """Standard error, which may be closed or full."""
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802  (its name in the library)
-        """Lose the line."""
+        """Drop the line."""
 
 
 def _handler(where: str) -> logging.Handler:
@@ -144,8 +144,8 @@ def _handler(where: str) -> logging.Handler:
 
 
 def _lines(structlog: Any, handler: logging.Handler, scrub: Scrubber, *, as_json: bool) -> Any:
-    """Return structlog's logger over a handler; nothing global is configured."""
-    lines = logging.Logger("becalm.live")  # of its own: what else logs in this process stays apart
+    """Return a structlog logger that writes to a handler; global logging is not configured."""
+    lines = logging.Logger("becalm.live")  # not from getLogger: other logs of this process stay separate
     lines.addHandler(handler)
     order = ["timestamp", "level", "event"]
     return structlog.wrap_logger(

@@ -1,4 +1,4 @@
-"""How much memory this process holds."""
+"""Measure the memory of this process."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from pathlib import Path
 
 
 def resident_bytes() -> int | None:
-    """Return how much memory this process holds; where the system does not say, the most it ever held, or None."""
+    """Return the resident memory of this process in bytes; without /proc its peak, and None if unknown."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:
-        return _most_bytes()
+        return _peak_bytes()
     import resource
 
     return pages * resource.getpagesize()
 
 
-def _most_bytes() -> int | None:
+def _peak_bytes() -> int | None:
     try:
         import resource
     except ImportError:  # Windows
         return None
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return most if sys.platform == "darwin" else most * 1024
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024

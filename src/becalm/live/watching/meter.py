@@ -1,4 +1,4 @@
-"""What a stream has done so far, counted as it goes by: the one place that status, metrics and logs read."""
+"""Count what a stream has done so far; status file and metrics read these counts."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ from becalm.live.block import Block, Loss, LossKind, Output
 from becalm.live.watching.memory import resident_bytes
 
 State = Literal["starting", "learning", "running", "away", "silent", "full", "stopping", "ended", "failed"]
-"""What a stream may be doing."""
+"""State of a stream."""
 
 LATENCIES = 4096
-"""How many of the last outputs tell the percentiles of latency."""
+"""Number of last outputs from which the latency percentiles are computed."""
 
 RATE_OVER_S = 10
-"""Over how many seconds the rate is told."""
+"""Time over which the rate is averaged, in seconds."""
 
 _WORDS = tuple(verdict.name.lower() for verdict in Verdict)
 
 
 @dataclass
 class Losses:
-    """What was lost in one way.
+    """Counts of the losses of one kind.
 
     Attributes
     ----------
     events, rows : int
-        How often, and how many rows, where that is known.
+        Number of losses, and number of affected rows where it is known.
     says : str
-        The last one, in a sentence.
+        Sentence of the last loss.
     noticed_s : float
-        When that was, in seconds since 1970.
+        Time of the last loss, in seconds since 1970.
     """
 
     events: int = 0
@@ -58,13 +58,13 @@ class _Commits:
     rows: int = 0
     took_s: float = 0.0
     longest_s: float = 0.0
-    last_s: float | None = None  # by the meter's clock
+    last_s: float | None = None  # on the meter's clock
     position: str = ""
 
 
 @dataclass
 class _Latencies:
-    """The last of them in a ring, and the sum of all."""
+    """A ring of the last latencies in seconds, and count, sum and maximum of all."""
 
     ring: Floats = field(default_factory=lambda: np.zeros(LATENCIES))
     count: int = 0
@@ -77,8 +77,8 @@ class _Latencies:
         self.total_s += latency_s
         self.longest_s = max(self.longest_s, latency_s)
 
-    def told(self, last: Floats) -> dict[str, Any]:
-        """Describe them in milliseconds, the percentiles of `last`."""
+    def status(self, last: Floats) -> dict[str, Any]:
+        """Return the latencies in milliseconds; the percentiles are those of `last`, in seconds."""
         middle, late = (float(each) for each in np.percentile(last, [50, 99])) if len(last) else (None, None)
         return {
             "p50": _milli(middle),
@@ -91,7 +91,7 @@ class _Latencies:
 
 
 class Meter:
-    """Counts of one stream; every call takes a few microseconds, and may come from any thread.
+    """Counts of one stream; any thread may call the methods, which take a few microseconds each.
 
     Parameters
     ----------
@@ -106,54 +106,54 @@ class Meter:
         self._started_s, self._begun_s = time.time(), clock()
         self._state: State = "starting"
         self._says, self._since_s = "", self._started_s
-        self._turned_s = self._begun_s
-        self._taken = self._told = 0
+        self._loop_s = self._begun_s
+        self._rows_taken = self._rows = 0
         self._queue = (0, 0)
-        self._seconds: deque[tuple[int, int]] = deque(maxlen=RATE_OVER_S + 1)  # whole seconds, and rows told in each
+        self._seconds: deque[tuple[int, int]] = deque(maxlen=RATE_OVER_S + 1)  # whole seconds, and rows in each
         self._latencies, self._commits = _Latencies(), _Commits()
         self._losses = {kind: Losses() for kind in LossKind}
         self._all_used = np.eye(1, len(Verdict), Verdict.USED, np.int64)
         self._health: dict[str, tuple[float, tuple[str, ...]]] = {}
         self._source = source
         self.recipe = ""
-        """Through which recipe (TOML) rows go; "" before the first."""
+        """Current recipe as TOML; "" before the first."""
         self.begin((), "")
 
     def begin(self, names: Sequence[str], recipe: str) -> None:
-        """Say which channels every `Output` has from now on, and through which recipe (TOML) they go."""
+        """Set the channels of all following outputs, and the recipe (TOML)."""
         with self._lock:
             self._names = tuple(names)
             self._verdicts = np.zeros((len(self._names), len(Verdict)), np.int64)
-            self._first_codes = np.arange(len(self._names)) * len(Verdict)  # each channel's in one row of counts
+            self._first_codes = np.arange(len(self._names)) * len(Verdict)  # index of each channel's first count
         self.tuned(recipe)
 
     def tuned(self, recipe: str) -> None:
-        """Say through which recipe (TOML) rows go from now on."""
+        """Set the recipe (TOML) of all following rows."""
         self.recipe = recipe
         self._sha256 = hashlib.sha256(recipe.encode()).hexdigest() if recipe else ""
 
     def took(self, block: Block) -> None:
-        """Count a block that came from the source."""
+        """Count a block from the source."""
         with self._lock:
-            self._taken += len(block)
+            self._rows_taken += len(block)
 
     def queued(self, blocks: int, rows: int) -> None:
-        """Say how much waits between source and filter now."""
+        """Set the number of blocks and rows in the queue before the filter."""
         self._queue = (blocks, rows)
 
     def turned(self) -> None:
-        """Say that the main loop has come round once more."""
-        self._turned_s = self._clock()
+        """Record one more turn of the main loop."""
+        self._loop_s = self._clock()
 
     def told(self, output: Output) -> None:
-        """Count rows that sinks have got, and what is told with them of losses."""
+        """Count rows that were passed to the sinks, and their losses."""
         now_s = self._clock()
-        counts = self._counted(output)
+        counts = self._verdict_counts(output)
         with self._lock:
             self._count(output.losses)
             if not len(output):
                 return
-            self._told += len(output)
+            self._rows += len(output)
             self._verdicts += counts
             self._latencies.add(now_s - output.arrived_s)
             second = int(now_s)
@@ -163,60 +163,60 @@ class Meter:
                 self._seconds.append((second, len(output)))
 
     def lost(self, losses: Iterable[Loss]) -> None:
-        """Count what happened to a stream that has no rows yet."""
+        """Count losses of a stream that has no rows yet."""
         with self._lock:
             self._count(losses)
 
     def kept(self, rows: int, took_s: float, position: str = "") -> None:
-        """Count a commit: its rows, how long it took in seconds, and where a restart would go on."""
+        """Count a commit: its rows, its duration in seconds, and the position from which a restart continues."""
         with self._lock:
-            done = self._commits
-            done.count += 1
-            done.rows += rows
-            done.took_s, done.longest_s = took_s, max(done.longest_s, took_s)
-            done.last_s, done.position = self._clock(), position
+            commits = self._commits
+            commits.count += 1
+            commits.rows += rows
+            commits.took_s, commits.longest_s = took_s, max(commits.longest_s, took_s)
+            commits.last_s, commits.position = self._clock(), position
 
     def health(self, channel: str, nis: float, alarms: Sequence[str] = ()) -> None:
-        """Say how a channel's filter fares: its windowed NIS (1 is right, NaN unknown), and what is wrong."""
+        """Set a channel's windowed NIS (1 if the model is right, NaN if unknown), and its alarms."""
         with self._lock:
             self._health[channel] = (nis, tuple(alarms))
 
     def state(self, state: State, says: str = "") -> None:
-        """Say what the stream is doing; the time is that of the last change of state."""
+        """Set the state of the stream; the time of the last change is recorded."""
         with self._lock:
             if state != self._state:
                 self._since_s = time.time()
             self._state, self._says = state, says
 
     def status(self) -> dict[str, Any]:
-        """Return all counts as plain values, ready for JSON: times in UTC, latencies in ms, ages in seconds."""
+        """Return all counts as values for JSON: times in UTC, latencies in milliseconds, ages in seconds."""
         now_s = self._clock()
         with self._lock:
             last = self._latencies.ring[: min(self._latencies.count, LATENCIES)].copy()
-            told: dict[str, Any] = {
+            status: dict[str, Any] = {
                 "version": version(),
                 "written": _utc(time.time()),
                 "state": self._state,
                 "says": self._says,
                 "since": _utc(self._since_s),
                 "started": _utc(self._started_s),
-                "loop_age_s": round(now_s - self._turned_s, 3),
+                "loop_age_s": round(now_s - self._loop_s, 3),
                 "source": self._source,
                 "recipe_sha256": self._sha256,
-                "rows_taken": self._taken,
-                "rows": self._told,
+                "rows_taken": self._rows_taken,
+                "rows": self._rows,
                 "rows_per_s": round(self._rate(now_s), 3),
                 "queue": dict(zip(("blocks", "rows"), self._queue, strict=True)),
-                "commits": self._committed(now_s),
-                "losses": {kind.value: _told_of(losses) for kind, losses in self._losses.items()},
-                "channels": self._channels(),
+                "commits": self._commit_status(now_s),
+                "losses": {kind.value: _loss_status(losses) for kind, losses in self._losses.items()},
+                "channels": self._channel_status(),
                 "memory_bytes": resident_bytes(),
                 "position": self._commits.position,
             }
-        return told | {"latency_ms": self._latencies.told(last)}
+        return status | {"latency_ms": self._latencies.status(last)}
 
-    def _counted(self, output: Output) -> Integers:
-        """Count each channel's verdicts, (m, kinds): at once where all readings were used, as they mostly are."""
+    def _verdict_counts(self, output: Output) -> Integers:
+        """Return the counts of each channel's verdicts, (m, kinds); blocks with all readings used are counted fast."""
         if not output.verdicts.any():
             return len(output) * self._all_used
         codes = (output.verdicts + self._first_codes).ravel()
@@ -224,38 +224,38 @@ class Meter:
 
     def _count(self, losses: Iterable[Loss]) -> None:
         for loss in losses:
-            sort = self._losses[loss.kind]
-            sort.events += 1
-            sort.rows += loss.rows or 0
-            sort.says, sort.noticed_s = loss.says, loss.noticed_s
+            losses_of_kind = self._losses[loss.kind]
+            losses_of_kind.events += 1
+            losses_of_kind.rows += loss.rows or 0
+            losses_of_kind.says, losses_of_kind.noticed_s = loss.says, loss.noticed_s
 
     def _rate(self, now_s: float) -> float:
-        """Return rows a second over the whole seconds before this one, as many as there were."""
+        """Return the rows per second over the last full seconds, at most RATE_OVER_S."""
         now = int(now_s)
         past = min(RATE_OVER_S, now - int(self._begun_s))
         rows = sum(rows for second, rows in self._seconds if now - past <= second < now)
         return rows / past if past else 0.0
 
-    def _committed(self, now_s: float) -> dict[str, Any]:
-        done = self._commits
+    def _commit_status(self, now_s: float) -> dict[str, Any]:
+        commits = self._commits
         return {
-            "count": done.count,
-            "rows": done.rows,
-            "last_age_s": None if done.last_s is None else round(now_s - done.last_s, 3),
-            "last_took_ms": _milli(done.took_s),
-            "longest_took_ms": _milli(done.longest_s),
+            "count": commits.count,
+            "rows": commits.rows,
+            "last_age_s": None if commits.last_s is None else round(now_s - commits.last_s, 3),
+            "last_took_ms": _milli(commits.took_s),
+            "longest_took_ms": _milli(commits.longest_s),
         }
 
-    def _channels(self) -> dict[str, Any]:
-        told = {}
+    def _channel_status(self) -> dict[str, Any]:
+        channels = {}
         for name, counts in zip(self._names, self._verdicts.tolist(), strict=True):
             nis, alarms = self._health.get(name, (math.nan, ()))
-            met = {word: count for word, count in zip(_WORDS, counts, strict=True) if count}
-            told[name] = {"verdicts": met, "nis": nis if math.isfinite(nis) else None, "alarms": list(alarms)}
-        return told
+            verdicts = {word: count for word, count in zip(_WORDS, counts, strict=True) if count}
+            channels[name] = {"verdicts": verdicts, "nis": nis if math.isfinite(nis) else None, "alarms": list(alarms)}
+        return channels
 
 
-def _told_of(losses: Losses) -> dict[str, Any]:
+def _loss_status(losses: Losses) -> dict[str, Any]:
     at = _utc(losses.noticed_s) if losses.events else None
     return {"events": losses.events, "rows": losses.rows, "says": losses.says, "at": at}
 

@@ -1,4 +1,4 @@
-"""Counts of a stream for Prometheus, over HTTP on loopback."""
+"""Serve the counts of a stream to Prometheus over HTTP, on the loopback address unless another is given."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ LOOPBACK = "127.0.0.1"
 
 
 class MetricsServer(Closing):
-    """Answers http://HOST:PORT/metrics from a thread of its own, with what the meter says at that moment.
+    """A server of http://HOST:PORT/metrics in a separate thread, with the meter's current counts.
 
     Parameters
     ----------
     port : int
-        Where to listen; 0 takes any that is free, which `port` then tells.
+        Port to listen at; 0 takes a free port, which the attribute `port` then holds.
     meter : Meter
-        What to tell.
+        Meter with the counts.
     host : str
-        Who may ask: this machine, unless another address is named.
+        Address to listen at; with the default only this machine can connect.
 
     Raises
     ------
     UsageError
-        If the port cannot be had, or prometheus-client is not here.
+        If the port is not available, or prometheus-client is not installed.
     """
 
     def __init__(self, port: int, meter: Meter, host: str = LOOPBACK) -> None:
@@ -44,91 +44,91 @@ class MetricsServer(Closing):
         except (OSError, OverflowError) as cause:
             why = getattr(cause, "strerror", None) or cause
             raise UsageError(
-                f"Metrics cannot be told at {host}:{port} ({why}); name another with --metrics."
+                f"Metrics cannot be served at {host}:{port} ({why}); choose another port with --metrics."
             ) from cause
         self.port = int(self._server.server_port)
 
     def close(self) -> None:
-        """Stop answering; harmless twice."""
+        """Stop the server; may be called twice."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
 
 
 class Counts:
-    """The meter as Prometheus sees it: nothing is counted here.
+    """A Prometheus collector that reads a meter.
 
     Parameters
     ----------
     meter : Meter
-        What to tell.
+        Meter with the counts.
     """
 
     def __init__(self, meter: Meter) -> None:
         self._meter = meter
 
     def collect(self) -> Iterator[Metric]:
-        """Tell all metrics as of now."""
-        told = self._meter.status()
-        yield _total("becalm_rows_taken", "Rows that came from the source.", told["rows_taken"])
-        yield _total("becalm_rows", "Rows that sinks have got.", told["rows"])
-        yield _now("becalm_queue_blocks", "Blocks that wait for the filter.", told["queue"]["blocks"])
-        yield _now("becalm_queue_rows", "Rows that wait for the filter.", told["queue"]["rows"])
-        yield _now("becalm_loop_age_seconds", "Time since the main loop last came round.", told["loop_age_s"])
-        yield _latency(told["latency_ms"])
-        yield from _channels(told["channels"])
-        yield from _losses(told["losses"])
-        yield from _commits(told["commits"])
-        yield _labelled(
-            "becalm_state", "What the stream is doing.", {state: state == told["state"] for state in get_args(State)}
+        """Return all metrics with their current values."""
+        status = self._meter.status()
+        yield _counter("becalm_rows_taken", "Rows read from the source.", status["rows_taken"])
+        yield _counter("becalm_rows", "Rows passed to the sinks.", status["rows"])
+        yield _gauge("becalm_queue_blocks", "Blocks in the queue before the filter.", status["queue"]["blocks"])
+        yield _gauge("becalm_queue_rows", "Rows in the queue before the filter.", status["queue"]["rows"])
+        yield _gauge("becalm_loop_age_seconds", "Time since the last turn of the main loop.", status["loop_age_s"])
+        yield _latency(status["latency_ms"])
+        yield from _channels(status["channels"])
+        yield from _losses(status["losses"])
+        yield from _commits(status["commits"])
+        yield _state_gauge(
+            "becalm_state", "State of the stream.", {state: state == status["state"] for state in get_args(State)}
         )
 
 
-def _total(name: str, says: str, count: int) -> Metric:
+def _counter(name: str, text: str, count: int) -> Metric:
     from prometheus_client.metrics_core import CounterMetricFamily
 
-    return CounterMetricFamily(name, says, count)
+    return CounterMetricFamily(name, text, count)
 
 
-def _now(name: str, says: str, value: float) -> Metric:
+def _gauge(name: str, text: str, value: float) -> Metric:
     from prometheus_client.metrics_core import GaugeMetricFamily
 
-    return GaugeMetricFamily(name, says, value)
+    return GaugeMetricFamily(name, text, value)
 
 
-def _labelled(name: str, says: str, values: dict[str, bool]) -> Metric:
+def _state_gauge(name: str, text: str, values: dict[str, bool]) -> Metric:
     from prometheus_client.metrics_core import GaugeMetricFamily
 
-    family = GaugeMetricFamily(name, says, labels=["state"])
+    family = GaugeMetricFamily(name, text, labels=["state"])
     for state, value in values.items():
         family.add_metric([state], float(value))
     return family
 
 
-def _latency(told: dict[str, Any]) -> Metric:
-    """Return a summary: quantiles of the last outputs, and the sum of all."""
+def _latency(latency: dict[str, Any]) -> Metric:
+    """Return a summary: quantiles of the last outputs, and the sum of all latencies in seconds."""
     from prometheus_client.metrics_core import SummaryMetricFamily
 
     name = "becalm_latency_seconds"
     family = SummaryMetricFamily(
         name,
-        "From a reading's arrival until sinks have it.",
-        count_value=told["outputs"],
-        sum_value=told["sum"] / 1e3,
+        "Time from the arrival of a reading until it is passed to the sinks.",
+        count_value=latency["outputs"],
+        sum_value=latency["sum"] / 1e3,
     )
     for quantile, percentile in (("0.5", "p50"), ("0.99", "p99"), ("1", "max")):
-        if told[percentile] is not None:
-            family.add_sample(name, {"quantile": quantile}, told[percentile] / 1e3)
+        if latency[percentile] is not None:
+            family.add_sample(name, {"quantile": quantile}, latency[percentile] / 1e3)
     return family
 
 
-def _channels(told: dict[str, Any]) -> Iterator[Metric]:
+def _channels(channels: dict[str, Any]) -> Iterator[Metric]:
     from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily
 
-    verdicts = CounterMetricFamily("becalm_verdicts", "Readings by what became of them.", labels=["channel", "verdict"])
-    nis = GaugeMetricFamily("becalm_nis", "Innovations squared over their variance; 1 is right.", labels=["channel"])
-    alarms = GaugeMetricFamily("becalm_alarms", "What is wrong with a channel now.", labels=["channel", "alarm"])
-    for name, channel in told.items():
+    verdicts = CounterMetricFamily("becalm_verdicts", "Readings by verdict.", labels=["channel", "verdict"])
+    nis = GaugeMetricFamily("becalm_nis", "Squared innovations over their variance; 1 is right.", labels=["channel"])
+    alarms = GaugeMetricFamily("becalm_alarms", "Current alarms of a channel.", labels=["channel", "alarm"])
+    for name, channel in channels.items():
         for verdict, count in channel["verdicts"].items():
             verdicts.add_metric([name, verdict], count)
         if channel["nis"] is not None:
@@ -138,20 +138,20 @@ def _channels(told: dict[str, Any]) -> Iterator[Metric]:
     yield from (verdicts, nis, alarms)
 
 
-def _losses(told: dict[str, Any]) -> Iterator[Metric]:
+def _losses(losses: dict[str, Any]) -> Iterator[Metric]:
     from prometheus_client.metrics_core import CounterMetricFamily
 
-    events = CounterMetricFamily("becalm_losses", "Losses, by what happened.", labels=["kind"])
-    rows = CounterMetricFamily("becalm_lost_rows", "Rows that losses touched, where known.", labels=["kind"])
-    for kind, losses in told.items():
-        events.add_metric([kind], losses["events"])
-        rows.add_metric([kind], losses["rows"])
+    events = CounterMetricFamily("becalm_losses", "Losses by kind.", labels=["kind"])
+    rows = CounterMetricFamily("becalm_lost_rows", "Rows affected by losses, where known.", labels=["kind"])
+    for kind, counts in losses.items():
+        events.add_metric([kind], counts["events"])
+        rows.add_metric([kind], counts["rows"])
     yield from (events, rows)
 
 
-def _commits(told: dict[str, Any]) -> Iterator[Metric]:
-    yield _total("becalm_commits", "Commits of rows and state.", told["count"])
-    yield _total("becalm_kept_rows", "Rows that are kept for good.", told["rows"])
-    yield _now("becalm_longest_commit_seconds", "The longest that a commit took.", told["longest_took_ms"] / 1e3)
-    if told["last_age_s"] is not None:
-        yield _now("becalm_last_commit_age_seconds", "Time since the last commit.", told["last_age_s"])
+def _commits(commits: dict[str, Any]) -> Iterator[Metric]:
+    yield _counter("becalm_commits", "Commits of rows and state.", commits["count"])
+    yield _counter("becalm_kept_rows", "Rows committed.", commits["rows"])
+    yield _gauge("becalm_longest_commit_seconds", "Longest duration of a commit.", commits["longest_took_ms"] / 1e3)
+    if commits["last_age_s"] is not None:
+        yield _gauge("becalm_last_commit_age_seconds", "Time since the last commit.", commits["last_age_s"])

@@ -1,4 +1,4 @@
-"""A file that says every second how a stream fares, whole or not at all."""
+"""Write the status of a stream to a file every second, atomically."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ EVERY_S = 1.0
 
 
 class StatusFile(Closing):
-    """Writes `Meter.status` as JSON, every second from a thread of its own and once more at the end.
+    """Writes `Meter.status` as JSON, every second from a separate thread and once more at the end.
 
-    Secrets are scrubbed from it as from a log. A status that cannot be written, on a full disk say, stops no stream:
-    it is said once, and tried again.
+    Secrets are removed as in a log. If the file cannot be written, for example on a full disk, the stream continues;
+    the failure is reported once, and writing is tried again.
 
     Parameters
     ----------
     path : Path
-        The file; it is replaced by renaming, so that who reads it finds a whole one.
+        The file; it is replaced by renaming, so that a reader always finds a complete file.
     meter : Meter
-        What to tell.
+        Meter with the counts.
     say : callable
-        Hears a sentence when writing fails, and when it works again.
+        Called with a sentence when writing fails, and when it works again.
 
     Raises
     ------
     OutputError
-        If no file can have such a name, or none can be made in its folder.
+        If the file name is not possible, or no file can be created in its folder.
     """
 
     def __init__(self, path: Path, meter: Meter, say: Callable[[str], object]) -> None:
@@ -48,7 +48,7 @@ class StatusFile(Closing):
         self._thread.start()
 
     def close(self) -> None:
-        """Write the last one and stop; harmless twice."""
+        """Write the last status and stop; may be called twice."""
         if not self._ended.is_set():
             self._ended.set()
             self._thread.join()
@@ -59,7 +59,7 @@ class StatusFile(Closing):
             self._write()
 
     def _write(self) -> None:
-        """Replace the file; it is not forced to the disk, which the journal needs more."""
+        """Replace the file, without fsync, because that would slow the journal's commits."""
         text = json.dumps(self._scrub.value(self._meter.status()), indent=2, allow_nan=False) + "\n"
         try:
             self._part.write_text(text, encoding="utf-8")
@@ -68,7 +68,7 @@ class StatusFile(Closing):
             with suppress(OSError):
                 self._part.unlink(missing_ok=True)
             if not self._failing:
-                self._say(f"The status file {self._path} cannot be written ({cause.strerror}); the stream goes on.")
+                self._say(f"The status file {self._path} cannot be written ({cause.strerror}); the stream continues.")
             self._failing = True
         else:
             if self._failing:

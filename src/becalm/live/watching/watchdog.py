@@ -1,4 +1,4 @@
-"""What notices that a stream stands still: its source fell silent, or, for systemd, this process hangs."""
+"""Watchdogs of a stream: one for a silent source, and systemd's for a process that hangs."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from becalm.live.block import Loss, LossKind
 
 
 class Silence:
-    """Says when nothing came for too long: once, and once more when something comes again.
+    """Reports once that a source has been silent for too long, and once that it is back.
 
     Parameters
     ----------
     patience_s : float
-        How long nothing may come, in seconds.
+        Longest time without rows, in seconds.
     clock : callable
         `time.monotonic`.
     """
@@ -27,7 +27,7 @@ class Silence:
         self.silent = False
 
     def came(self) -> Loss | None:
-        """Hear that rows came; return how long nothing had come, if that had been said."""
+        """Record that rows arrived; return a loss with the length of the silence, if one was reported."""
         last_s, self._last_s = self._last_s, self._clock()
         if not self.silent:
             return None
@@ -35,23 +35,23 @@ class Silence:
         return Loss(LossKind.SILENT, None, f"The source is back after {self._last_s - last_s:.3g} s of silence.")
 
     def waited(self) -> Loss | None:
-        """Hear that nothing came just now; return a loss the first time that it lasts too long."""
-        past_s = self._clock() - self._last_s
-        if self.silent or past_s <= self._patience_s:
+        """Record that no rows arrived; return a loss when the silence first exceeds the limit."""
+        silence_s = self._clock() - self._last_s
+        if self.silent or silence_s <= self._patience_s:
             return None
         self.silent = True
-        return Loss(LossKind.SILENT, None, f"Nothing came from the source for {past_s:.3g} s.")
+        return Loss(LossKind.SILENT, None, f"Nothing came from the source for {silence_s:.3g} s.")
 
 
 class Systemd:
-    """Tells systemd how the service fares, by its notify protocol; without systemd every call does nothing.
+    """Reports the state of the service to systemd, by its notify protocol; without systemd every call does nothing.
 
-    The protocol is a datagram of NAME=value, so it needs no library. Nothing here fails a stream.
+    The protocol is a datagram of NAME=value, so no library is needed. Errors in sending are ignored.
 
     Parameters
     ----------
     environment : mapping of str to str
-        Where systemd leaves NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID.
+        Environment variables; systemd sets NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID.
     clock : callable
         `time.monotonic`.
     """
@@ -60,34 +60,34 @@ class Systemd:
         self, environment: Mapping[str, str] = os.environ, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._clock = clock
-        self._socket = _connected(environment.get("NOTIFY_SOCKET", ""))
+        self._socket = _connect(environment.get("NOTIFY_SOCKET", ""))
         self._every_s = _watchdog_s(environment) / 3
         self._next_s = clock() if self._every_s < float("inf") else float("inf")
         self._says = ""
 
     def ready(self) -> None:
-        """Say that the stream is under way."""
+        """Report that the stream is running."""
         self._send("READY=1")
 
     def status(self, says: str) -> None:
-        """Say in a sentence what the stream is doing; the same again is not sent."""
+        """Report the state in a sentence; an unchanged sentence is not sent again."""
         if says != self._says:
             self._says = says
             self._send(f"STATUS={' '.join(says.split())}")
 
     def alive(self) -> None:
-        """Say that the main loop has come round; only that loop may call this, or a hang goes unseen."""
+        """Report that the main loop runs; only that loop may call this, or a hang goes unnoticed."""
         now_s = self._clock()
         if now_s >= self._next_s:
             self._next_s = now_s + self._every_s
             self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """Say that the stream is being brought to its end."""
+        """Report that the stream is stopping."""
         self._send("STOPPING=1")
 
     def close(self) -> None:
-        """Let go; harmless twice."""
+        """Close the socket; may be called twice."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -97,25 +97,25 @@ class Systemd:
             try:
                 self._socket.send(text.encode())
             except OSError:
-                return  # full, or nobody listens any more; the next one may get through
+                return  # the socket is full, or systemd no longer listens; the next datagram may arrive
 
 
-def _connected(address: str) -> socket.socket | None:
+def _connect(address: str) -> socket.socket | None:
     if not address.startswith(("/", "@")) or not hasattr(socket, "AF_UNIX"):
         return None
-    door = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    door.setblocking(False)
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    connection.setblocking(False)
     try:
-        door.connect(f"\0{address[1:]}" if address.startswith("@") else address)
+        connection.connect(f"\0{address[1:]}" if address.startswith("@") else address)
     except OSError:
-        door.close()
+        connection.close()
         return None
-    return door
+    return connection
 
 
 def _watchdog_s(environment: Mapping[str, str]) -> float:
-    """Return how often systemd wants to hear of this process, in seconds; infinity if never."""
-    asked, process = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", "")
-    if not asked.isdecimal() or (process and process != str(os.getpid())):
+    """Return the watchdog interval that systemd requires of this process, in seconds; infinity if none."""
+    interval_us, process = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", "")
+    if not interval_us.isdecimal() or (process and process != str(os.getpid())):
         return float("inf")
-    return int(asked) / 1e6
+    return int(interval_us) / 1e6
