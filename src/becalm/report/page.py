@@ -190,12 +190,12 @@ def _left_out(count: int) -> str:
     return f"Only the {MOST_PICTURED} channels that most need a look are drawn; the table lists {count} more."
 
 
-def _section(drawn: Pictured, number: int, beside: Beside) -> _Section:
+def _section(drawn: Pictured, number: int, extra: Beside) -> _Section:
     report = drawn.report
     together = f"{_anchor(number)}-time"
     placed = [
-        *((figure, "wide", together if _at_once(figure) else "") for figure in (*drawn.wide, *beside.wide)),
-        *((figure, "narrow", "") for figure in (*drawn.narrow, *beside.narrow)),
+        *((figure, "wide", together if _at_once(figure) else "") for figure in (*drawn.wide, *extra.wide)),
+        *((figure, "narrow", "") for figure in (*drawn.narrow, *extra.narrow)),
     ]
     return _Section(
         _anchor(number),
@@ -203,10 +203,10 @@ def _section(drawn: Pictured, number: int, beside: Beside) -> _Section:
         _tone(report),
         report.says,
         drawn.words,
-        beside.tables,
+        extra.tables,
         _numbers(report),
         tuple(placed),
-        _printed(drawn, beside),
+        _printed(drawn, extra),
     )
 
 
@@ -239,11 +239,11 @@ def _percent(share: float | None) -> float | None:
     return None if share is None else 100 * share
 
 
-def _printed(drawn: Pictured, beside: Beside) -> tuple[str, ...]:
+def _printed(drawn: Pictured, extra: Beside) -> tuple[str, ...]:
     """Draw the same figures for print, if matplotlib is installed."""
     if not can_print():
         return ()
-    sheets = (((*drawn.wide, *beside.wide), 1), ((*drawn.narrow, *beside.narrow), 2))
+    sheets = (((*drawn.wide, *extra.wide), 1), ((*drawn.narrow, *extra.narrow), 2))
     return tuple(packed(_element(printed(figures, "svg", columns))) for figures, columns in sheets if figures)
 
 

@@ -57,7 +57,7 @@ class CarScore(NamedTuple):
 
     filter: str
     axis: str
-    snr_db: float  # of the output, (14) in usual decibels
+    snr_db: float  # signal-to-noise ratio of the output, (14), in usual decibels
     snr_paper_db: float  # the same in the paper's decibels
     described_lag_s: float  # for a slow signal, computed from the model; only for a_z, NaN otherwise
     measured_lag_s: float  # by cross-correlation with the truth

@@ -93,7 +93,7 @@ def makeup(printed: Printed) -> Makeup:
     """Return the parts of a record for which the paper's method gives the paper's table 1."""
     kept = butterworth_noise_gain(SPLIT_ORDER, SPLIT_HZ / RATE_HZ)
     white = min(printed.measured_noise, printed.measured_process / kept)
-    passes = 2 / np.pi * np.arctan(SPLIT_HZ / DRIFT_HZ)  # of drift, about
+    passes = 2 / np.pi * np.arctan(SPLIT_HZ / DRIFT_HZ)  # share of the drift, approximately
     drift = max(0.0, printed.measured_process - kept * white) / passes
     return Makeup(white, printed.measured_noise - white, drift)
 

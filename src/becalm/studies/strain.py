@@ -24,7 +24,7 @@ SHOWN = 0.05
 RUNS = 20
 DURATION_S = 100.0
 KNOTS_S, KNOTS = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0), (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
-SLOPE = 0.05  # of the ramps, in unit/s
+SLOPE = 0.05  # slope of the ramps, in unit/s
 
 _SETTLED_S = ((30.0, 40.0), (70.0, 80.0))  # halves of the ramps in which the filters have settled
 

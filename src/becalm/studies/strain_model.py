@@ -12,7 +12,7 @@ from becalm.core.filter.filtering import kalman_filter
 from becalm.core.model.model import Model
 
 _RATIOS = np.arange(-14.0, 5.0)  # decimal logarithms of G T^6 / R to start a search from
-_NEAR = 0.01  # of a decade
+_NEAR = 0.01  # tolerance of the search, in decades
 
 
 class Noise(NamedTuple):

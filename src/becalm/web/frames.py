@@ -82,7 +82,7 @@ def frame(header: Mapping[str, Any], arrays: Mapping[str, Values | Relative]) ->
         values, offset = given if isinstance(given, Relative) else (given, None)
         kind = values.dtype.kind + str(values.dtype.itemsize)
         if kind not in _TYPES:
-            raise TypeError(f"{name} is {values.dtype}; a frame holds {', '.join(_TYPES)}.")
+            raise TypeError(f"{name} is {values.dtype}; a frame can contain {', '.join(_TYPES)}.")
         part = values.astype(_TYPES[kind], copy=False).tobytes()
         layout[name] = {"type": kind, "at": at, "count": values.size}
         if offset is not None:

@@ -124,10 +124,10 @@ class _Enclosing:
         """Return the envelopes and verdicts of all rows."""
         return Clean(self.signal, self.band, self.kinds.met, np.concatenate(self._spikes))
 
-    def add(self, told: EstimatedRows) -> None:
+    def add(self, estimates: EstimatedRows) -> None:
         """Add the estimates of the next rows."""
-        for start in range(0, len(told.signal), _PIECE):
-            part = told.rows(slice(start, start + _PIECE))
+        for start in range(0, len(estimates.signal), _PIECE):
+            part = estimates.rows(slice(start, start + _PIECE))
             touched, begins = self._stretches.next(len(part.signal))
             self._enclose(part, touched, begins)
             self.kinds.add(touched, begins, part.verdicts)

@@ -34,7 +34,7 @@ let level = -1; // level of the newest bins
 let next = 0; // number of the next new bin
 let state = "";
 let chosen = 0; // channel whose dial the keys turn
-let asked = ""; // last request for past bins
+let requested = ""; // last request for past bins
 let saidMs = 0;
 const counts = { bytes: 0, frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
 let fresh = false; // whether bins arrived since the last frame
@@ -120,7 +120,7 @@ function begin(message) {
     level = -1;
     showButtons();
   }
-  asked = ""; // an open request for past bins gets no answer
+  requested = ""; // an open request for past bins gets no answer
   const was = view.level;
   view.fit();
   if (held && view.level !== was) held = new Store(strips.length, modesOf());
@@ -176,8 +176,8 @@ function lookBack() {
   const first = held.missing(begin, stop);
   if (first === null) return;
   const wanted = `${view.level} ${first} ${stop}`;
-  if (wanted === asked) return; // requested before: the bins do not exist
-  if (send({ do: "past", level: view.level, first, count: Math.min(MOST_ASKED, HELD, stop - first) }) !== null) asked = wanted;
+  if (wanted === requested) return; // requested before: the bins do not exist
+  if (send({ do: "past", level: view.level, first, count: Math.min(MOST_ASKED, HELD, stop - first) }) !== null) requested = wanted;
 }
 
 /** Change the view by a person's action. @param {() => void} change */

@@ -49,19 +49,19 @@ export class Strip {
     this.met = make("p", { id: met, class: "met" });
     const range = make("input", { type: "range", min: 0, step: "any", "aria-label": `${this.name}: from faster to smoother`, disabled: true });
     /** Number of the last change until it is answered; messages before the answer are older. @type {number | null} */
-    this.asked = null;
+    this.pending = null;
     /** @type {[any, any]} */
-    this.told = [null, null];
+    this.known = [null, null];
     const turn = (/** @type {number} */ density, /** @type {boolean} */ final) => {
       if (!final) return;
-      this.asked = turned(density);
-      if (this.asked === null) this.forsake();
+      this.pending = turned(density);
+      if (this.pending === null) this.forsake();
     };
     this.dial = new Dial(turn, range, this.figures);
     this.ends = make("div", { class: "ends" }, make("span", {}, "faster"), make("span", {}, "smoother"));
     const title = make("h2", { id: `name-${number}`, title: this.name }, this.name);
-    const beside = make("div", {}, make("header", {}, title, this.value), this.figures, range, this.ends, this.met);
-    this.element = make("section", { class: "strip", "aria-labelledby": title.id }, this.canvas, beside);
+    const side = make("div", {}, make("header", {}, title, this.value), this.figures, range, this.ends, this.met);
+    this.element = make("section", { class: "strip", "aria-labelledby": title.id }, this.canvas, side);
     /** @type {{ low: number, high: number } | null} */
     this.scale = null;
     /** Position of the pointer in CSS pixels from the left. @type {number | null} */
@@ -157,21 +157,21 @@ export class Strip {
 
   /** Drop the last change, which gets no answer, and show the last known filter. */
   forsake() {
-    this.asked = null;
-    this.tune(...this.told);
+    this.pending = null;
+    this.tune(...this.known);
   }
 
   /** Handle the answer to a change. @param {number | null} number @param {boolean} taken false if it was refused */
   answered(number, taken) {
-    if (this.asked === null || number === null || number < this.asked) return;
-    if (taken) this.asked = null;
+    if (this.pending === null || number === null || number < this.pending) return;
+    if (taken) this.pending = null;
     else this.forsake();
   }
 
   /** Show the filter and its dial. @param {any} filter @param {any} dial */
   tune(filter, dial) {
-    this.told = [filter, dial];
-    if (this.asked !== null) return;
+    this.known = [filter, dial];
+    if (this.pending !== null) return;
     this.dial.lay(dial ?? null, this.unit);
     this.dial.input.hidden = this.ends.hidden = !dial;
     if (dial) this.dial.point(dial.at);

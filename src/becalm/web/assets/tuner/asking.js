@@ -7,7 +7,7 @@ export class Asking {
   constructor(send) {
     this.send = send;
     /** @type {number | null} */
-    this.asked = null;
+    this.pending = null;
     /** @type {Map<string, Question>} */
     this.waiting = new Map();
   }
@@ -26,21 +26,21 @@ export class Asking {
 
   /** Handle an answer. @param {number | null} number */
   heard(number) {
-    if (number === null || this.asked === null || number < this.asked) return;
-    this.asked = null;
+    if (number === null || this.pending === null || number < this.pending) return;
+    this.pending = null;
     this.#next();
   }
 
   /** Drop all requests, which get no answer. */
   forget() {
-    this.asked = null;
+    this.pending = null;
     this.waiting.clear();
   }
 
   #next() {
     const [first] = this.waiting.values();
-    if (!first || this.asked !== null) return;
+    if (!first || this.pending !== null) return;
     this.waiting.delete(first.do);
-    this.asked = this.send(first);
+    this.pending = this.send(first);
   }
 }

@@ -10,15 +10,15 @@ import { amount, find, tell } from "../dom.js";
 export class Dial {
   /**
    * @param {(density: number, final: boolean) => void} turned
-   * @param {HTMLInputElement} input @param {HTMLElement} told element for the figures
+   * @param {HTMLInputElement} input @param {HTMLElement} figures element for the figures
    */
-  constructor(turned, input = find("dial", HTMLInputElement), told = find("dial-says", HTMLElement)) {
+  constructor(turned, input = find("dial", HTMLInputElement), figures = find("dial-says", HTMLElement)) {
     this.input = input;
-    this.told = told;
+    this.figures = figures;
     this.turned = turned;
     this.unit = "";
     this.held = false;
-    this.beside = 0; // noise variance that passes through tones and other parts, which the positions do not include
+    this.otherNoise = 0; // noise variance that passes through tones and other parts, which the positions do not include
     this.noise = 0; // standard deviation of a reading
     /** @type {Positions | null} */
     this.positions = null;
@@ -47,7 +47,7 @@ export class Dial {
     this.input.disabled = !positions;
     this.input.max = String(positions ? positions.process_noise_density.length - 1 : 1);
     if (positions) return;
-    this.beside = 0;
+    this.otherNoise = 0;
     this.say({});
   }
 
@@ -84,7 +84,7 @@ export class Dial {
     const { noise_left, noise_std } = filter;
     this.noise = noise_std ?? 0;
     if (this.positions) {
-      this.beside = Math.max(0, (noise_left ?? 0) ** 2 - this.#at(this.positions.noise_left) ** 2);
+      this.otherNoise = Math.max(0, (noise_left ?? 0) ** 2 - this.#at(this.positions.noise_left) ** 2);
       this.say({ ...filter, bandwidth_hz: this.#at(this.positions.bandwidth_hz) });
     } else this.say(filter);
   }
@@ -93,7 +93,7 @@ export class Dial {
   say({ bandwidth_hz, lag_s, noise_left }) {
     const down = noise_left && this.noise ? -20 * Math.log10(noise_left / this.noise) : null;
     const words = { bandwidth: amount(bandwidth_hz, "Hz"), lag: lag_s === 0 ? "none" : amount(lag_s, "s"), "noise left": amount(noise_left, this.unit), "noise down": amount(down, "dB") };
-    tell(this.told, Object.entries(words));
+    tell(this.figures, Object.entries(words));
     this.input.setAttribute("aria-valuetext", Object.entries(words).map(([term, value]) => `${term} ${value}`).join(", "));
   }
 
@@ -108,7 +108,7 @@ export class Dial {
   #sayHere() {
     if (!this.positions) return;
     const { bandwidth_hz, lag_s, noise_left } = this.positions;
-    this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: Math.hypot(this.#at(noise_left), Math.sqrt(this.beside)) });
+    this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: Math.hypot(this.#at(noise_left), Math.sqrt(this.otherNoise)) });
   }
 
   /** Interpolate between positions, in the logarithm. @param {ArrayLike<number>} values */

@@ -13,7 +13,7 @@ export class Files {
   constructor(opened, brought, wanted) {
     this.opened = opened;
     this.wanted = wanted;
-    this.told = ""; // the listed files, as JSON
+    this.listed = ""; // the listed files, as JSON
     this.held = false; // whether a person has opened the list
     this.place = find("files", HTMLElement);
     this.button = find("show-files", HTMLButtonElement);
@@ -67,8 +67,8 @@ export class Files {
       : `Drop a file anywhere on this page, or choose one; ${folder} has no file that becalm can read.`;
     this.chosen.accept = formats.join(",");
     const listed = JSON.stringify(files);
-    if (listed === this.told) return; // keeps the focus on a name
-    this.told = listed;
+    if (listed === this.listed) return; // keeps the focus on a name
+    this.listed = listed;
     find("folder", HTMLElement).replaceChildren(...files.map(({ id, name, bytes }) => {
       const button = make("button", { type: "button", class: "plain" }, name);
       button.addEventListener("click", () => this.opened(id));

@@ -18,7 +18,7 @@ export class CostMap {
   /** @param {(tuning: Tuning, final: boolean) => void} turned */
   constructor(turned) {
     this.canvas = /** @type {HTMLElement} */ (find("map", HTMLElement).querySelector(".canvas"));
-    this.told = find("map-says", HTMLElement);
+    this.caption = find("map-says", HTMLElement);
     this.turned = turned;
     /** @type {{ grid: Grid, cost: ArrayLike<number>, unit: string, image: HTMLCanvasElement } | null} */
     this.map = null;
@@ -34,13 +34,13 @@ export class CostMap {
   clear() {
     this.u?.destroy();
     this.u = this.map = null;
-    this.told.textContent = "";
+    this.caption.textContent = "";
   }
 
   /** Show why there is no map. @param {string} why */
   refuse(why) {
     this.clear();
-    this.told.textContent = why;
+    this.caption.textContent = why;
   }
 
   /** @param {Grid} grid @param {ArrayLike<number>} cost row by row @param {string} unit */
@@ -86,8 +86,8 @@ export class CostMap {
     const [i, j] = [nearest(grid.noise_std, noise_std), nearest(grid.process_noise_density, process_noise_density)];
     const worse = cost[i * grid.process_noise_density.length + j];
     const quality = worse < 0.001 ? "as well as at best" : `${amount(worse, "nats")} worse than at best`;
-    write(this.told, `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, grid.density_unit)}; each reading is predicted ${quality} (cross). The stronger the colour, the better.`);
-    this.canvas.setAttribute("aria-label", `Cost of every noise and density; arrow keys tune. ${this.told.textContent}`);
+    write(this.caption, `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, grid.density_unit)}; each reading is predicted ${quality} (cross). The stronger the colour, the better.`);
+    this.canvas.setAttribute("aria-label", `Cost of every noise and density; arrow keys tune. ${this.caption.textContent}`);
   }
 
   /** Paint one pixel for each cell: the darker, the better it predicts. */
