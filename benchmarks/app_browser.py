@@ -27,7 +27,7 @@ TURN = """async (count) => {
   }
   return took;
 }"""
-IDLE = "() => becalm.asking.asked === null && becalm.asking.waiting.size === 0"
+IDLE = "() => becalm.asking.pending === null && becalm.asking.waiting.size === 0"
 JUDGED = "() => /^[✓!✗]/.test(document.querySelector('#verdict').textContent)"
 
 

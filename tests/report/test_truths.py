@@ -48,7 +48,7 @@ def test_a_lagged_filter_is_not_told_as_the_smoother() -> None:
     pictured = pictures_of(recording, recipe).channel(0)
     chosen = next(layer for layer in figure_of(pictured, "-front").layers if layer.name == "chosen")
     assert isinstance(chosen, Curve)
-    down = re.search(r"0\.1 s later, noise is down ([0-9.]+) dB", pictured.words)
+    down = re.search(r"With a delay of 0\.1 s, noise is down ([0-9.]+) dB", pictured.words)
     assert down is not None, pictured.words
     assert pictured.report.noise_std is not None
     assert float(down[1]) == pytest.approx(-20 * np.log10(chosen.y[0] / pictured.report.noise_std), abs=0.051)
@@ -59,7 +59,7 @@ def test_of_a_constant_channel_no_sigma_is_believed() -> None:
     html = draw(Recording(both, names=["a", "b"], rate_hz=RATE_HZ)).page()
     lead = re.search(r'<p class="lead">(.*?)</p>', html)
     assert lead is not None
-    assert "1 of 2 channels are constant, of which no sigma is known" in lead[1]
+    assert "1 of 2 channels are constant; their sigma is unknown" in lead[1]
     assert '<td class="">see below</td>' in html
     assert '"2-b-closeup-2"' not in html, "no reading lies any sigma away"
 

@@ -135,7 +135,7 @@ def test_rests_that_are_not_there_are_named(tmp_path: Path) -> None:
     rests, skipped = find_rests(tmp_path)
     assert rests == ()
     assert len(skipped) == 4
-    assert all(sentence.endswith("is not there, and is left out.") for sentence in skipped)
+    assert all(sentence.endswith("is absent, and is left out.") for sentence in skipped)
 
 
 @pytest.mark.skipif(not (RECORDINGS / "imu_tk").exists(), reason="the real recordings are not there")

@@ -146,10 +146,10 @@ def test_a_token_file_is_made_for_its_owner_only_and_kept(tmp_path: Path) -> Non
     [
         (TOKEN, 0o640, "can be read by others"),
         (TOKEN, 0o604, "can be read by others"),
-        ("short", 0o600, "holds no token"),
-        ("a token with spaces, and long enough", 0o600, "holds no token"),
-        ("a" * 2000, 0o600, "holds no token"),
-        ("", 0o600, "holds no token"),
+        ("short", 0o600, "does not contain a token"),
+        ("a token with spaces, and long enough", 0o600, "does not contain a token"),
+        ("a" * 2000, 0o600, "does not contain a token"),
+        ("", 0o600, "does not contain a token"),
     ],
 )
 def test_a_file_that_keeps_no_secret_is_refused(tmp_path: Path, text: str, mode: int, says: str) -> None:

@@ -126,7 +126,7 @@ def test_a_browser_is_opened_with_an_address_that_serves_once(tmp_path: Path) ->
         (["nothing.csv"], 3, "nothing.csv is not there"),
         (["--folder", "nowhere"], 3, "nowhere is no folder"),
         (["--rate", "100"], 2, "--rate and --time are of a file; name it, or give its rate on the page"),
-        (["--port", "99999"], 2, "ports end at 65535"),
+        (["--port", "99999"], 2, "the highest port is 65535"),
         (["--host", "192.0.2.1"], 2, "--host"),
         (["--upload-limit", "2"], 2, "write a number and then kB, MB or GB"),
         (["--token-file", "nowhere/token"], 2, "--token-file"),
@@ -146,7 +146,7 @@ def test_a_port_that_was_asked_for_and_is_taken_is_told(tmp_path: Path) -> None:
         command = [sys.executable, "-m", "becalm", "app", "--no-browser", "--port", str(other.getsockname()[1])]
         ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, timeout=120)
     assert ran.returncode == 2
-    assert "another program is there" in ran.stderr
+    assert "another program uses it" in ran.stderr
 
 
 @pytest.mark.parametrize("missing", ["starlette", "uvicorn", "websockets"])
@@ -155,7 +155,7 @@ def test_where_the_extra_is_missing_the_sentence_says_what_to_type(tmp_path: Pat
     command = [sys.executable, "-c", code, "app", "--no-browser"]
     ran = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False, timeout=120)
     assert ran.returncode == 2
-    assert f"{missing}, not here; type: pip install 'becalm[app]'" in ran.stderr
+    assert f"{missing}, which must be installed; type: pip install 'becalm[app]'" in ran.stderr
 
 
 def test_nothing_of_the_app_is_loaded_before_it_is_asked_for() -> None:

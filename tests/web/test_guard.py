@@ -225,7 +225,7 @@ def test_what_fails_in_becalm_is_told_to_whoever_runs_it_and_the_page_goes_on(
 ) -> None:
     with page.client() as browser:
         answer = browser.get("/fail")
-        assert (answer.status_code, answer.text.endswith("its error output says what.")) == (500, True)
+        assert (answer.status_code, answer.text.endswith("its error output shows the cause.")) == (500, True)
     with page.wire() as wire:
         wire.recv()
         wire.send('{"do": "fail"}')

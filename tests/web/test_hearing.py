@@ -17,19 +17,19 @@ from becalm.web.tuner import messages as of_the_tuner
     [
         ({"bytes": b"{}"}, "sent bytes"),
         ({"bytes": b"{}", "text": None}, "sent bytes"),
-        ({"text": ""}, "no JSON"),
-        ({"text": "{"}, "no JSON"),
-        ({"text": '{"do": "look"} {}'}, "no JSON"),
-        ({"text": "[1]"}, "no object"),
-        ({"text": '"look"'}, "no object"),
-        ({"text": "null"}, "no object"),
-        ({"text": '{"q": NaN}'}, "NaN is no finite number"),
-        ({"text": '{"q": -Infinity}'}, "-Infinity is no finite number"),
-        ({"text": '{"q": 1e999}'}, "1e999 is no finite number"),
-        ({"text": '{"q": [-1e999]}'}, "-1e999 is no finite number"),
-        ({"text": '{"q": ' + "9" * 5000 + "}"}, "no JSON"),
-        ({"text": "[" * 100_000}, "no JSON"),
-        ({"text": '{"q": ' + "9" * 5000 + ".0}"}, "999... is no finite number"),
+        ({"text": ""}, "not JSON"),
+        ({"text": "{"}, "not JSON"),
+        ({"text": '{"do": "look"} {}'}, "not JSON"),
+        ({"text": "[1]"}, "not an object"),
+        ({"text": '"look"'}, "not an object"),
+        ({"text": "null"}, "not an object"),
+        ({"text": '{"q": NaN}'}, "NaN is not a finite number"),
+        ({"text": '{"q": -Infinity}'}, "-Infinity is not a finite number"),
+        ({"text": '{"q": 1e999}'}, "1e999 is not a finite number"),
+        ({"text": '{"q": [-1e999]}'}, "-1e999 is not a finite number"),
+        ({"text": '{"q": ' + "9" * 5000 + "}"}, "not JSON"),
+        ({"text": "[" * 100_000}, "not JSON"),
+        ({"text": '{"q": ' + "9" * 5000 + ".0}"}, "999... is not a finite number"),
     ],
     ids=range(15),
 )
@@ -67,7 +67,7 @@ def test_a_number_is_one(number: object, read: int | None) -> None:
 def test_both_pages_hear_in_the_same_words_what_is_wrong(room: Any, said: dict[str, Any], wrong: str) -> None:
     with pytest.raises(UsageError) as refused:
         room.understood(said)
-    assert str(refused.value).startswith(f"A page asked for what becalm does not know ({wrong}")
+    assert str(refused.value).startswith(f"A page sent a message that becalm does not know ({wrong}")
     assert str(refused.value).endswith("); reload it.")
 
 

@@ -148,7 +148,7 @@ def test_only_so_many_turns_are_remembered(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize(
     ("channel", "says"),
     [
-        (1, f"Channel {NAMES[1]} has no dial: it switches between modes."),
+        (1, f"Channel {NAMES[1]} has no dial: its filter has several modes."),
         (2, "There is no channel 3; the stream has 2. Reload the page."),
     ],
 )
@@ -169,6 +169,6 @@ def test_a_turn_before_the_stream_began_is_refused() -> None:
 
 def test_a_turn_to_nothing_is_refused_and_cannot_be_taken_back() -> None:
     turned = Turned()
-    with pytest.raises(UsageError, match=r"did not say to what"):
+    with pytest.raises(UsageError, match=r"did not send a value"):
         turned.desk.turn(0, None, None, turned.heard.append)
     assert not turned.asked.waiting

@@ -121,7 +121,7 @@ def test_a_silence_of_becalm_is_said(live: LiveApp, look: Look) -> None:
     page = look(live).page
     live.process.send_signal(signal.SIGSTOP)
     try:
-        page.wait_for_function("() => document.querySelector('#link').innerText.includes('has said nothing')")
+        page.wait_for_function("() => document.querySelector('#link').innerText.includes('has sent nothing')")
         assert page.evaluate("() => document.body.dataset.state") == "disconnected"
         page.wait_for_function("() => document.querySelector('#when').innerText.startsWith('until')")
     finally:

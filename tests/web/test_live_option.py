@@ -67,7 +67,7 @@ def test_other_machines_are_let_in_with_a_warning(words: list[str], tmp_path: Pa
 def test_an_address_of_another_machine_is_refused(words: list[str], tmp_path: Path) -> None:
     ran = live(tmp_path, *words, "--page", "0", "--page-host", "192.0.2.1")
     assert ran.returncode == 2
-    assert "name this machine with --page-host, and a port with --page." in ran.stderr
+    assert "give a name of this machine with --page-host, and a port with --page." in ran.stderr
 
 
 def test_what_is_said_of_no_page_is_refused(words: list[str], tmp_path: Path) -> None:

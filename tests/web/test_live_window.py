@@ -128,7 +128,7 @@ def test_it_scrolls_and_stands_still_and_looks_back(live: LiveApp, look: Look) -
     page.wait_for_function("(newest) => becalmLive.view.newest > newest + 500", arg=newest)
     assert page.evaluate("() => becalmLive.view.right") == stood
     assert pixels(visit, 0, "clean") == picture
-    assert "standing still" in page.locator("#when").inner_text()
+    assert "paused" in page.locator("#when").inner_text()
     page.wait_for_function("() => becalmLive.view.newest > 6000")
     page.keyboard.press("n")
     page.wait_for_function("() => !becalmLive.view.paused && becalmLive.view.newest - becalmLive.view.right < 1000")
@@ -214,7 +214,7 @@ def test_it_comes_back_after_becalm_was_killed(folder: Path, look: Look, tmp_pat
         assert pixels(visit, 0, "clean")["all"] > 100, "what came before stays"
         app.start_again()
         page.wait_for_function("() => document.body.dataset.state === 'live'")
-        page.wait_for_function("() => document.querySelector('#link').innerText.includes('started again')")
+        page.wait_for_function("() => document.querySelector('#link').innerText.includes('was restarted')")
         page.wait_for_function("() => becalmLive.counts.bins > 300 && becalmLive.view.newest > 3000")
         drawn(visit, 0, "clean")
         visit.wrong[:] = [one for one in visit.wrong if "ERR_CONNECTION_REFUSED" not in one]  # Chromium's own words

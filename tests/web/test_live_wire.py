@@ -244,7 +244,7 @@ def test_what_fails_once_is_logged_and_health_goes_on(
             assert "dials" not in wire.hear("tuned")[0], "what is known is told all the same"
         with monkeypatch.context() as patched:
             patched.setattr(live.meter, "status", broken)
-            until(lambda: "could not be kept up" in caplog.text)
+            until(lambda: "could not be updated" in caplog.text)
         live.meter.state("silent")
         wire.hear("health", state="silent")
         live.meter.tuned(recipe_of(4.0).to_toml())

@@ -154,17 +154,17 @@ def test_a_server_may_be_closed_before_it_began_and_twice() -> None:
 
 
 def test_a_port_that_is_taken_is_told() -> None:
-    with listen(LOOPBACK, 0) as first, pytest.raises(TakenError, match=r"another program is there; name .* --port"):
+    with listen(LOOPBACK, 0) as first, pytest.raises(TakenError, match=r"another program uses it; give .* --port"):
         listen(LOOPBACK, first.getsockname()[1])
 
 
 @pytest.mark.parametrize(
     ("host", "port", "says"),
     [
-        (LOOPBACK, 65536, "ports end at 65535"),
-        (LOOPBACK, -1, "ports end at 65535"),
+        (LOOPBACK, 65536, "the highest port is 65535"),
+        (LOOPBACK, -1, "the highest port is 65535"),
         ("192.0.2.1", 0, "--host"),  # an address of nobody
-        ("..a", 0, "no name of a machine"),
+        ("..a", 0, "is not a host name"),
     ],
 )
 def test_a_place_that_cannot_be_is_told(host: str, port: int, says: str) -> None:

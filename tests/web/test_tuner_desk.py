@@ -165,14 +165,14 @@ def test_components_have_names_for_people() -> None:
 
 def test_evidence_is_told_in_words() -> None:
     assert beside_best(RIVALS) == {
-        1: "tells a reading left out 5.1 % worse",
-        2: "tells a reading left out as well as any",
+        1: "estimates a left-out reading 5.1 % worse",
+        2: "estimates a left-out reading as well as any",
     }
     filters = (Tuning(1, 1.0, 1.0, 1000, -1500.0), Tuning(2, 1.0, 1.0, 1000, -1400.0), Tuning(3, 1.0, 1.0, 0, -np.inf))
     assert beside_best(filters) == {
-        1: "foretells the next reading 11 % worse",
-        2: "foretells the next reading as well as any",
-        3: "foretells the next reading far worse",
+        1: "predicts the next reading 11 % worse",
+        2: "predicts the next reading as well as any",
+        3: "predicts the next reading far worse",
     }
     assert described(RICH) == "order 2 with a tone at 50 Hz, a tone at 120 Hz, coloured noise"
 

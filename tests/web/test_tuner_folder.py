@@ -61,7 +61,7 @@ def test_a_folder_lists_recordings_only(chosen: Path) -> None:
     ],
 )
 def test_no_name_leads_out(chosen: Path, asked: str) -> None:
-    with pytest.raises(InputError, match="not there any more"):
+    with pytest.raises(InputError, match="no longer exists"):
         Folder(chosen, None).path_of(asked)
 
 

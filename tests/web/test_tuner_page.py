@@ -249,7 +249,7 @@ def test_from_opening_to_saving_by_keyboard_alone(app: App, look: Look, tmp_path
     visit.opened("drive.parquet")
     assert page.evaluate("() => document.activeElement.id") == "show-files", "not lost with the list"
     before = visit.settings()
-    visit.walk_to("Between quicker and calmer")
+    visit.walk_to("From faster to smoother")
     page.keyboard.press("[")
     visit.changed(before)
     visit.walk_to("Save recipe")

@@ -229,7 +229,7 @@ def test_a_save_without_a_place_for_it_is_told(
         monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
         answer = client.get("/save/report")
     assert answer.status_code == 400
-    assert answer.text.startswith("drive-report.html cannot be made (No such file or directory); make room")
+    assert answer.text.startswith("drive-report.html cannot be made (No such file or directory); free space")
     assert caplog.text == ""
 
 

@@ -271,7 +271,7 @@ def test_what_nobody_foresaw_is_told_and_the_wire_stays_open(page: Talk, monkeyp
     with monkeypatch.context() as patch:
         patch.setattr(picture_queue, "map_frame", broken)
         page.ask("map", channel=0)
-        assert "nobody foresaw" in page.until("trouble").told["says"]
+        assert "unexpected error" in page.until("trouble").told["says"]
     assert page.picture(page.ask("look", channel=0, width=10)).arrays["t"].size == 10
 
 

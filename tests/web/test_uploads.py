@@ -102,7 +102,7 @@ def test_a_very_long_name_is_refused_before_it_is_read(page: Served) -> None:
 
 @pytest.mark.parametrize("name", ["..", ".", "", "a/b", "a\\b", "/a", "a\x00", "a\n", "\x7f", "\ud800", "ü" * 128])
 def test_names_that_are_none(name: str) -> None:
-    with pytest.raises(RefusedError, match="is no file name") as refused:
+    with pytest.raises(RefusedError, match="is not a file name") as refused:
         checked_name(name)
     assert refused.value.status == 400
 
@@ -188,7 +188,7 @@ def test_all_files_together_have_a_limit(page: Served) -> None:
         assert browser.put("/files/c.csv", content=b"12").status_code == 200  # nothing of what was refused counts
     for answer in (told, unsaid):
         assert answer.status_code == 413
-        assert "b.csv does not fit: all that is dropped here may be 6 MB together" in answer.text
+        assert "b.csv does not fit: all dropped files together may have 6 MB" in answer.text
     assert sorted(path.name for path in kept(page)) == ["a.csv", "a.csv", "c.csv"]
 
 
@@ -196,7 +196,7 @@ def test_a_file_that_stops_coming_is_let_go(page: Served, monkeypatch: pytest.Mo
     monkeypatch.setattr(uploads, "PATIENCE_S", 0.2)
     answer = page.raw(begun(page) + b"Content-Length: 3\r\n\r\n12")
     assert answer.split(b" ")[1] == b"408"
-    assert b"Nothing of drive.csv came for 0.2 s" in answer
+    assert b"No data of drive.csv arrived for 0.2 s" in answer
     assert list(page.page.uploads.folder.iterdir()) == []
 
 

@@ -25,7 +25,7 @@ PATIENCE_MS = 60_000
 ROWS, RATE_HZ = 12_000, 100.0
 
 OWN_DOING = "Multiple readback operations"  # what Chromium says where pixels are counted
-IDLE = "() => becalm.asking.asked === null && becalm.asking.waiting.size === 0"
+IDLE = "() => becalm.asking.pending === null && becalm.asking.waiting.size === 0"
 BUTTON = "button, input, select, summary, [tabindex='0']"
 NAMELESS = f"""() => [...document.querySelectorAll("{BUTTON}")].filter((one) => one.offsetParent && !(
   one.innerText.trim() || one.getAttribute("aria-label") || one.labels?.length)).map((one) => one.outerHTML)"""

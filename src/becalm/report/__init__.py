@@ -1,1 +1,1 @@
-"""The report: what was done to a recording, in pictures and words."""
+"""Reports on cleaned recordings and fleets: HTML pages and printed figures."""

@@ -1,4 +1,4 @@
-"""All figures of one channel, in the order in which they are looked at."""
+"""Draw all figures of one channel, in the order in which a reader looks at them."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from becalm.report.response_figures import Behaviour, behaviour_of, front_figure
 
 
 class Pictured(NamedTuple):
-    """A channel, drawn."""
+    """The report and the figures of one channel."""
 
     report: ChannelReport
-    words: str  # its filter, in a sentence; empty where it passes unchanged
+    words: str  # a sentence that describes its filter; empty if the channel passes unchanged
     wide: tuple[Figure, ...]  # over time
     narrow: tuple[Figure, ...]
 
 
 class CleanedChannels(NamedTuple):
-    """Channels that share one time, and what went by while they were cleaned.
+    """Cleaned channels that share one time axis, with the data gathered for their figures.
 
     Attributes
     ----------
     recipe : Recipe
-        What was done.
+        Recipe that the channels were cleaned with.
     reports : tuple of ChannelReport
-        What was found, in the order of the recipe's channels.
+        One report for each channel, in the order of the recipe's channels.
     gathering : Gathering
-        What went by.
+        Data for the figures, gathered during cleaning.
     step_s : float
-        Of its rows.
+        Time between two rows, in seconds.
     group : str
-        What the file calls this time; "" where it has no other.
+        Name that the file gives this time axis; "" if the file has only one.
     """
 
     recipe: Recipe
@@ -50,18 +50,18 @@ class CleanedChannels(NamedTuple):
 
     @property
     def lasts_s(self) -> float:
-        """How long it is, gaps included, in seconds."""
+        """Return the duration in seconds, gaps included."""
         times = self.gathering.times
         return float(times.high[-1] - times.low[0]) + self.step_s
 
 
 class Pictures:
-    """Draws the channels of a recording that was cleaned.
+    """Draws the channels of a cleaned recording.
 
     Parameters
     ----------
     *times : CleanedChannels
-        One, or several that are drawn one after the other.
+        Channels of each time axis; they are drawn one after the other.
     """
 
     def __init__(self, *times: CleanedChannels) -> None:
@@ -70,16 +70,16 @@ class Pictures:
         self._places = [(time, number) for time in times for number in range(len(time.reports))]
 
     def __len__(self) -> int:
-        """Return how many channels there are."""
+        """Return the number of channels."""
         return len(self._places)
 
     @property
     def reports(self) -> tuple[ChannelReport, ...]:
-        """What was found of each channel."""
+        """Return the report of each channel."""
         return tuple(time.reports[number] for time, number in self._places)
 
     def channel(self, number: int) -> Pictured:
-        """Draw a channel, counted from 0."""
+        """Draw one channel; the first has number 0."""
         (recipe, reports, gathering, step_s, _), own = self._places[number]
         report, gathered = reports[own], gathering.channels[own]
         title = Title(slug_of(number, report.name), report.name, report.unit)
@@ -100,14 +100,17 @@ class Pictures:
 
 
 def _words(behaviour: Behaviour, mode: str) -> str:
-    """Say in a sentence what the filter is; nothing where it passes all unchanged, never settles, or is not known."""
+    """Return a sentence that describes the filter.
+
+    It is empty if the filter passes everything unchanged, has no steady state or is unknown.
+    """
     delay_s, noise_std = behaviour.report.delay_s, behaviour.report.noise_std
     if mode == "lagged" and delay_s is not None:
         left = behaviour.noise_left(delay_s)
         if left is None or not noise_std:
             return ""
-        return f"Told {amount(delay_s, 's')} later, noise is down {-decibels((left / noise_std) ** 2):.1f} dB."
+        return f"With a delay of {amount(delay_s, 's')}, noise is down {-decibels((left / noise_std) ** 2):.1f} dB."
     if behaviour.response is None:
         return ""
-    where = "In the mode that was most in force it" if behaviour.report.modes else "The filter"
+    where = "In its most frequent mode, the filter" if behaviour.report.modes else "The filter"
     return f"{where} is {behaviour.response}."

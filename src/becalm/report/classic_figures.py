@@ -1,4 +1,4 @@
-"""Show every classic filter beside becalm: a table and two figures."""
+"""Compare the classic filters with becalm: a table and two figures for each channel."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from becalm.report.page import Beside, Cells
 from becalm.report.pictures import TIME, Title, slug_of
 
 _ROWS = 600
-_RIVALS = 2  # that are drawn beside becalm
+_RIVALS = 2  # classic filters that are drawn with becalm
 
 
 def beside(found: Comparison, recording: Recording, truth: Recording | None = None) -> tuple[Beside, ...]:
-    """Lay out what a comparison found, for each channel.
+    """Return the tables and figures of a comparison, one set for each channel.
 
     Parameters
     ----------
     found : Comparison
-        What came out of all filters.
+        Results of all filters.
     recording : Recording
-        Samples (N, m) that were compared on.
+        Samples (N, m) that all filters cleaned.
     truth : Recording, optional
-        What is true, (N, .).
+        True signal, N rows, with at least the compared channels.
     """
     return tuple(_channel(found, number, recording, truth) for number in range(len(found.channels)))
 
@@ -37,33 +37,33 @@ def _channel(found: Comparison, number: int, recording: Recording, truth: Record
     channel = found.channels[number]
     title = Title(slug_of(number, channel.name), channel.name, channel.unit)
     rows = tuple(cells(one, channel.unit, truth is not None) for one in channel.contenders)
-    table = Cells("Beside what people use today", headings(truth is not None), rows)
+    table = Cells("Compared with common filters", headings(truth is not None), rows)
     outputs, removed = _outputs(title, channel, found, recording, truth), _noise_and_lag(title, channel, found.causal)
     return Beside((table,), outputs, removed)
 
 
 def _noise_and_lag(title: Title, channel: ChannelComparison, causal: bool) -> tuple[Figure, ...]:
-    """Draw every contender by what it removes and how late it is; where none is late, there is nothing to draw."""
-    known = [one for one in channel.contenders if one.noise_removed_db is not None and one.lag_s is not None]
-    if not causal or len(known) < 2:
+    """Draw each contender's noise reduction against its lag; only causal filters have a lag."""
+    measured = [one for one in channel.contenders if one.noise_removed_db is not None and one.lag_s is not None]
+    if not causal or len(measured) < 2:
         return ()
     layers = []
     for rule in ("", *RULES):
-        told = [one for one in known if one.rule == rule]
-        if told:
-            late, removed = np.array([(one.lag_s, one.noise_removed_db) for one in told], dtype=np.float64).T
+        points = [one for one in measured if one.rule == rule]
+        if points:
+            late, removed = np.array([(one.lag_s, one.noise_removed_db) for one in points], dtype=np.float64).T
             role: Role = "clean" if rule == "" else "other"
             layers.append(Curve(rule or BECALM, late, removed, role, "points"))
-    said = "Up and to the left is better: more noise removed, and less late."
+    caption = "Up and to the left is better: more noise removed, with less lag."
     late_axis, removed_axis = Axis("lag (s)"), Axis("noise removed (dB)")
     name, shown = f"{title.slug}-contenders", "Noise removed against lag"
-    return (Figure(name, shown, late_axis, removed_axis, tuple(layers), said),)
+    return (Figure(name, shown, late_axis, removed_axis, tuple(layers), caption),)
 
 
 def _outputs(
     title: Title, channel: ChannelComparison, found: Comparison, recording: Recording, truth: Recording | None
 ) -> tuple[Figure, ...]:
-    """Draw the outputs of a few, from the middle of the recording."""
+    """Draw the outputs of a few filters over some rows from the middle of the recording."""
     rivals = _rivals(channel.contenders, truth is not None)
     if not rivals:
         return ()
@@ -77,12 +77,12 @@ def _outputs(
     layers.append(Curve(BECALM, times_s, found.cleaned.signal.channel(channel.name)[shown], "clean"))
     if truth is not None:
         layers.append(Curve("truth", times_s, truth.channel(channel.name)[shown], "truth", "dashed"))
-    said = "A few rows from the middle of the recording."
-    return (Figure(f"{title.slug}-outputs", "Side by side", TIME, Axis(title.axis), tuple(layers), said),)
+    caption = "Some rows from the middle of the recording."
+    return (Figure(f"{title.slug}-outputs", "Side by side", TIME, Axis(title.axis), tuple(layers), caption),)
 
 
 def _rivals(contenders: tuple[Contender, ...], with_truth: bool) -> list[Contender]:
-    """Choose whom to draw: those that err least where the truth is known, or the first that are fair otherwise."""
+    """Choose the classic filters to draw: those with the least rms error, or the first ones if there is no truth."""
     classics = [one for one in contenders if one.rule]
     if with_truth:
         errors = [np.inf if one.rms_error is None else one.rms_error for one in classics]
@@ -91,5 +91,5 @@ def _rivals(contenders: tuple[Contender, ...], with_truth: bool) -> list[Contend
 
 
 def _output(one: Contender, z: Floats, step_s: float) -> Floats:
-    assert one.cutoff_hz is not None  # of a classic
+    assert one.cutoff_hz is not None  # every classic filter has a cutoff
     return CLASSICS[one.name].clean(z, one.cutoff_hz * step_s)

@@ -1,4 +1,4 @@
-"""Some rows of a channel as they are, each reading by itself."""
+"""Keep some rows of a channel in full detail for a close-up figure."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _ROWS = 600
 
 
 class Closeup(Protocol):
-    """Keeps a few rows of those that go by.
+    """A selection of rows, made while a recording is cleaned.
 
     Attributes
     ----------
     title : str
-        Which rows they are.
+        Title of the figure; it says which rows these are.
     kept : (4, k) float array
         Times in seconds, readings, signal and sigma.
     """
@@ -28,7 +28,7 @@ class Closeup(Protocol):
     kept: Floats
 
     def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
-        """Take the next rows: times (B,), readings (B,), and what is told of them."""
+        """Add the next rows: times (B,) in seconds, readings (B,), and their estimates."""
         ...
 
 
@@ -43,7 +43,7 @@ class Middle:
         self._at = 0
 
     def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
-        """Take the next rows."""
+        """Add the next rows."""
         start, stop = max(0, self._from - self._at), self._from + _ROWS - self._at
         self._at += len(z)
         if start < len(z) and stop > 0:
@@ -51,17 +51,17 @@ class Middle:
 
 
 class Farthest:
-    """Keeps the rows about the reading that lies the most sigma from the signal."""
+    """Keeps the rows around the reading that is the most sigma away from the signal."""
 
-    title = "Close up, where a reading lies the most sigma from the signal"
+    title = "Close up, around the reading that is the most sigma away from the signal"
 
     def __init__(self) -> None:
         self.kept = np.empty((4, 0))
         self._farthest = -1.0
 
     def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
-        """Take the next rows; what is kept does not reach beyond a block of them."""
-        for first in range(0, len(z), PIECE):  # which stay in the cache
+        """Add the next rows; the kept rows all come from one block."""
+        for first in range(0, len(z), PIECE):  # pieces that fit into the cache
             part = slice(first, first + PIECE)
             with np.errstate(divide="ignore", invalid="ignore"):
                 far = np.abs(z[part] - told.signal[part]) / told.sigma[part]
@@ -73,5 +73,5 @@ class Farthest:
                 self.kept = _stack(times_s, z, told, slice(start, start + _ROWS))
 
 
-def _stack(times_s: Floats, z: Floats, told: EstimatedRows, rows: slice) -> Floats:
-    return np.vstack([times_s[rows], z[rows], told.signal[rows], told.sigma[rows]])
+def _stack(times_s: Floats, z: Floats, estimates: EstimatedRows, rows: slice) -> Floats:
+    return np.vstack([times_s[rows], z[rows], estimates.signal[rows], estimates.sigma[rows]])

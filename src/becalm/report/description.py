@@ -1,4 +1,4 @@
-"""A figure before it is drawn: one description for the page, where it can be looked into, and for print."""
+"""Describe a figure once, for the interactive page and for print."""
 
 from __future__ import annotations
 
@@ -8,44 +8,44 @@ from typing import Literal, NamedTuple
 from becalm.core.arrays import Floats
 
 Role = Literal["readings", "clean", "truth", "limit", "other"]
-"""What a layer stands for, which decides its colour; "other" ones differ from each other."""
+"""Meaning of a layer. It decides the colour; each "other" layer gets a colour of its own."""
 
 Look = Literal["line", "dashed", "dotted", "points"]
 
 
 class Axis(NamedTuple):
-    """What is measured along an axis."""
+    """The label, scale and limits of an axis."""
 
-    label: str  # with its unit
+    label: str  # with the unit
     log: bool = False
     low: float | None = None
     high: float | None = None
 
 
 class Curve(NamedTuple):
-    """A line, or points."""
+    """A line or a set of points."""
 
     name: str
     x: Floats  # (k,)
-    y: Floats  # (k,) NaN where there is none
+    y: Floats  # (k,) NaN where there is no value
     role: Role = "other"
     look: Look = "line"
-    labels: tuple[str, ...] = ()  # of points, one each
+    labels: tuple[str, ...] = ()  # one for each point
 
 
 class Band(NamedTuple):
-    """What lies between two lines: an envelope of many samples, or an uncertainty."""
+    """An area between two lines: the envelope of many samples, or an uncertainty."""
 
     name: str
     x: Floats  # (k,)
-    low: Floats  # (k,) NaN where there is none
-    high: Floats  # (k,)
+    low: Floats  # (k,) NaN where there is no value
+    high: Floats  # (k,) likewise
     role: Role = "other"
-    faint: bool = False  # whether what is behind it shows through
+    faint: bool = False  # whether layers behind it are visible
 
 
 class Lane(NamedTuple):
-    """Stretches along the x axis during which something holds, in a lane of their own."""
+    """Intervals on the x axis, drawn as bars on a line of their own."""
 
     name: str
     starts: Floats  # (k,)
@@ -53,7 +53,7 @@ class Lane(NamedTuple):
 
 
 class Rule(NamedTuple):
-    """A place on the x axis."""
+    """A vertical line at one position on the x axis."""
 
     name: str
     at: float
@@ -61,13 +61,13 @@ class Rule(NamedTuple):
 
 
 class DrawnSurface(NamedTuple):
-    """Heights over a plane, drawn as filled contours, or point by point; for print only."""
+    """Heights over a plane, drawn as filled contours or as coloured cells; for print only."""
 
     name: str
     x: Floats  # (k,)
     y: Floats  # (l,)
     height: Floats  # (k, l)
-    by_point: bool = False  # of a rough one, whose contours would be many
+    by_point: bool = False  # coloured cells, for a rough surface with too many contours
 
 
 Layer = Curve | Band | Lane | Rule | DrawnSurface
@@ -75,20 +75,20 @@ Layer = Curve | Band | Lane | Rule | DrawnSurface
 
 @dataclass(frozen=True)
 class Figure:
-    """What a figure shows.
+    """The description of a figure.
 
     Attributes
     ----------
     name : str
-        Of its file, and of its place on a page: letters, digits and hyphens.
+        Name of its file and of its element on a page: letters, digits and hyphens.
     title : str
-        Above it.
+        Title above the figure.
     x, y : Axis
-        Its axes.
+        Axes.
     layers : tuple of Curve, Band, Lane, Rule or DrawnSurface
-        The first is behind all others.
+        Layers, the rearmost first.
     says : str
-        What is to be seen, in a sentence or two; below it.
+        Caption below the figure: one or two sentences on what it shows.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What a page holds that needs no network: its assets as text, its modules as one script, its data compressed."""
+"""Embed scripts, styles and data in a page, so that it needs no network."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ def asset(name: str) -> str:
 
 
 def script(*names: str) -> str:
-    """Return modules as one script, each after those that it imports: a page on a disk can import none."""
+    """Join JavaScript modules into one script, because a page opened from a disk cannot import modules.
+
+    The names must be in an order in which each module comes after the modules that it imports.
+    """
     return "".join(re.sub(r'^import .* from "\.\.?/.*";\n', "", asset(name), flags=re.MULTILINE) for name in names)
 
 
 def packed(data: bytes) -> str:
-    """Return data compressed, in base64: the page unpacks it."""
+    """Return data as base64 of gzip, which the page unpacks."""
     return base64.b64encode(gzip.compress(data, mtime=0)).decode("ascii")

@@ -1,4 +1,4 @@
-"""Millions of samples in a few thousand stretches, each by its least and its greatest, so that no spike is lost."""
+"""Reduce millions of samples to a few thousand stretches, with the minimum and maximum of each, so that spikes stay."""
 
 from __future__ import annotations
 
@@ -8,23 +8,25 @@ from numpy.typing import NDArray
 from becalm.core.arrays import Codes, Floats
 
 Cut = tuple[slice, NDArray[np.intp]]
-"""How a block of rows is cut: which stretches it touches, and where in the block each of them begins."""
+"""How a block of rows is divided: the stretches that it touches, and the row of the block at which each begins."""
 
 
 class Stretches:
-    """How rows that come in blocks fall into stretches of equally many.
+    """A division of rows, which arrive in blocks, into stretches of equal length.
 
     Parameters
     ----------
     rows : int
-        How many will come.
+        Total number of rows.
     most : int
-        How many stretches there may be; a *small* number joins more rows in each.
+        Maximum number of stretches; a *small* number puts more rows into each.
 
     Attributes
     ----------
-    rows_each, count : int
-        Rows of a stretch, the last of which may have fewer, and how many stretches there are.
+    rows_each : int
+        Rows in each stretch; the last may have fewer.
+    count : int
+        Number of stretches.
     """
 
     def __init__(self, rows: int, most: int) -> None:
@@ -33,7 +35,13 @@ class Stretches:
         self._at = 0  # rows so far
 
     def next(self, rows: int) -> Cut:
-        """Take a block of rows: return which stretches it touches, and where in the block each of them begins."""
+        """Divide the next block: return the stretches that it touches, and the row of the block at which each begins.
+
+        Parameters
+        ----------
+        rows : int
+            Number of rows in the block.
+        """
         first, inside = divmod(self._at, self.rows_each)
         begins = np.append(0, np.arange(self.rows_each - inside, rows, self.rows_each))
         self._at += rows
@@ -41,12 +49,12 @@ class Stretches:
 
 
 class Envelope:
-    """The least and the greatest of each stretch of a sequence; NaN counts as none.
+    """The minimum and maximum of each stretch of a sequence; NaN values are ignored.
 
     Attributes
     ----------
     low, high : (count,) float array
-        NaN where nothing came.
+        NaN where a stretch has no value.
     """
 
     def __init__(self, count: int) -> None:
@@ -54,73 +62,73 @@ class Envelope:
 
     @classmethod
     def of(cls, values: Floats, most: int) -> Envelope:
-        """Return the envelope of all of a sequence (N,), in up to `most` stretches."""
+        """Return the envelope of a complete sequence (N,) in at most `most` stretches."""
         stretches = Stretches(len(values), most)
-        found = cls(stretches.count)
-        found.add(*stretches.next(len(values)), values, values)
-        return found
+        envelope = cls(stretches.count)
+        envelope.add(*stretches.next(len(values)), values, values)
+        return envelope
 
     def add(self, touched: slice, begins: NDArray[np.intp], low: Floats, high: Floats) -> None:
-        """Add a block (B,), as `Stretches.next` has cut it: its lower edge and its upper one."""
+        """Add the lower and upper edges (B,) of a block that `Stretches.next` has divided."""
         if len(low):
             self.low[touched] = np.fmin(self.low[touched], np.fmin.reduceat(low, begins))
             self.high[touched] = np.fmax(self.high[touched], np.fmax.reduceat(high, begins))
 
 
 class Kinds:
-    """Which codes, from 0 to 15, came up in each stretch of a sequence.
+    """The codes, from 0 to 15, that occur in each stretch of a sequence.
 
     Attributes
     ----------
     met : (count,) uint16 array
-        A bit for each code but 0.
+        One bit for each code except 0.
     """
 
     def __init__(self, count: int) -> None:
         self.met = np.zeros(count, np.uint16)
 
     def add(self, touched: slice, begins: NDArray[np.intp], codes: Codes) -> None:
-        """Add a block (B,) of codes, as `Stretches.next` has cut it."""
+        """Add a block (B,) of codes that `Stretches.next` has divided."""
         if codes.any():
             bits = np.left_shift(np.uint16(1), codes.astype(np.uint16)) & np.uint16(0xFFFE)
             self.met[touched] |= np.bitwise_or.reduceat(bits, begins)
 
     def runs(self, code: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the stretches in which a code came up, as runs: the first of each, and the one after its last."""
+        """Return the first stretch of each run in which a code occurs, and the stretch after its last one."""
         inside = np.append(np.append(False, self.met & (1 << code) != 0), False)
         edges = np.flatnonzero(inside[1:] != inside[:-1])
         return edges[::2], edges[1::2]
 
 
 class Means:
-    """The mean of each stretch of a sequence; NaN counts as none.
+    """The mean of each stretch of a sequence; NaN values are ignored.
 
     Attributes
     ----------
     seen : (count,) float array
-        How many values came.
+        Number of values in each stretch.
     """
 
     def __init__(self, count: int) -> None:
         self.seen, self._total = np.zeros(count), np.zeros(count)
 
     def add(self, touched: slice, begins: NDArray[np.intp], values: Floats) -> None:
-        """Add a block (B,), as `Stretches.next` has cut it."""
+        """Add a block (B,) that `Stretches.next` has divided."""
         if not len(values):
             return
         sizes = np.diff(np.append(begins, len(values)))
         total = np.add.reduceat(values, begins)
         if not np.isfinite(total).all():
-            known = np.isfinite(values)
+            finite = np.isfinite(values)
             sizes, total = (
-                np.add.reduceat(known.astype(np.intp), begins),
-                np.add.reduceat(np.where(known, values, 0.0), begins),
+                np.add.reduceat(finite.astype(np.intp), begins),
+                np.add.reduceat(np.where(finite, values, 0.0), begins),
             )
         self.seen[touched] += sizes
         self._total[touched] += total
 
     def result(self) -> Floats:
-        """Return the means (count,); NaN where nothing came."""
+        """Return the means (count,); NaN where a stretch has no value."""
         means = np.full(len(self.seen), np.nan)
         np.divide(self._total, self.seen, out=means, where=self.seen > 0)
         return means

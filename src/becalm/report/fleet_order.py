@@ -1,4 +1,4 @@
-"""Which sensors of a fleet are to be looked at first, and the whole of it in a sentence."""
+"""Sort the sensors of a fleet by how urgently they need attention, and summarise the fleet in a sentence."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import NamedTuple
 from becalm.report.fleet_rows import FleetRow, counted, spaced
 
 DOUBTFUL = 2.0
-"""Factor by which a mean NIS may differ from 1: beyond it sigma is more than 1.4 times too small or too large."""
+"""Factor by which a mean NIS may differ from 1. Beyond it, sigma is more than 1.4 times too small or too large."""
 
-_LOST = re.compile(r"\b(?:clipped|stuck|dead|drifting)\b")  # as `faults_told` calls `LOSSES`
+_LOST = re.compile(r"\b(?:clipped|stuck|dead|drifting)\b")  # words of `faults_told` for `LOSSES`
 _DIGITS = re.compile(r"([0-9]+)")
 
 
 class Trait(NamedTuple):
-    """What may be true of a row.
+    """A property that a row may have.
 
     Attributes
     ----------
     name, says : str
-        In a word or two, and in a sentence.
+        Name of one or two words, and a sentence that explains it.
     holds : callable
-        Tells of a row whether it is true.
+        Returns whether a row has the property.
     size : callable
-        Tells of such a row, and the usual noise of its channel, how bad it is: larger is worse, NaN unknown.
+        Returns how bad such a row is, given the row and its channel's usual noise: larger is worse, NaN is unknown.
     """
 
     name: str
@@ -37,25 +37,25 @@ class Trait(NamedTuple):
     size: Callable[[FleetRow, float], float]
 
 
-def _known(value: float | None) -> float:
-    """Return a number; NaN where there is none."""
+def _number(value: float | None) -> float:
+    """Return a number, or NaN for None."""
     return math.nan if value is None else value
 
 
 def _wrong(row: FleetRow, usual: float = math.nan) -> float:
-    """Return by which factor the mean NIS is wrong, as a logarithm."""
-    nis = _known(row.health)
+    """Return the logarithm of the factor by which the mean NIS is wrong."""
+    nis = _number(row.health)
     return math.inf if nis == 0 else abs(math.log(nis)) if nis > 0 else math.nan
 
 
 def _lost(row: FleetRow, usual: float = math.nan) -> float:
-    """Return the share of the readings that tell nothing."""
-    return 1 - _known(row.usable_share)
+    """Return the share of readings without information on the signal."""
+    return 1 - _number(row.usable_share)
 
 
 def _noisy(row: FleetRow, usual: float) -> float:
-    """Return by which factor a channel is noisier than usual, as a logarithm."""
-    noise_std = _known(row.noise_std)
+    """Return the logarithm of the factor by which a channel is noisier than usual."""
+    noise_std = _number(row.noise_std)
     return math.log(noise_std) - math.log(usual) if 0 < noise_std < math.inf and usual > 0 else math.nan
 
 
@@ -77,7 +77,7 @@ TRAITS = (
     ),
     Trait(
         "fits except",
-        "The model describes the signal but for a narrow band of frequencies.",
+        "The model describes the signal except in a narrow band of frequencies.",
         lambda row: row.verdict == "fits except",
         _wrong,
     ),
@@ -90,29 +90,29 @@ TRAITS = (
     Trait("fits", "The model describes the signal.", lambda row: row.verdict == "fits", _noisy),
     Trait("kept", "Finished before, and unchanged since.", lambda row: row.state == "kept", lambda row, usual: 0.0),
 )
-"""What may be true of a row, the worst first; of any row at least one is, and "kept" never alone."""
+"""All properties, the worst first. Every row has at least one; a row with "kept" always has another one too."""
 
 
 def badness(row: FleetRow, usual_noise_std: float = math.nan) -> tuple[int, float]:
-    """Return how soon a row is to be looked at: what is less comes sooner.
+    """Return a sort key for a row; the row with the smallest key needs attention first.
 
-    Refused comes first, then what does not fit (mean NIS farthest from 1 first), is faulty (most readings lost first),
-    outlying (noise most unlike the usual first), not judged, "fits except", has a doubtful sigma (mean NIS beyond a
-    factor of two), and last what fits (noisiest first).
+    The order is: refused, "does not fit" (mean NIS farthest from 1 first), faulty (most readings lost first),
+    outlying (noise farthest from usual first), not judged, "fits except", doubtful sigma (mean NIS off by more than a
+    factor of two), and "fits" (noisiest first).
 
     Parameters
     ----------
     row : FleetRow
-        What is None or NaN in it is unknown.
+        Row to judge; a number that is None or NaN is unknown.
     usual_noise_std : float, optional
-        Of channels like it, as `usual_noise` tells it, in unit.
+        Usual noise of such channels, from `usual_noise`, in unit.
 
     Returns
     -------
     place : int
-        In `TRAITS`, of the worst that is true of it.
+        Index in `TRAITS` of the worst property that the row has.
     goodness : float
-        Beside others of that place; unknown ones come last. Never NaN, so that any rows have an order.
+        Order among rows of the same place; unknown values come last. It is never NaN, so that all rows can be sorted.
     """
     place, trait = next((place, trait) for place, trait in enumerate(TRAITS) if trait.holds(row))
     size = trait.size(row, usual_noise_std)
@@ -120,50 +120,50 @@ def badness(row: FleetRow, usual_noise_std: float = math.nan) -> tuple[int, floa
 
 
 def usual_noise(rows: Sequence[FleetRow]) -> Mapping[tuple[str, str], float]:
-    """Return the median noise of all channels of a name and unit, by these."""
-    known: dict[tuple[str, str], list[float]] = defaultdict(list)
+    """Return the median noise of the channels that share a name and a unit, by (name, unit)."""
+    noises: dict[tuple[str, str], list[float]] = defaultdict(list)
     for row in rows:
-        if 0 < _known(row.noise_std) < math.inf:
-            known[row.channel, row.unit].append(_known(row.noise_std))
-    return {channel: median(noise) for channel, noise in known.items()}
+        if 0 < _number(row.noise_std) < math.inf:
+            noises[row.channel, row.unit].append(_number(row.noise_std))
+    return {channel: median(noise) for channel, noise in noises.items()}
 
 
 def worst_first(rows: Sequence[FleetRow]) -> list[FleetRow]:
-    """Return the rows, those first that are to be looked at; of equally bad ones sensor 2 before sensor 10."""
+    """Return the rows sorted, the most urgent first; equally urgent rows go by name, with sensor 2 before sensor 10."""
     usual = usual_noise(rows)
     return sorted(rows, key=lambda row: (badness(row, usual.get((row.channel, row.unit), math.nan)), *_name_key(row)))
 
 
 def _name_key(row: FleetRow) -> tuple[list[tuple[int, str]], str, str]:
-    """Return what names are ordered by: numbers in them count as such."""
-    parts = enumerate(_DIGITS.split(row.sensor))  # text and digits in turns
-    told = [(len(part.lstrip("0")), part.lstrip("0")) if place % 2 else (0, part) for place, part in parts]
-    return told, row.sensor, row.channel
+    """Return a sort key for a row's names, in which digits count as numbers."""
+    parts = enumerate(_DIGITS.split(row.sensor))  # text and digits alternate
+    key = [(len(part.lstrip("0")), part.lstrip("0")) if place % 2 else (0, part) for place, part in parts]
+    return key, row.sensor, row.channel
 
 
 def summary(rows: Sequence[FleetRow], done: str = "cleaned") -> str:
-    """Return what became of a fleet, in a sentence: how many sensors are done, and how many are to be looked at.
+    """Return a sentence that counts the sensors of a fleet that are done, and those that need attention.
 
-    A sensor is done if none of its channels was refused, and does not fit, or is whatever else, if one of them is.
+    A sensor is done if none of its channels was refused. It does not fit, is faulty or is outlying if at least one of
+    its channels is.
 
     Parameters
     ----------
     rows : sequence of FleetRow
-        Of every channel of every sensor.
+        Rows of every channel of every sensor.
     done : str
-        What was done to them, in a word.
+        One word for what was done to the sensors.
     """
     if not rows:
         return "There is no sensor."
-    found: dict[str, set[str]] = defaultdict(set)
+    sensors: dict[str, set[str]] = defaultdict(set)
     for row in rows:
-        found[row.sensor].update(trait.name for trait in TRAITS if trait.holds(row))
-    fine = [traits for traits in found.values() if "refused" not in traits]
-    refused = len(found) - len(fine)
-    told = [_told(fine, *words) for words in _REMARKS]
-    remarks = ", ".join(remark for remark in told if remark)
+        sensors[row.sensor].update(trait.name for trait in TRAITS if trait.holds(row))
+    fine = [traits for traits in sensors.values() if "refused" not in traits]
+    refused = len(sensors) - len(fine)
+    remarks = ", ".join(filter(None, (_remark(fine, *words) for words in _REMARKS)))
     return (
-        f"{spaced(len(fine))} of {counted(len(found), 'sensor is', 'sensors are')} {done}"
+        f"{spaced(len(fine))} of {counted(len(sensors), 'sensor is', 'sensors are')} {done}"
         + (f" ({remarks})" if remarks else "")
         + (f"; {counted(refused, 'is refused', 'are refused')}" if refused else "")
         + "."
@@ -178,7 +178,7 @@ _REMARKS = (
 )
 
 
-def _told(sensors: Sequence[set[str]], trait: str, one: str, several: str) -> str:
-    """Say of how many sensors a trait is true; nothing if of none."""
+def _remark(sensors: Sequence[set[str]], trait: str, one: str, several: str) -> str:
+    """Return the count of sensors with a property, in words; empty if there are none."""
     count = sum(trait in traits for traits in sensors)
     return counted(count, one, several) if count else ""

@@ -1,4 +1,4 @@
-"""The report on a fleet: one self-contained page of all its sensors, the worst first."""
+"""Write the report on a fleet: one self-contained page of all its sensors, the worst first."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ _TEXTS = ("sensor", "channel", "unit", "reason", "faults", "says", "recipe", "ou
 _NUMBERS = ("health", "noise_std", "rate_hz")
 _STYLES = ("figures.css", "page.css", "fleet/fleet.css")
 _SCRIPTS = ("colours.js", "numbers.js", *(f"fleet/{name}.js" for name in ("rows", "table", "strip", "main")))
-_MOST_NAMED = 6  # recipes
+_MOST_NAMED = 6  # recipes that the page lists by name
 
 
 @dataclass(frozen=True)
 class FleetFacts:
-    """Which fleet a report is about.
+    """Facts about a fleet for the head of its report.
 
     Attributes
     ----------
     lake, output : str
-        Where it was read, and written.
+        Paths that were read and written.
     began : str
-        When, as ISO 8601 writes it; empty if that is not to be told.
+        Start time in ISO 8601; empty to leave it out of the report.
     took_s : float or None
-        How long it took, in seconds.
+        Duration of the run in seconds.
     rows_total : int
-        Rows of all sensors.
+        Number of rows of all sensors together.
     recipes : tuple of str
-        Names of those that were used.
+        Names of the recipes that were used.
     done : str
-        What was done to the sensors, in a word.
+        One word for what was done to the sensors.
     """
 
     lake: str
@@ -63,7 +63,7 @@ class FleetFacts:
 
 
 class _Filter(NamedTuple):
-    """What a press shows only the rows of."""
+    """A button that shows only the rows with one property."""
 
     name: str
     says: str
@@ -73,16 +73,16 @@ class _Filter(NamedTuple):
 
 
 def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
-    """Return the report on a fleet that was cleaned, as HTML.
+    """Return the report on a cleaned fleet, as HTML.
 
     Parameters
     ----------
     rows : sequence of FleetRow
-        Of every channel of every sensor, in any order.
+        Rows of every channel of every sensor, in any order.
     facts : FleetFacts
-        Which fleet it was.
+        Facts about the fleet.
     """
-    told = worst_first(rows)
+    sorted_rows = worst_first(rows)
     return (
         Environment(autoescape=True)
         .from_string(asset("fleet/fleet.html"))
@@ -90,10 +90,10 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
             name=_unbroken(facts.lake),
             version=version(),
             lead=_unbroken(summary(rows, facts.done)),
-            facts_told=_facts_told(facts),
-            filters=_filters(told),
-            total=_unbroken(spaced(len(told))),
-            rows=packed(_columns(told).encode()),
+            fact_lines=_fact_lines(facts),
+            filters=_filters(sorted_rows),
+            total=_unbroken(spaced(len(sorted_rows))),
+            rows=packed(_columns(sorted_rows).encode()),
             css="".join(asset(name) for name in _STYLES),
             js=script(*_SCRIPTS),
         )
@@ -101,26 +101,26 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
 
 
 def _unbroken(text: str) -> str:
-    """Return text that UTF-8 can hold whatever a folder is called, and whose numbers stay on one line."""
-    held = text.encode("utf-8", "replace").decode()
-    return re.sub(r"(?<=\d) (?=\d{3}\b)", "\u202f", held)
+    """Return text that UTF-8 can encode, whatever a folder's name, with no line break inside numbers."""
+    encodable = text.encode("utf-8", "replace").decode()
+    return re.sub(r"(?<=\d) (?=\d{3}\b)", "\u202f", encodable)
 
 
-def _facts_told(facts: FleetFacts) -> list[tuple[str, str]]:
+def _fact_lines(facts: FleetFacts) -> list[tuple[str, str]]:
     recipes = ", ".join(facts.recipes[:_MOST_NAMED])
     more = len(facts.recipes) - _MOST_NAMED
-    told = [
+    lines = [
         ("written to", facts.output),
         ("began", _moment(facts.began)),
         ("took", _lasting(facts.took_s)),
         ("rows", spaced(facts.rows_total)),
         ("recipes" if len(facts.recipes) > 1 else "recipe", f"{recipes} and {more} more" if more > 0 else recipes),
     ]
-    return [(term, _unbroken(one)) for term, one in told if one]
+    return [(term, _unbroken(one)) for term, one in lines if one]
 
 
 def _moment(began: str) -> str:
-    """Say when something was, to the minute; as it came where that is no time."""
+    """Return a time to the minute, or the text unchanged if it is not a time."""
     try:
         return f"{datetime.fromisoformat(began):%Y-%m-%d %H:%M %Z}".strip()
     except ValueError:
@@ -128,7 +128,7 @@ def _moment(began: str) -> str:
 
 
 def _lasting(took_s: float | None) -> str:
-    """Say how long something took."""
+    """Return a duration in words."""
     if took_s is None:
         return ""
     if took_s < 60:
@@ -138,7 +138,7 @@ def _lasting(took_s: float | None) -> str:
 
 
 def _filters(rows: Sequence[FleetRow]) -> list[_Filter]:
-    """Return what is true of some rows, with how many."""
+    """Return a button for each property that at least one row has, with the number of such rows."""
     counts = [sum(trait.holds(row) for row in rows) for trait in TRAITS]
     return [
         _Filter(trait.name, trait.says, _TONES.get(trait.name, ""), _unbroken(spaced(count)), bit)
@@ -148,7 +148,7 @@ def _filters(rows: Sequence[FleetRow]) -> list[_Filter]:
 
 
 def _columns(rows: Sequence[FleetRow]) -> str:
-    """Return rows as JSON, a column each; what is unknown is null."""
+    """Return rows as JSON, one array for each column; unknown values are null."""
     columns: dict[str, list[object]] = {name: [getattr(row, name) for row in rows] for name in (*_TEXTS, "rows")}
     columns |= {name: [_short(getattr(row, name)) for row in rows] for name in _NUMBERS}
     columns["usable"] = [_percent_down(row.usable_share) for row in rows]
@@ -158,10 +158,10 @@ def _columns(rows: Sequence[FleetRow]) -> str:
 
 
 def _short(value: float | None) -> float | None:
-    """Return a number in six digits, which is more than the page shows, and no number that JSON does not know."""
+    """Return a number with six digits, more than the page shows; None if JSON cannot write it."""
     return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
 
 
 def _percent_down(share: float | None) -> float | None:
-    """Return a share in hundredths of a percent, rounded down: 100 % is all."""
+    """Return a share in percent, rounded down to hundredths, so that 100 % means all."""
     return math.floor(share * 1e4 + 1e-9) / 100 if share is not None and math.isfinite(share) else None

@@ -1,4 +1,4 @@
-"""What became of each channel of a fleet's sensors, in one row: enough to find those that are to be looked at."""
+"""Summarise each channel of a fleet in one row, so that a person finds the sensors that need attention."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from becalm.cleaning.report import ChannelReport
 State = Literal["cleaned", "kept", "refused"]
 
 LOSSES = ("clipped", "stuck", "dead", "drift")
-"""Faults while which a sensor does not tell what it should: named before all others."""
+"""Faults during which the readings do not show the signal; they are listed first."""
 
-_USABLE = ("used", "step", "late", "repeated", "gap")  # verdicts on readings that tell of the signal
-_WORDS = {  # of faults: of one, and of several
+_USABLE = ("used", "step", "late", "repeated", "gap")  # verdicts on readings that do show the signal
+_WORDS = {  # names of faults: singular and plural
     "spike": ("spike", "spikes"),
     "step": ("step", "steps"),
     "gap": ("gap", "gaps"),
@@ -31,38 +31,38 @@ _WORDS = {  # of faults: of one, and of several
 
 @dataclass(frozen=True)
 class FleetRow:
-    """What became of one channel of one sensor.
+    """The result for one channel of one sensor.
 
     Attributes
     ----------
     sensor : str
-        Its path within the lake, such as "plant=3/sensor=17".
+        Path of the sensor within the lake, such as "plant=3/sensor=17".
     channel, unit : str
-        As in the recording; empty where it was refused before they were known.
+        Name and unit in the recording; empty if the sensor was refused before they were known.
     state : {"cleaned", "kept", "refused"}
-        "kept": finished before, and unchanged since. "refused": no output was written.
+        "kept": finished in an earlier run, and unchanged since. "refused": no output was written.
     reason : str
-        Why it was refused, as a sentence; empty if it was not.
+        A sentence that says why it was refused; empty if it was not.
     verdict : Decision or ""
-        Whether its model describes it, as `becalm.cleaning.judging.Judgement` has it; empty where nothing was judged.
+        Decision of `becalm.cleaning.judging.Judgement` on whether the model describes the channel; empty if not judged.
     health : float or None
         Mean squared normalised innovation (NIS); 1 is right.
     noise_std : float or None
         Standard deviation of one reading's white noise, in unit.
     usable_share : float or None
-        Share of the readings, 0 to 1, that tell of the signal.
+        Share of the readings, 0 to 1, that show the signal.
     faults : str
-        What was wrong with the sensor, as `faults_told` writes it; empty if nothing was found.
+        Faults of the sensor, as `faults_told` writes them; empty if there are none.
     says : str
-        The judgement as a sentence, with what to do.
+        The judgement as a sentence, with advice.
     recipe : str
         The first twelve hexadecimal digits of the recipe's hash.
     rows : int
-        How many it has.
+        Number of rows.
     rate_hz : float or None
-        Rows a second.
+        Rows per second.
     outlying : str
-        Why it is unlike the other sensors of its class, as a sentence; empty if it is like them.
+        A sentence that says how it differs from the other sensors of its class; empty if it does not.
     """
 
     sensor: str
@@ -83,18 +83,18 @@ class FleetRow:
 
 
 def row_of(sensor: str, report: ChannelReport, *, recipe: str, rate_hz: float | None) -> FleetRow:
-    """Return the row of a channel that was cleaned; what its class says of it may be added by `dataclasses.replace`.
+    """Return the row of a cleaned channel; `dataclasses.replace` can add the comparison with its class later.
 
     Parameters
     ----------
     sensor : str
-        Its path within the lake.
+        Path of the sensor within the lake.
     report : ChannelReport
-        What was found when it was cleaned.
+        Report of the cleaned channel.
     recipe : str
         The first digits of the recipe's hash.
     rate_hz : float or None
-        Rows a second.
+        Rows per second.
     """
     rows = sum(report.verdicts.values())
     return FleetRow(
@@ -114,22 +114,22 @@ def row_of(sensor: str, report: ChannelReport, *, recipe: str, rate_hz: float | 
 
 
 def usable_share(verdicts: Mapping[str, int]) -> float | None:
-    """Return the share of readings that tell of the signal, by how often each verdict was given; None of none."""
+    """Return the share of readings that show the signal, from the count of each verdict; None without readings."""
     readings = sum(verdicts.values())
     return sum(verdicts.get(name, 0) for name in _USABLE) / readings if readings else None
 
 
 def faults_told(faults: Sequence[Fault]) -> str:
-    """Return faults in a few words, the gravest first: "1 203 clipped, 2 gaps"."""
-    told = sorted(faults, key=lambda fault: fault.what not in LOSSES)
-    return ", ".join(counted(fault.readings, *_WORDS.get(fault.what, (fault.what, fault.what))) for fault in told)
+    """Return a short list of faults, those of `LOSSES` first: "1 203 clipped, 2 gaps"."""
+    ordered = sorted(faults, key=lambda fault: fault.what not in LOSSES)
+    return ", ".join(counted(fault.readings, *_WORDS.get(fault.what, (fault.what, fault.what))) for fault in ordered)
 
 
 def counted(count: int, one: str, several: str) -> str:
-    """Return a count with its word: "1 gap", "10 000 gaps"."""
+    """Return a count with its noun: "1 gap", "10 000 gaps"."""
     return f"{spaced(count)} {one if count == 1 else several}"
 
 
 def spaced(count: int) -> str:
-    """Return a count as people read it: "10 000"."""
+    """Return a count with its thousands separated by spaces: "10 000"."""
     return f"{count:,}".replace(",", " ")

@@ -1,4 +1,4 @@
-"""What pictures need of a recording, gathered while its rows go by, in memory that does not grow with them."""
+"""Gather the data for a recording's figures during cleaning, in memory that does not grow with the number of rows."""
 
 from __future__ import annotations
 
@@ -15,44 +15,44 @@ from becalm.report.closeup import Closeup, Farthest, Middle
 from becalm.report.envelope import Cut, Envelope, Kinds, Means, Stretches
 from becalm.report.spectra import RunningSpectrum
 
-_STRETCHES = 18_000  # of all channels together
-_FEWEST, _MOST = 300, 3000  # of one
+_STRETCHES = 18_000  # all channels together
+_FEWEST, _MOST = 300, 3000  # for one channel
 _NIS_STRETCHES = 200
 
 WIDTH = 2.0
-"""How many sigma a band is wide, to each side."""
+"""Half-width of the uncertainty band, in sigma."""
 
 
 class FilteredRows(NamedTuple):
-    """Some rows of one channel, after the filter."""
+    """Some rows of one channel with their estimates."""
 
-    times_s: Floats  # (B,) since the first row
+    times_s: Floats  # (B,) seconds since the first row
     readings: Floats  # (B,) NaN where missing or impossible
     told: EstimatedRows
 
 
 class Gathering:
-    """Gathers what is drawn of a recording.
+    """The data for the figures of a recording.
 
     Parameters
     ----------
     rows : int
-        How many will come.
+        Total number of rows.
     step_s : float
-        The step that elapsed steps are counted in, in seconds.
+        Length of one step in seconds; elapsed time is counted in such steps.
     channels : int
-        How many channels each row has.
+        Number of channels in each row.
 
     Attributes
     ----------
     rows : int
-        How many come.
+        Total number of rows.
     rows_each : int
-        Rows of a stretch.
+        Rows in each stretch.
     times, nis_times : Envelope
-        When each stretch began and ended, in seconds since the first row; those of the innovations are longer.
+        Begin and end of each stretch, in seconds since the first row. The stretches of the innovations are longer.
     channels : tuple of ChannelGathering
-        In order.
+        Data of each channel, in order.
     """
 
     def __init__(self, rows: int, step_s: float, channels: int) -> None:
@@ -66,20 +66,20 @@ class Gathering:
 
     @property
     def looks(self) -> Sequence[Judge]:
-        """What takes the innovations of each channel."""
+        """Return, for each channel, the function that takes its innovations."""
         return [channel.look for channel in self.channels]
 
     def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[EstimatedRows]) -> None:
-        """Take the next rows of all channels.
+        """Add the next rows of all channels.
 
         Parameters
         ----------
         columns : sequence of (B,) float arrays
-            Readings as they came, one array a channel.
+            Unfiltered readings, one array for each channel.
         elapsed : (B,) float array
-            Steps since the row before.
+            Steps since the previous row.
         told : sequence of EstimatedRows
-            What the filters say of these rows.
+            Estimates for these rows, one for each channel.
         """
         if not len(elapsed):
             return
@@ -90,34 +90,36 @@ class Gathering:
         for part, cut in cuts:
             self.times.add(*cut, times[part], times[part])
         self.nis_times.add(*self._nis_stretches.next(len(steps)), times, times)
-        for channel, z, of in zip(self.channels, columns, told, strict=True):
-            channel.add(FilteredRows(times, _possible(z, of), of), cuts)
+        for channel, z, estimates in zip(self.channels, columns, told, strict=True):
+            channel.add(FilteredRows(times, _plausible(z, estimates), estimates), cuts)
 
 
 class ChannelGathering:
-    """Gathers what is drawn of one channel.
+    """The data for the figures of one channel.
 
     Parameters
     ----------
     rows : int
-        How many will come.
+        Total number of rows.
     step_s : float
-        The step that elapsed steps are counted in, in seconds.
+        Length of one step in seconds.
     stretches : int
-        How many they are cut into.
+        Number of stretches that the rows are divided into.
 
     Attributes
     ----------
     readings, clean, band : Envelope
-        Of what was read, of the signal, and of `WIDTH` sigma about it, in unit.
+        Envelopes of the readings, of the signal, and of `WIDTH` sigma around the signal, in unit.
     kinds : Kinds
-        What became of readings.
-    before, after : RunningSpectrum
-        Of readings, those that are missing replaced by the signal; and of the signal.
+        Verdicts on the readings.
+    before : RunningSpectrum
+        Spectrum of the readings; the signal replaces missing ones.
+    after : RunningSpectrum
+        Spectrum of the signal.
     closeups : tuple of Closeup
-        Some rows, each by itself.
+        Rows that are drawn in full detail.
     nis : Means
-        Of normalised innovations squared.
+        Means of the normalised innovations squared (NIS).
     """
 
     def __init__(self, rows: int, step_s: float, stretches: int) -> None:
@@ -129,37 +131,37 @@ class ChannelGathering:
         self.nis = Means(self._nis_stretches.count)
 
     def add(self, rows: FilteredRows, cuts: Sequence[tuple[slice, Cut]]) -> None:
-        """Take the next rows, and which parts of them are cut into stretches how."""
-        times_s, z, told = rows
+        """Add the next rows, in parts; each part comes with its division into stretches."""
+        times_s, z, estimates = rows
         for part, cut in cuts:
-            self._enclose(z[part], told.rows(part), cut)
-        self.before.add(z, told.signal)
-        self.after.add(told.signal)
+            self._enclose(z[part], estimates.rows(part), cut)
+        self.before.add(z, estimates.signal)
+        self.after.add(estimates.signal)
         for closeup in self.closeups:
-            closeup.add(times_s, z, told)
+            closeup.add(times_s, z, estimates)
 
-    def _enclose(self, z: Floats, told: EstimatedRows, cut: Cut) -> None:
-        half = WIDTH * np.where(np.isfinite(told.sigma), told.sigma, np.nan)
+    def _enclose(self, z: Floats, estimates: EstimatedRows, cut: Cut) -> None:
+        half = WIDTH * np.where(np.isfinite(estimates.sigma), estimates.sigma, np.nan)
         self.readings.add(*cut, z, z)
-        self.clean.add(*cut, told.signal, told.signal)
-        self.band.add(*cut, told.signal - half, told.signal + half)
-        self.kinds.add(*cut, told.verdicts)
+        self.clean.add(*cut, estimates.signal, estimates.signal)
+        self.band.add(*cut, estimates.signal - half, estimates.signal + half)
+        self.kinds.add(*cut, estimates.verdicts)
 
     def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
-        """Take the next innovations (B,) and their standard deviations, NaN where there is none."""
+        """Add the next innovations (B,) and their standard deviations, NaN where there is no innovation."""
         for part in _parts(len(innovations)):
             normalised = innovations[part] / innovation_sigma[part]
             self.nis.add(*self._nis_stretches.next(len(normalised)), normalised**2)
 
 
 def _parts(rows: int) -> list[slice]:
-    """Cut rows into parts that stay in the cache while they are looked at."""
+    """Divide rows into parts that fit into the cache."""
     return [slice(start, min(start + PIECE, rows)) for start in range(0, rows, PIECE)]
 
 
-def _possible(z: Floats, told: EstimatedRows) -> Floats:
-    """Return readings to draw: without what no sensor gives, which would leave no room for the others."""
-    if not told.verdicts.any():
+def _plausible(z: Floats, estimates: EstimatedRows) -> Floats:
+    """Replace impossible readings by NaN: they would stretch the axis until all others look flat."""
+    if not estimates.verdicts.any():
         return z
-    impossible = np.isin(told.verdicts, (Verdict.NONFINITE, Verdict.OVERRANGE))
+    impossible = np.isin(estimates.verdicts, (Verdict.NONFINITE, Verdict.OVERRANGE))
     return np.where(impossible, np.nan, z)

@@ -1,4 +1,4 @@
-"""Draw the innovations of a channel, which tell whether its filter can be trusted."""
+"""Draw the innovations of a channel, which show whether its filter can be trusted."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from becalm.report.description import Axis, Curve, Figure, Layer, Rule
 from becalm.report.envelope import Envelope, Means
 from becalm.report.pictures import TIME, Title, parted
 
-_WITHIN = 1.96  # standard deviations, and
-_SHARE = 0.025  # of chance outside on each side: limits that hold 95 % of what is right
-_READINGS_A_LAG = 8  # of an autocorrelation: fewer lags of few readings
+_WITHIN = 1.96  # half-width of a 95 % limit, in standard deviations
+_SHARE = 0.025  # probability outside a 95 % limit, on each side
+_READINGS_A_LAG = 8  # an autocorrelation of few readings has few lags
 
 
 def innovation_figures(
     title: Title, times: Envelope, sums: LaggedSums | None, nis: Means, rate_hz: float
 ) -> tuple[Figure, ...]:
-    """Draw how innovations hang together, at which frequency, and how large they are over time.
+    """Draw the autocorrelation, the spectrum and the mean square (NIS over time) of the normalised innovations.
 
     Parameters
     ----------
     title : Title
-        Which channel.
+        Name of the channel.
     times : Envelope
-        Of the stretches whose innovations are told together, in seconds.
+        Times of the stretches that `nis` is averaged over, in seconds.
     sums : LaggedSums or None
-        Of all normalised innovations; None of too few.
+        Lagged sums of all normalised innovations; None if there are too few.
     nis : Means
-        Of their squares.
+        Means of their squares.
     rate_hz : float
-        Samples a second.
+        Samples per second.
 
     Returns
     -------
     tuple of Figure
-        None of too few innovations.
+        Empty if there are too few innovations.
     """
     correlations = np.zeros(0) if sums is None else _correlations(sums)
     if sums is None or not len(correlations):
@@ -50,7 +50,7 @@ def innovation_figures(
 
 
 def _correlations(sums: LaggedSums) -> Floats:
-    """Return the autocorrelation of the innovations at lags 1 to 32, or fewer of few."""
+    """Return the autocorrelation of the innovations at lags 1 to 32, or at fewer lags if there are few innovations."""
     covariance = sums.about_mean(min(MOST_LAGS, sums.seen // _READINGS_A_LAG))
     return covariance[1:] / covariance[0] if covariance[0] > 0 else np.zeros(0)
 
@@ -67,38 +67,38 @@ def _correlation(title: Title, correlations: Floats, count: int) -> Figure:
         _level("95 % of white noise", lags, limit),
         _level("", lags, -limit),
     )
-    said = "White innovations hold nothing that could still be foretold; of long records the limits are very near."
+    caption = "White innovations cannot be predicted. The limits of a long record are close to 0."
     reach = max(0.1, 1.2 * float(np.abs(correlations).max()))
     axis = Axis("autocorrelation", low=-reach, high=reach)
-    return Figure(f"{title.slug}-whiteness", "Innovations: whiteness", Axis("lag (rows)"), axis, layers, said)
+    return Figure(f"{title.slug}-whiteness", "Innovations: whiteness", Axis("lag (rows)"), axis, layers, caption)
 
 
 def _spectrum(title: Title, sums: LaggedSums, correlations: Floats, rate_hz: float) -> Figure:
-    found = judge_whiteness(sums)
+    whiteness = judge_whiteness(sums)
     cycles = np.linspace(0.0, 0.5, 251)
     layers: tuple[Layer, ...] = (
         Curve("innovations", cycles * rate_hz, smoothed_power(np.append(1.0, correlations), cycles), "clean"),
         _level("white", cycles * rate_hz, 1.0),
     )
-    said = "1 is white. A peak is a frequency that the model does not describe."
-    if found.loudest is not None and len(found.predictor.coefficients):
-        layers += (Rule("loudest", found.loudest * rate_hz),)
-        said += f" Loudest near {found.loudest * rate_hz:.3g} Hz."
+    caption = "White noise is 1 everywhere. A peak is a frequency that the model does not describe."
+    if whiteness.loudest is not None and len(whiteness.predictor.coefficients):
+        layers += (Rule("loudest", whiteness.loudest * rate_hz),)
+        caption += f" The loudest is near {whiteness.loudest * rate_hz:.3g} Hz."
     axis = Axis("power, relative", low=0.0)
-    return Figure(f"{title.slug}-colour", "Innovations: spectrum", Axis("frequency (Hz)"), axis, layers, said)
+    return Figure(f"{title.slug}-colour", "Innovations: spectrum", Axis("frequency (Hz)"), axis, layers, caption)
 
 
 def _nis(title: Title, times: Envelope, nis: Means) -> Figure:
     from scipy.special import chdtri
 
     seen, mean = nis.seen, nis.result()
-    known = np.maximum(seen, 1)
-    upper, lower = (np.where(seen > 0, chdtri(known, share) / known, np.nan) for share in (_SHARE, 1 - _SHARE))
+    degrees = np.maximum(seen, 1)
+    upper, lower = (np.where(seen > 0, chdtri(degrees, share) / degrees, np.nan) for share in (_SHARE, 1 - _SHARE))
     x, mean, upper, lower = parted(times.low, mean, upper, lower)
     layers = (
         Curve("normalised innovation squared", x, mean, "clean"),
         Curve("95 % where sigma is right", x, upper, "limit", "dashed"),
         Curve("", x, lower, "limit", "dashed"),
     )
-    said = "Means over stretches. Above: readings lie farther off than sigma says; below: nearer."
-    return Figure(f"{title.slug}-nis", "Innovations: size (NIS)", TIME, Axis("NIS", low=0.0), layers, said)
+    caption = "Means over stretches. Above the limits sigma is too small, below them it is too large."
+    return Figure(f"{title.slug}-nis", "Innovations: size (NIS)", TIME, Axis("NIS", low=0.0), layers, caption)

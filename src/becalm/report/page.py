@@ -1,4 +1,4 @@
-"""The report: one self-contained page that a browser opens with the network off."""
+"""Write the report on a recording: one self-contained page that needs no network."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from becalm.report.printing import can_print, printed
 from becalm.report.vendor import uplot
 
 MOST_PICTURED = 8
-"""Channels that are drawn, so that a page stays small; of the others the table tells."""
+"""Maximum number of channels with figures, which keeps a page small; the table lists all channels."""
 
 _HEADINGS = ("model", "noise", "bandwidth", "lag", "described by its model")
 _TONES = {"fits": "fits", "fits except": "except", "does not fit": "not"}
@@ -31,14 +31,14 @@ _HASH_SHOWN = 16
 
 @dataclass(frozen=True)
 class Facts:
-    """Which recording a report is about.
+    """Facts about a recording for the head of its report.
 
     Attributes
     ----------
     name : str
-        Of the file, or whatever it is called.
+        Name of the file, or another name of the recording.
     sha256 : str
-        Hash of the file; empty if there was none.
+        Hash of the file; empty if the recording is not a file.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Cells(NamedTuple):
 
 
 class Beside(NamedTuple):
-    """What stands beside becalm's own in the section of a channel."""
+    """Additional tables and figures in the section of a channel."""
 
     tables: tuple[Cells, ...] = ()
     wide: tuple[Figure, ...] = ()
@@ -76,7 +76,7 @@ class _Section(NamedTuple):
     words: str
     tables: tuple[Cells, ...]
     numbers: tuple[tuple[str, str], ...]
-    figures: tuple[tuple[Figure, str, str], ...]  # each with its kind, and with the others that it is zoomed with
+    figures: tuple[tuple[Figure, str, str], ...]  # each with its kind, and the key of the group that zooms together
     printed: tuple[str, ...]
 
 
@@ -86,23 +86,23 @@ def page_of(
     pictures: Pictures,
     beside: Sequence[Beside] = (),
 ) -> str:
-    """Return the report on a recording that was cleaned, as HTML.
+    """Return the report on a cleaned recording, as HTML.
 
     Parameters
     ----------
     facts : Facts
-        Which recording it was.
+        Facts about the recording.
     recipe : Recipe
-        What was done.
+        Recipe that the recording was cleaned with.
     pictures : Pictures
-        Of its channels.
+        Figures of its channels.
     beside : sequence of Beside
-        For each channel, what else belongs to it; nothing by default.
+        Additional tables and figures, one entry for each channel; none by default.
 
     Raises
     ------
     BecalmError
-        If becalm was never installed, and what draws the page is not here.
+        If uPlot is absent, because becalm was never installed.
     """
     reports = pictures.reports
     numbers = _pictured(reports)
@@ -114,7 +114,7 @@ def page_of(
         facts=facts,
         version=version(),
         lead=_lead(reports),
-        facts_told=_facts_told(facts, recipe, pictures.times),
+        fact_lines=_fact_lines(facts, recipe, pictures.times),
         headings=_HEADINGS,
         lines=[_line(report, number, number in drawn, recipe.mode) for number, report in enumerate(reports)],
         left_out=_left_out(len(reports) - len(numbers)),
@@ -130,7 +130,7 @@ def page_of(
 
 
 def _pictured(reports: Sequence[ChannelReport]) -> list[int]:
-    """Choose the channels that are drawn, in their order: those first that are to be looked at."""
+    """Choose the channels to draw: those whose model does not describe them come first. Return them in their order."""
     first = sorted(range(len(reports)), key=lambda number: reports[number].describes)
     return sorted(first[:MOST_PICTURED])
 
@@ -142,32 +142,32 @@ def _lead(reports: Sequence[ChannelReport]) -> str:
     if constant == len(reports):
         return "Every channel is constant: its sigma is unknown."
     if described == len(reports):
-        but = f" {constant} of {len(reports)} channels are constant, of which no sigma is known." if constant else ""
-        near = f", but near some frequency in {narrow} of {len(reports)}: look at these" if narrow else ""
-        return f"Every channel that changes is described by its model, as far as its readings tell{near}.{but}"
+        but = f" {constant} of {len(reports)} channels are constant; their sigma is unknown." if constant else ""
+        near = f", except near some frequency in {narrow} of {len(reports)}: look at these" if narrow else ""
+        return f"Every channel that changes is described by its model, as far as its readings show{near}.{but}"
     return (
         f"{len(reports) - described} of {len(reports)} channels are not described by their models: look at these"
-        " before their signal and sigma are believed."
+        " before you trust their signal and sigma."
     )
 
 
-def _facts_told(facts: Facts, recipe: Recipe, times: Sequence[CleanedChannels]) -> list[tuple[str, str]]:
+def _fact_lines(facts: Facts, recipe: Recipe, times: Sequence[CleanedChannels]) -> list[tuple[str, str]]:
     mode = {
-        "causal": "a filter: each estimate knows only the past",
-        "smoothed": "a smoother: each estimate knows the whole record",
+        "causal": "a filter: each estimate uses only the past",
+        "smoothed": "a smoother: each estimate uses the whole record",
         "lagged": f"each estimate waits {amount(recipe.lag_s, 's')} for later readings",
     }
-    told = [*_times_told(times), ("mode", mode[recipe.mode])]
-    return [*told, ("SHA-256 of the file", f"{facts.sha256[:_HASH_SHOWN]}…")] if facts.sha256 else told
+    lines = [*_time_lines(times), ("mode", mode[recipe.mode])]
+    return [*lines, ("SHA-256 of the file", f"{facts.sha256[:_HASH_SHOWN]}…")] if facts.sha256 else lines
 
 
-def _times_told(times: Sequence[CleanedChannels]) -> list[tuple[str, str]]:
-    told = [(f"{one.gathering.rows}", amount(1 / one.step_s, "Hz"), amount(one.lasts_s, "s")) for one in times]
-    if len(told) == 1:
-        return list(zip(("rows", "rate", "lasts"), told[0], strict=True))
+def _time_lines(times: Sequence[CleanedChannels]) -> list[tuple[str, str]]:
+    values = [(f"{one.gathering.rows}", amount(1 / one.step_s, "Hz"), amount(one.lasts_s, "s")) for one in times]
+    if len(values) == 1:
+        return list(zip(("rows", "rate", "lasts"), values[0], strict=True))
     return [
         (one.group, f"{rows} rows at {rate}, lasts {lasts}")
-        for one, (rows, rate, lasts) in zip(times, told, strict=True)
+        for one, (rows, rate, lasts) in zip(times, values, strict=True)
     ]
 
 
@@ -187,15 +187,15 @@ def _anchor(number: int) -> str:
 def _left_out(count: int) -> str:
     if not count:
         return ""
-    return f"{MOST_PICTURED} channels are drawn, those to be looked at first; of {count} more only the table tells."
+    return f"Only the {MOST_PICTURED} channels that most need a look are drawn; the table lists {count} more."
 
 
-def _section(drawn: Pictured, number: int, beside: Beside) -> _Section:
+def _section(drawn: Pictured, number: int, extra: Beside) -> _Section:
     report = drawn.report
     together = f"{_anchor(number)}-time"
     placed = [
-        *((figure, "wide", together if _at_once(figure) else "") for figure in (*drawn.wide, *beside.wide)),
-        *((figure, "narrow", "") for figure in (*drawn.narrow, *beside.narrow)),
+        *((figure, "wide", together if _at_once(figure) else "") for figure in (*drawn.wide, *extra.wide)),
+        *((figure, "narrow", "") for figure in (*drawn.narrow, *extra.narrow)),
     ]
     return _Section(
         _anchor(number),
@@ -203,21 +203,21 @@ def _section(drawn: Pictured, number: int, beside: Beside) -> _Section:
         _tone(report),
         report.says,
         drawn.words,
-        beside.tables,
+        extra.tables,
         _numbers(report),
         tuple(placed),
-        _printed(drawn, beside),
+        _printed(drawn, extra),
     )
 
 
 def _at_once(figure: Figure) -> bool:
-    """Whether a figure shows the whole record, and is looked into together with others that do."""
+    """Return whether a figure shows the whole record; such figures of a channel zoom together."""
     return figure.name.endswith(("-signal", "-verdicts"))
 
 
 def _numbers(report: ChannelReport) -> tuple[tuple[str, str], ...]:
-    """Say what was found, as far as it was."""
-    told: list[tuple[str, float | None, str]] = [
+    """Return the numbers of a channel's report that are known, each with its name."""
+    values: list[tuple[str, float | None, str]] = [
         ("noise of a reading", report.noise_std, report.unit),
         ("bandwidth", report.bandwidth_hz, "Hz"),
         ("errors count as independent after", report.independence_s, "s"),
@@ -231,24 +231,24 @@ def _numbers(report: ChannelReport) -> tuple[tuple[str, str], ...]:
         ("log-likelihood", report.log_likelihood, ""),
     ]
     counts = ", ".join(f"{count} {name}" for name, count in report.verdicts.items() if count)
-    found = [(term, amount(value, unit)) for term, value, unit in told if value is not None]
-    return (*found, ("readings", counts))
+    numbers = [(term, amount(value, unit)) for term, value, unit in values if value is not None]
+    return (*numbers, ("readings", counts))
 
 
 def _percent(share: float | None) -> float | None:
     return None if share is None else 100 * share
 
 
-def _printed(drawn: Pictured, beside: Beside) -> tuple[str, ...]:
-    """Draw the same figures for print, where that is possible."""
+def _printed(drawn: Pictured, extra: Beside) -> tuple[str, ...]:
+    """Draw the same figures for print, if matplotlib is installed."""
     if not can_print():
         return ()
-    sheets = (((*drawn.wide, *beside.wide), 1), ((*drawn.narrow, *beside.narrow), 2))
+    sheets = (((*drawn.wide, *extra.wide), 1), ((*drawn.narrow, *extra.narrow), 2))
     return tuple(packed(_element(printed(figures, "svg", columns))) for figures, columns in sheets if figures)
 
 
 def _element(svg: bytes) -> bytes:
-    """Return an SVG file's element, without what stands before it."""
+    """Return the svg element of an SVG file, without the XML header."""
     return svg[svg.index(b"<svg") :]
 
 

@@ -1,4 +1,4 @@
-"""Figures as JSON for the page: each array once, in base64; what runs along as float64, what it tells as float32."""
+"""Encode figures as JSON for the page: each array once, in base64; x values as float64, y values as float32."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.report.description import Axis, Band, DrawnSurface, Figure, Lane, Layer, Rule
 
-_LEAST, _MOST = 1e-30, 1e30  # magnitudes that float32 holds well
-_NEAR = 0.1  # of the first value: values no farther from it lose digits unless it is taken off
+_LEAST, _MOST = 1e-30, 1e30  # magnitudes that float32 can hold with full precision
+_NEAR = 0.1  # values whose range is below this share of the first one would lose digits, so the first is subtracted
 
 
 class _Arrays:
-    """Arrays of a page, each kept once."""
+    """The arrays of a page; each is stored once."""
 
     def __init__(self) -> None:
-        self.held: list[dict[str, object]] = []
-        self._known: dict[tuple[int, bool], tuple[int, Floats]] = {}  # with the array, so that its id stays its own
+        self.encoded: list[dict[str, object]] = []
+        self._places: dict[tuple[int, bool], tuple[int, Floats]] = {}  # keeps each array alive: its id stays unique
 
     def place(self, values: Floats, *, exact: bool) -> int:
-        """Return the place of an array: an exact one is kept as float64, others as float32 if that holds them."""
+        """Return the index of an array; exact ones are stored as float64, others as float32 if their range allows."""
         key = (id(values), exact)
-        if key not in self._known:
-            self._known[key] = len(self.held), values
-            self.held.append(_encoded(values, exact))
-        return self._known[key][0]
+        if key not in self._places:
+            self._places[key] = len(self.encoded), values
+            self.encoded.append(_encoded(values, exact))
+        return self._places[key][0]
 
 
 def _encoded(values: Floats, exact: bool) -> dict[str, object]:
-    """Return an array as text; of what lies far from 0 an offset is taken off, which would cost digits."""
-    known = values[np.isfinite(values)]
-    largest = float(np.abs(known).max(initial=0.0))
+    """Return an array as text; a large common offset, which would cost digits in float32, is stored on its own."""
+    finite = values[np.isfinite(values)]
+    largest = float(np.abs(finite).max(initial=0.0))
     if exact or (largest and not _LEAST < largest < _MOST):
         return {"float64": _text(np.asarray(values, dtype="<f8"))}
-    near = len(known) and np.ptp(known) < _NEAR * abs(known[0])
-    offset = float(known[0]) if near else 0.0
+    near = len(finite) and np.ptp(finite) < _NEAR * abs(finite[0])
+    offset = float(finite[0]) if near else 0.0
     return {"float32": _text((values - offset).astype("<f4")), "offset": offset}
 
 
@@ -48,17 +48,17 @@ def _text(values: np.ndarray[Any, Any]) -> str:
 
 
 def payload(figures: Sequence[Figure]) -> str:
-    """Return figures as JSON that may stand inside a script element of a page.
+    """Return figures as JSON that is safe inside a script element of a page.
 
     Raises
     ------
     TypeError
-        If a figure holds a surface, which only print shows.
+        If a figure has a surface, which only print can show.
     """
     arrays = _Arrays()
     drawn = [_figure(figure, arrays) for figure in figures]
-    text = json.dumps({"arrays": arrays.held, "figures": drawn}, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c")  # so that no name ends the script
+    text = json.dumps({"arrays": arrays.encoded, "figures": drawn}, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c")  # a name cannot end the script element
 
 
 def _figure(figure: Figure, arrays: _Arrays) -> dict[str, object]:
@@ -83,9 +83,9 @@ def _layer(layer: Layer, arrays: _Arrays) -> dict[str, object]:
         return {"kind": "lane", "name": layer.name, **edges}
     if isinstance(layer, Rule):
         return {"kind": "rule", **layer._asdict()}
-    told: dict[str, object] = {"name": layer.name, "role": layer.role, "x": arrays.place(layer.x, exact=True)}
+    shared: dict[str, object] = {"name": layer.name, "role": layer.role, "x": arrays.place(layer.x, exact=True)}
     if isinstance(layer, Band):
         edges = {"low": arrays.place(layer.low, exact=False), "high": arrays.place(layer.high, exact=False)}
-        return {"kind": "band", **told, **edges, "faint": layer.faint}
+        return {"kind": "band", **shared, **edges, "faint": layer.faint}
     y = arrays.place(layer.y, exact=False)
-    return {"kind": "curve", **told, "y": y, "look": layer.look, "labels": list(layer.labels)}
+    return {"kind": "curve", **shared, "y": y, "look": layer.look, "labels": list(layer.labels)}

@@ -1,4 +1,4 @@
-"""What became of a channel, in pictures: its signal, its verdicts, some rows close up, and its spectra."""
+"""Draw the result of a channel: its signal, its verdicts, some rows close up, and its spectra."""
 
 from __future__ import annotations
 
@@ -19,56 +19,56 @@ from becalm.report.gathering import WIDTH, ChannelGathering
 TIME = Axis("time since the first row (s)")
 
 _LONGEST_SLUG, _LONGEST_NAME = 40, 40
-_PAUSE = 4.0  # usual steps in time, above which it pauses
-_POINTS = 240  # of a spectrum, evenly spread over its logarithm
+_PAUSE = 4.0  # a longer step in time, in usual steps, is a pause
+_POINTS = 240  # points of a spectrum, evenly spaced in the logarithm of frequency
 
 
 class Title(NamedTuple):
-    """Which channel is drawn."""
+    """The names of a channel that is drawn."""
 
-    slug: str  # begins the names of its figures
+    slug: str  # prefix of the names of its figures
     name: str
     unit: str
 
     @property
     def short(self) -> str:
-        """As much of the channel's name as has room beside an axis."""
+        """Return the channel's name, cut to fit next to an axis."""
         return self.name if len(self.name) <= _LONGEST_NAME else f"{self.name[: _LONGEST_NAME - 1]}…"
 
     @property
     def axis(self) -> str:
-        """The channel's name with its unit."""
+        """Return the channel's name with its unit, unless the name ends with that unit already."""
         bracketed = re.search(r"[(\[]([^()\[\]]+)[)\]]\s*$", self.name)
-        told = bracketed is not None and _folded(bracketed[1]) == _folded(self.unit)
-        return f"{self.short} ({self.unit})" if self.unit and not told else self.short
+        has_unit = bracketed is not None and _normalised(bracketed[1]) == _normalised(self.unit)
+        return f"{self.short} ({self.unit})" if self.unit and not has_unit else self.short
 
 
-def _folded(unit: str) -> str:
-    """Return a unit as it is compared, however its powers and its micro are written."""
+def _normalised(unit: str) -> str:
+    """Return a unit in one spelling of powers and of micro, for comparison."""
     return unicodedata.normalize("NFKC", unit).replace("^", "").replace("μ", "u").strip()
 
 
 def slug_of(number: int, name: str) -> str:
-    """Return what begins the names of a channel's figures, counted from 0: none has that of another."""
+    """Return the prefix of the names of a channel's figures; it is unique. The first channel has number 0."""
     return f"{number + 1}-{re.sub('[^a-z0-9]+', '-', name.lower()).strip('-')[:_LONGEST_SLUG]}".strip("-")
 
 
 def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) -> tuple[Figure, ...]:
-    """Draw the whole record: readings, signal and its uncertainty, and in lanes what became of readings.
+    """Draw the whole record: readings, signal and its uncertainty, and the verdicts on readings as lanes.
 
     Parameters
     ----------
     title : Title
-        Which channel.
+        Name of the channel.
     times : Envelope
-        Of the stretches, in seconds.
+        Times of the stretches, in seconds.
     gathered : ChannelGathering
-        What went by.
+        Data of the channel.
 
     Returns
     -------
     tuple of Figure
-        One, or two where any reading was not used.
+        One figure, or two if any reading was not used.
     """
     edges = [edge for of in (gathered.readings, gathered.band, gathered.clean) for edge in (of.low, of.high)]
     x, *y = parted(times.low, *edges)
@@ -81,25 +81,25 @@ def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) ->
     lanes = tuple(_lanes(times, gathered))
     if not lanes:
         return (drawn,)
-    said = "Readings that were not used as they came, and faults."
+    caption = "Readings that were not used unchanged, and faults."
     whole = Axis(TIME.label, low=float(times.low[0]), high=float(times.high[-1]))
-    return drawn, Figure(f"{title.slug}-verdicts", f"{title.short}: verdicts", whole, Axis(""), lanes, said)
+    return drawn, Figure(f"{title.slug}-verdicts", f"{title.short}: verdicts", whole, Axis(""), lanes, caption)
 
 
 def parted(times_s: Floats, *heights: Floats) -> tuple[Floats, ...]:
-    """Put NaN where time pauses, so that nothing is drawn where there are no rows.
+    """Insert NaN into each pause, so that no line is drawn where there are no rows.
 
     Parameters
     ----------
     times_s : (k,) float array
-        Never falling, in seconds.
+        Times in seconds, not decreasing.
     *heights : (k,) float array
-        What is drawn there.
+        Values to draw at these times.
 
     Returns
     -------
     tuple of float array
-        The times and the heights; the same arrays where there is no pause.
+        The times and the heights; the same arrays if there is no pause.
     """
     usual = _usual(times_s)
     before = np.flatnonzero(np.diff(times_s) > _PAUSE * usual)
@@ -114,7 +114,7 @@ def _usual(times_s: Floats) -> float:
 
 
 def _lanes(times: Envelope, gathered: ChannelGathering) -> list[Lane]:
-    ends = np.append(times.low[1:], times.high[-1])  # a stretch lasts until the next one, and not across a pause
+    ends = np.append(times.low[1:], times.high[-1])  # a stretch lasts until the next one, but not across a pause
     ends = np.minimum(ends, times.high + _usual(times.low))
     lanes = []
     for verdict in Verdict:
@@ -125,14 +125,14 @@ def _lanes(times: Envelope, gathered: ChannelGathering) -> list[Lane]:
 
 
 def closeup_figures(title: Title, gathered: ChannelGathering) -> tuple[Figure, ...]:
-    """Draw some rows, each by itself."""
+    """Draw the close-ups, in which each reading is visible."""
     return tuple(
-        _closeup(title, number, found) for number, found in enumerate(gathered.closeups, start=1) if found.kept.size
+        _closeup(title, number, rows) for number, rows in enumerate(gathered.closeups, start=1) if rows.kept.size
     )
 
 
-def _closeup(title: Title, number: int, found: Closeup) -> Figure:
-    times_s, z, signal, sigma = found.kept
+def _closeup(title: Title, number: int, rows: Closeup) -> Figure:
+    times_s, z, signal, sigma = rows.kept
     half = WIDTH * np.where(np.isfinite(sigma), sigma, np.nan)
     times_s, z, signal, half = parted(times_s, z, signal, half)
     layers: tuple[Layer, ...] = (
@@ -140,23 +140,23 @@ def _closeup(title: Title, number: int, found: Closeup) -> Figure:
         Band(f"± {WIDTH:g} sigma", times_s, signal - half, signal + half, "clean", faint=True),
         Curve("signal", times_s, signal, "clean"),
     )
-    return Figure(f"{title.slug}-closeup-{number}", found.title, TIME, Axis(title.axis), layers)
+    return Figure(f"{title.slug}-closeup-{number}", rows.title, TIME, Axis(title.axis), layers)
 
 
 def spectrum_figure(title: Title, gathered: ChannelGathering) -> Figure | None:
-    """Draw the spectra of readings and signal; None where no stretch was whole, or nothing ever changed."""
+    """Draw the spectra of readings and signal; None if no segment was complete or the readings never change."""
     before, after = gathered.before.result(), gathered.after.result()
     if before is None or after is None or not before.density.any():
         return None
     unit = f"density (({title.unit})²/Hz)" if title.unit else "density (1/Hz)"
     layers = (_drawn("readings", before, "readings"), _drawn("signal", after, "clean"))
-    said = "Where the lines lie together it is taken for signal; where they part, noise is removed."
+    caption = "Where the lines agree, the filter keeps the readings as signal; where they differ, it removes noise."
     axis = Axis(unit, log=True)
-    return Figure(f"{title.slug}-spectrum", "Spectra", Axis("frequency (Hz)", log=True), axis, layers, said)
+    return Figure(f"{title.slug}-spectrum", "Spectra", Axis("frequency (Hz)", log=True), axis, layers, caption)
 
 
 def _drawn(name: str, spectrum: Spectrum, role: Role) -> Curve:
-    """Thin a spectrum out evenly over its logarithm: the means of what falls together."""
+    """Average a spectrum in bins of equal width in the logarithm of frequency."""
     f, density = spectrum
     edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), _POINTS + 1)
     first = np.unique(np.searchsorted(f, edges[:-1]))
@@ -166,5 +166,5 @@ def _drawn(name: str, spectrum: Spectrum, role: Role) -> Curve:
 
 
 def _positive(values: Floats) -> Floats:
-    """Return what a logarithm can show."""
+    """Replace values that a logarithmic axis cannot show by NaN."""
     return np.where(values > 0, values, np.nan)

@@ -1,4 +1,4 @@
-"""Figures for print: matplotlib draws what is described, as SVG, PDF or PNG."""
+"""Draw figures for print with matplotlib, as SVG, PDF or PNG."""
 
 from __future__ import annotations
 
@@ -29,29 +29,29 @@ Kind = Literal["png", "svg", "pdf"]
 
 COLOURS: dict[Role, str] = {"readings": "#9aa5b1", "clean": "#0f62c4", "truth": "#101820", "limit": "#101820"}
 OTHERS = ("#d55e00", "#117733", "#aa4499", "#8a6d00", "#2a9d9d", "#5b4a9c")
-"""Told apart by the colour-blind too."""
+"""Colours that colour-blind people can distinguish too."""
 
-_NUMBERS = 6  # along an axis, at most: each takes time to draw
+_NUMBERS = 6  # numbers along an axis, at most: each takes time to draw
 _LOOKS = {"line": "-", "dashed": "--", "dotted": ":", "points": "none"}
-_MARKERS = "osD^"  # points at one place are told apart
-_WIDTH, _HEIGHT, _SQUARE, _LANE = 7.5, 1.85, 2.6, 0.16  # inches: a sheet; axes, those of a surface, a lane in them
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.15, 0.3, 0.45  # inches about the axes of a figure
-_SCALE = 0.55  # inches beside those of a surface
-_ENTRY, _MARK, _LETTER = 0.16, 0.42, 0.062  # inches of a legend: how high an entry is, and how wide, with its letters
-_NARROW = 100.0  # of a logarithmic axis, highest over lowest, that shows more than powers of ten
-_EDGE = 0.15  # of the axes' width
-_ABOVE = 1.05  # of the height of what is drawn
-_STRETCHES = 400  # of a band: more no print shows
+_MARKERS = "osD^"  # different shapes, so that points at the same place can be distinguished
+_WIDTH, _HEIGHT, _SQUARE, _LANE = 7.5, 1.85, 2.6, 0.16  # inches: sheet width; height of axes, of a surface, of a lane
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.15, 0.3, 0.45  # margins around the axes of a figure, in inches
+_SCALE = 0.55  # room for the colour bar of a surface, in inches
+_ENTRY, _MARK, _LETTER = 0.16, 0.42, 0.062  # inches in a legend: height of an entry, width of its mark, of a letter
+_NARROW = 100.0  # a logarithmic axis with a smaller ratio of its limits shows more than powers of ten
+_EDGE = 0.15  # share of the axes' width that counts as near an edge
+_ABOVE = 1.05  # height of the axis, relative to the highest value
+_STRETCHES = 400  # stretches of a band; print cannot show more
 _TAG = re.compile(rb"<[^<>]*>")
 _TOO_FINE = re.compile(rb"(\d\.\d\d)\d+")  # less than a hundredth of a point
 _SETTINGS: Any = {
     "svg.hashsalt": "becalm",  # the same figure gives the same bytes
     "svg.fonttype": "none",
-    "text.parse_math": False,  # a name may hold a dollar
+    "text.parse_math": False,  # a name may contain a dollar sign
     "path.simplify_threshold": 0.5,  # pixels
     "font.size": 9,
     "axes.titlesize": "medium",
-    "axes.titley": 1.0,  # looking for a better place takes a tenth of the time
+    "axes.titley": 1.0,  # the search for a better place takes a tenth of the time
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -65,33 +65,33 @@ _UNDATED: dict[Kind, dict[str, None]] = {"svg": {"Date": None}, "pdf": {"Creatio
 
 
 def can_print() -> bool:
-    """Whether matplotlib is here."""
+    """Return whether matplotlib is installed."""
     return find_spec("matplotlib") is not None
 
 
 def load_meanwhile() -> None:
-    """Load matplotlib, if it is here, beside what else is to be done first: that takes a second."""
+    """Load matplotlib in a thread, if it is installed: that takes a second, during which other work can go on."""
     if can_print():
         Thread(target=import_module, args=["matplotlib.figure"], daemon=True).start()
 
 
 def refuse_unprintable() -> None:
-    """Raise a UsageError where matplotlib is not here."""
+    """Raise a UsageError if matplotlib is not installed."""
     if not can_print():
-        raise UsageError("Figures are drawn by matplotlib, which is not here; type: pip install 'becalm[figures]'")
+        raise UsageError("Figures need matplotlib, which is not installed; type: pip install 'becalm[figures]'")
 
 
 def printed(figures: Sequence[Figure], kind: Kind = "svg", columns: int = 1) -> bytes:
-    """Draw figures onto one sheet.
+    """Draw figures onto one sheet and return the file's bytes.
 
     Parameters
     ----------
     figures : sequence of Figure
-        Row by row.
+        Figures, row by row.
     kind : {"png", "svg", "pdf"}
-        What to draw them as.
+        File format.
     columns : int
-        How many stand beside each other.
+        Number of figures in a row.
 
     Raises
     ------
@@ -112,23 +112,23 @@ def printed(figures: Sequence[Figure], kind: Kind = "svg", columns: int = 1) -> 
     with rc_context(_SETTINGS), _nothing_collected():
         sheet = Sheet(figsize=(_WIDTH, total))
         feet = total - np.cumsum(heights)
-        for row, beside, up, down, below in zip(rows, rooms, ups, downs, feet, strict=True):
-            for column, (figure, room) in enumerate(zip(row, beside, strict=True)):
-                # in inches, for a layout that is sought takes as long as drawing
+        for row, row_rooms, up, down, foot in zip(rows, rooms, ups, downs, feet, strict=True):
+            for column, (figure, room) in enumerate(zip(row, row_rooms, strict=True)):
+                # positions are in inches: matplotlib's automatic layout takes as long as drawing
                 left = column * width + _LEFT
-                place = left / _WIDTH, (below + down) / total, room.across / _WIDTH, up / total
+                place = left / _WIDTH, (foot + down) / total, room.across / _WIDTH, up / total
                 _draw(axes := sheet.add_axes(place), figure)
-                _tell(axes, figure, -_BOTTOM / up, room.beside)
+                _annotate(axes, figure, -_BOTTOM / up, room.entries)
         file = io.BytesIO()
         with catch_warnings():
-            filterwarnings("ignore", message="Glyph")  # of a name that the font lacks letters of: SVG keeps them
+            filterwarnings("ignore", message="Glyph")  # the font lacks letters of a name; SVG keeps them as text
             sheet.savefig(file, format=kind, dpi=150, metadata=_UNDATED[kind])
     return _TAG.sub(_rounded, file.getvalue()) if kind == "svg" else file.getvalue()
 
 
 @contextmanager
 def _nothing_collected() -> Iterator[None]:
-    """Look for no garbage meanwhile: among the many small objects of a sheet that takes a seventh of the time."""
+    """Switch off garbage collection: among the many small objects of a sheet it takes a seventh of the time."""
     was = gc.isenabled()
     gc.disable()
     try:
@@ -139,17 +139,17 @@ def _nothing_collected() -> Iterator[None]:
 
 
 def _rounded(tag: re.Match[bytes]) -> bytes:
-    """Round places within a tag; the text between tags stays as it is."""
+    """Round coordinates within a tag; the text between tags is not changed."""
     return _TOO_FINE.sub(rb"\1", tag[0])
 
 
 class _Room(NamedTuple):
-    """How much room a figure takes."""
+    """The room that a figure takes on a sheet."""
 
-    across: float  # inches of its axes
-    up: float
-    down: float  # inches below them
-    beside: int  # entries of the legend beside each other
+    across: float  # width of its axes in inches
+    up: float  # height of its axes in inches
+    down: float  # room below its axes in inches
+    entries: int  # entries in a line of the legend; 0 without a legend
 
     @classmethod
     def of(cls, figure: Figure, width: float) -> _Room:
@@ -160,12 +160,12 @@ class _Room(NamedTuple):
             across, up = across - _SCALE, _SQUARE
         if not names:
             return cls(across, up, _BOTTOM, 0)
-        beside = max(1, min(len(names), int(width / (_MARK + _LETTER * max(map(len, names))))))
-        return cls(across, up, _BOTTOM + _ENTRY * -(-len(names) // beside), beside)
+        entries = max(1, min(len(names), int(width / (_MARK + _LETTER * max(map(len, names))))))
+        return cls(across, up, _BOTTOM + _ENTRY * -(-len(names) // entries), entries)
 
 
 def _named(figure: Figure) -> list[str]:
-    """Return what stands in the legend."""
+    """Return the names for the legend."""
     if len(figure.layers) < 2:
         return []
     return [layer.name for layer in figure.layers if isinstance(layer, Curve | Band | Rule) and layer.name]
@@ -188,14 +188,26 @@ def _draw(axes: Axes, figure: Figure) -> None:
             _draw_curve(axes, layer, _colour(layer, others), markers)
 
 
-def _tell(axes: Axes, figure: Figure, below: float, beside: int) -> None:
-    """Say what is measured along the axes, and below them, as a share of their height, what is drawn."""
+def _annotate(axes: Axes, figure: Figure, legend_height: float, entries: int) -> None:
+    """Set titles, scales, limits and numbers of the axes, and draw the legend.
+
+    Parameters
+    ----------
+    axes : Axes
+        Axes with all layers drawn.
+    figure : Figure
+        Description of the figure.
+    legend_height : float
+        Top of the legend, as a share of the axes' height; negative below them.
+    entries : int
+        Entries in a line of the legend; 0 for no legend.
+    """
     from matplotlib.ticker import MaxNLocator
 
     if not any(isinstance(layer, Curve) and layer.look == "points" for layer in figure.layers):
-        axes.margins(x=0)  # what has time in common lies in line
+        axes.margins(x=0)  # figures with the same time axis are aligned
     axes.set(title=figure.title, xlabel=figure.x.label, ylabel=figure.y.label)
-    x_log, y_log = (figure.x.log, figure.y.log) & np.isfinite(axes.dataLim.minpos)  # where anything is positive
+    x_log, y_log = (figure.x.log, figure.y.log) & np.isfinite(axes.dataLim.minpos)  # only with a positive value
     axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
     axes.set(xlim=(figure.x.low, figure.x.high), ylim=(figure.y.low, figure.y.high))
     _leave_room_above(axes, figure.y.low, figure.y.high)
@@ -211,12 +223,13 @@ def _tell(axes: Axes, figure: Figure, below: float, beside: int) -> None:
     for layer in figure.layers:
         if isinstance(layer, Curve):
             _label(axes, layer)
-    if beside:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, below), borderaxespad=0, borderpad=0, ncols=beside)
+    if entries:
+        anchor = (0.5, legend_height)
+        axes.legend(loc="upper center", bbox_to_anchor=anchor, borderaxespad=0, borderpad=0, ncols=entries)
 
 
 def _leave_room_above(axes: Axes, low: float | None, high: float | None) -> None:
-    """Let heights that begin where it was asked end above what is drawn, not upon it."""
+    """Leave room above the highest value if the axis has a lower limit but no upper one."""
     highest = axes.dataLim.y1
     if low is not None and high is None and np.isfinite(highest) and highest > low:
         axes.set_ylim(top=low + _ABOVE * (highest - low))
@@ -226,10 +239,10 @@ def _number(axis: Axis) -> None:
     """Put numbers along a logarithmic axis."""
     from matplotlib.ticker import LogLocator
 
-    axis.set_major_formatter("{x:g}")  # powers set as mathematics take a third of the time
+    axis.set_major_formatter("{x:g}")  # mathematical typesetting of powers takes a third of the time
     low, high = axis.get_view_interval()
     if high < _NARROW * low:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))  # which goes on to even steps where these are too few
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))  # falls back to even steps if these are too few
 
 
 def _colour(layer: Curve | Band | Rule, others: Iterator[str]) -> str:
@@ -246,14 +259,14 @@ def _draw_curve(axes: Axes, layer: Curve, colour: str, markers: Iterator[str]) -
     if layer.look == "points":
         style |= {"marker": next(markers), "markersize": 5, "markerfacecolor": "none"}
     axes.plot(layer.x, layer.y, linestyle=_LOOKS[layer.look], **style)
-    known = np.isfinite(np.concatenate([[np.nan], layer.y, [np.nan]]))
-    alone = known[1:-1] & ~known[:-2] & ~known[2:]  # to which no line leads
+    finite = np.isfinite(np.concatenate([[np.nan], layer.y, [np.nan]]))
+    alone = finite[1:-1] & ~finite[:-2] & ~finite[2:]  # points without neighbours, which a line does not show
     if layer.look != "points" and alone.any():
         axes.plot(layer.x[alone], layer.y[alone], color=colour, marker=".", markersize=2, linestyle="none")
 
 
 def _label(axes: Axes, layer: Curve) -> None:
-    """Write the names of points above them; of those near an edge, so that it stays inside."""
+    """Write the names of points above them; near an edge, shift the text so that it stays inside."""
     for text, *place in zip(layer.labels, layer.x, layer.y, strict=False):
         if np.isfinite(place).all():
             share = axes.transAxes.inverted().transform(axes.transData.transform(place))[0]
@@ -262,14 +275,14 @@ def _label(axes: Axes, layer: Curve) -> None:
 
 
 def _thinned(band: Band) -> tuple[Floats, Floats, Floats]:
-    """Return a band of no more stretches than are seen."""
+    """Return a band reduced to at most `_STRETCHES` stretches."""
     each = [Envelope.of(values, _STRETCHES) for values in (band.x, band.low, band.high)]
     return (each[0].low + each[0].high) / 2, each[1].low, each[2].high
 
 
 def _draw_surface(axes: Axes, layer: DrawnSurface) -> None:
     place = (layer.x, layer.y, layer.height.T)
-    grey = "Greys"  # what is drawn upon it has colours
+    grey = "Greys"  # other layers, drawn on top, have colours
     filled: Any
     if layer.by_point:
         filled = axes.pcolormesh(*place, cmap=grey, shading="nearest", rasterized=True)

@@ -22,22 +22,28 @@ from becalm.report.description import Axis, Curve, Figure, Layer
 from becalm.report.pictures import Title
 
 _ORDERS = (1, 2, 3)
-_CUTOFFS = np.geomspace(1e-4, 3.0, 20)  # radians a step
-_HEIGHT = 10.0  # of a step, in standard deviations of a reading's noise
+_CUTOFFS = np.geomspace(1e-4, 3.0, 20)  # radians per row
+_HEIGHT = 10.0  # height of a step, in standard deviations of a reading's noise
 _POINTS = 600
 _MOST_ROWS = 200_000
 
 
 class Behaviour(NamedTuple):
-    """What is known of a channel's filter."""
+    """The behaviour of a channel's filter, as far as it is known."""
 
     channel: ChannelRecipe
     report: ChannelReport
     response: Response | None
-    waits: tuple[Wait, ...]  # what waiting for later readings buys, the limit last; of a motion alone
+    waits: tuple[Wait, ...]  # gain from waiting for later readings, the limit last; only for one kinematic model alone
 
     def noise_left(self, wait_s: float | None) -> float | None:
-        """Return the standard deviation of the noise that is left, in unit; of one that waits, where that is known."""
+        """Return the standard deviation of the remaining noise in unit, or None if it is unknown.
+
+        Parameters
+        ----------
+        wait_s : float or None
+            How long the estimate waits for later readings, in seconds; None for the causal filter.
+        """
         if self.response is None or self.report.noise_std is None:
             return None
         if wait_s is None:
@@ -47,7 +53,7 @@ class Behaviour(NamedTuple):
 
 
 def front_of(step_s: float) -> Front:
-    """Return the front of all causal filters, for noise of 1."""
+    """Return the trade-off curve (noise against lag) of all causal filters, for readings with noise 1."""
     points = [
         noise_lag_front(1.0, step_s, (order,), [cutoff_to_ratio(order, float(cutoff)) for cutoff in _CUTOFFS]).points
         for order in _ORDERS
@@ -56,7 +62,7 @@ def front_of(step_s: float) -> Front:
 
 
 def front_figure(title: Title, found: Behaviour, front: Front, mode: str) -> Figure | None:
-    """Draw what is left of a reading's noise against how late the output is, and where this filter stands."""
+    """Draw the trade-off curve of remaining noise against delay, and mark this filter on it."""
     noise_std = found.report.noise_std
     if noise_std is None or found.response is None:
         return None
@@ -67,25 +73,25 @@ def front_figure(title: Title, found: Behaviour, front: Front, mode: str) -> Fig
         layers.append(Curve(f"causal, order {order}", x[::-1], y[::-1], "other", "dashed"))
     layers += _of_modes(found)
     late_s = found.response.lag_s
-    later = found.waits[1:-1]  # nothing where even the next reading tells all that later ones can
+    later = found.waits[1:-1]  # empty if readings after the next one add nothing
     if mode != "causal" and later:
         x, y = np.array([(one.wait_s, one.noise_std) for one in later]).T
-        layers.append(Curve("this filter, told later", x, y, "clean"))
+        layers.append(Curve("this filter, with a delay", x, y, "clean"))
         late_s = float(x[-1]) if found.report.delay_s is None else found.report.delay_s
     left = found.noise_left(late_s if mode == "lagged" else None)
     if late_s > 0 and left is not None and not found.report.modes:
         chosen = "chosen" if mode != "smoothed" else "chosen: waits for all"
         layers.append(Curve("chosen", np.array([late_s]), np.array([left]), "truth", "points", (chosen,)))
-    if len(layers) == len(front.orders):  # nothing of this filter is known
+    if len(layers) == len(front.orders):  # nothing is known about this filter
         return None
-    said = "How late: by how much a causal output trails, or how long a later one waits."
+    caption = "Delay: the lag of a causal output, or the time that a later output waits."
     unit = f" ({title.unit})" if title.unit else ""
-    late, noise = Axis("how late (s)", log=True), Axis(f"noise left{unit}", log=True)
-    return Figure(f"{title.slug}-front", "Noise against lag", late, noise, tuple(layers), said)
+    late, noise = Axis("delay (s)", log=True), Axis(f"noise left{unit}", log=True)
+    return Figure(f"{title.slug}-front", "Noise against lag", late, noise, tuple(layers), caption)
 
 
 def _of_modes(found: Behaviour) -> list[Layer]:
-    """Return where each mode of a causal filter that switches stands."""
+    """Return a point for each mode of a causal filter with several modes."""
     return [
         Curve(name, np.array([mode.lag_s]), np.array([mode.noise_left]), "truth", "points", (name,))
         for name, mode in found.report.modes.items()
@@ -94,11 +100,11 @@ def _of_modes(found: Behaviour) -> list[Layer]:
 
 
 def step_figure(title: Title, found: Behaviour, recipe: Recipe, step_s: float) -> Figure | None:
-    """Draw how the filter follows a step, by running it; None where it passes unchanged, or takes too long."""
+    """Run the filter on a step and draw its output; None if it passes all unchanged, or would need too many rows."""
     rows = _rows_to_show(found, step_s)
     if rows is None:
         return None
-    assert found.channel.noise_std is not None  # of a motion
+    assert found.channel.noise_std is not None  # a channel with a model has one
     step = np.repeat([0.0, 1.0], 2 * rows)
     alone = found.channel.model_copy(update={"gate": None, "limits": None, "calibration": None})
     readings = Recording(
@@ -115,37 +121,37 @@ def step_figure(title: Title, found: Behaviour, recipe: Recipe, step_s: float) -
         Curve("step", times_s, step[shown], "readings", "dashed"),
         Curve("output", times_s, output[shown], "clean"),
     )
-    said = f"Without noise and without a gate; the step is {_HEIGHT:g} times the noise of a reading."
+    caption = f"Without noise and without a gate; the step is {_HEIGHT:g} times the noise of a reading."
     axis = Axis("output / step")
-    return Figure(f"{title.slug}-step", "Step response", Axis("time (s)"), axis, layers, said)
+    return Figure(f"{title.slug}-step", "Step response", Axis("time (s)"), axis, layers, caption)
 
 
 def _rows_to_show(found: Behaviour, step_s: float) -> int | None:
-    """Return how many rows show the step, before and after; None if it cannot be shown."""
-    told = found.response
-    if told is None or not told.bandwidth_hz > 0:
+    """Return the number of rows to show before the step, which is also that after it; None if it cannot be shown."""
+    response = found.response
+    if response is None or not response.bandwidth_hz > 0:
         return None
-    narrowest_hz = min(high - low for low, high in told.bands_hz)
+    narrowest_hz = min(high - low for low, high in response.bands_hz)
     quick_hz = max((mode.bandwidth_hz or 0.0 for mode in found.report.modes.values()), default=0.0)
-    lasts_s = 2 / narrowest_hz if told.step is None else 2 * told.step.settling_s
-    lasts_s = 2 / quick_hz if quick_hz else lasts_s  # of one that switches: a step is motion
+    lasts_s = 2 / narrowest_hz if response.step is None else 2 * response.step.settling_s
+    lasts_s = 2 / quick_hz if quick_hz else lasts_s  # with several modes, the quickest one follows a step
     rows = max(20, int(np.ceil(lasts_s / step_s)))
     return rows if 4 * rows <= _MOST_ROWS else None
 
 
 def behaviour_of(channel: ChannelRecipe, report: ChannelReport, recipe: Recipe, step_s: float) -> Behaviour:
-    """Find out what a channel's filter is.
+    """Return the behaviour of a channel's filter.
 
     Parameters
     ----------
     channel : ChannelRecipe
-        Its recipe.
+        Recipe of the channel.
     report : ChannelReport
-        What was found when it ran.
+        Report of the cleaned channel.
     recipe : Recipe
-        Of the whole recording.
+        Recipe of the whole recording.
     step_s : float
-        Of its rows.
+        Time between two rows, in seconds.
     """
     response, motion = response_of(channel, report, step_s, recipe.mode == "causal"), channel.motion
     alone = motion is not None and channel.switching is None and not channel.parts[1:]

@@ -1,4 +1,4 @@
-"""A recording in memory, looked at while it is cleaned."""
+"""Clean a recording in memory and draw its figures."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from becalm.report.gathering import Gathering
 
 
 def pictures_of(recording: Recording, recipe: Recipe) -> Pictures:
-    """Clean a recording by a recipe, and draw what was done.
+    """Clean a recording with a recipe, and return its figures.
 
     Parameters
     ----------
     recording : Recording
         Samples (N, m), with the recipe's channels.
     recipe : Recipe
-        What to do; that of `clean`, or of `tune`.
+        Recipe from `clean` or from `tune`.
 
     Raises
     ------
     RecordingError
         If the recording lacks a channel of the recipe.
     RecipeError
-        If a channel's numbers make no filter at the recording's rate.
+        If the numbers of a channel do not give a filter at the recording's rate.
     """
     names = [channel.name for channel in recipe.channel]
     chosen, time = recording.select(names), recording.timebase
@@ -34,6 +34,6 @@ def pictures_of(recording: Recording, recipe: Recipe) -> Pictures:
     gathering = Gathering(len(chosen), time.step_s, len(names))
     looks = [channel.look for channel in gathering.channels]
     with Cleaner(recipe, time.step_s, looks=looks) as cleaner:
-        for told in (*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()):
-            gathering.add(columns, time.elapsed_steps, told)
+        for estimates in (*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()):
+            gathering.add(columns, time.elapsed_steps, estimates)
         return Pictures(CleanedChannels(recipe, cleaner.reports(), gathering, time.step_s))

@@ -1,4 +1,4 @@
-"""The spectrum of a sequence of any length, from segments spread over it."""
+"""Estimate the spectrum of a sequence of any length from segments spread over it."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from becalm.core.arrays import Floats
 from becalm.metrics.spectrum import Spectrum
 
 _LONGEST, _SHORTEST = 4096, 16
-_FEWEST = 8  # segments that a short record is cut into
-_MOST = 256  # segments that are looked at
+_FEWEST = 8  # segments of a short record
+_MOST = 256  # segments of a long record
 
 
 class RunningSpectrum:
-    """Welch's spectrum of a sequence that comes in blocks; a long one is looked at in 256 segments spread evenly.
+    """Welch's estimate of the spectrum of a sequence that arrives in blocks.
 
-    Segments with a missing value, or an edge between blocks inside, are left out.
+    A long sequence contributes 256 segments at equal distances. Segments with a missing value, and segments across the
+    border of two blocks, are left out.
 
     Parameters
     ----------
     rows : int
-        How many samples will come.
+        Total number of samples.
     rate_hz : float
-        Of them.
+        Samples per second.
 
     Notes
     -----
@@ -40,7 +41,7 @@ class RunningSpectrum:
         self._segments = 0
 
     def add(self, values: Floats, instead: Floats | None = None) -> None:
-        """Add a block (B,); NaN where missing, for which another block (B,) may stand in."""
+        """Add a block of values (B,), NaN where missing; values of `instead` (B,) replace missing ones."""
         if len(values) < self._segment:
             return
         segments = self._spread(values)
@@ -58,7 +59,7 @@ class RunningSpectrum:
         return sliding_window_view(values, self._segment)[:: self._spacing]
 
     def result(self) -> Spectrum | None:
-        """Return the spectrum without 0 Hz; None where no segment was whole."""
+        """Return the spectrum without 0 Hz; None if no segment was complete."""
         if not self._segments:
             return None
         return Spectrum(self._frequency_hz[1:], self._density[1:] / self._segments)

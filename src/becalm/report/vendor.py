@@ -1,4 +1,4 @@
-"""uPlot, which draws a report's pictures; `hatch_build.py` puts it here when becalm is built."""
+"""Load uPlot, which draws the figures of a report. `hatch_build.py` copies it into this package during a build."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from becalm.errors import BecalmError
 
 
 def uplot() -> tuple[str, str]:
-    """Return uPlot as a page needs it.
+    """Return the files of uPlot as text.
 
     Returns
     -------
     javascript, css : str
-        To stand in a page's ``script`` and ``style``; its licence, which every copy must carry, opens the JavaScript.
+        Contents for a page's ``script`` and ``style`` elements. The JavaScript begins with the licence, which every
+        copy must include.
 
     Raises
     ------
@@ -26,7 +27,7 @@ def uplot() -> tuple[str, str]:
         licence, javascript, css = ((folder / name).read_text(encoding="utf-8") for name in names)
     except FileNotFoundError as error:
         raise BecalmError(
-            f"uPlot, which draws the report, is not in {folder}; it comes when becalm is installed. "
-            "Type 'pip install --editable .' where becalm's pyproject.toml is, or install a wheel of becalm."
+            f"uPlot, which draws the report, is missing in {folder}; an installation of becalm puts it there. "
+            "Type 'pip install --editable .' in the folder of becalm's pyproject.toml, or install a wheel of becalm."
         ) from error
     return f"/*!\n{licence}\n*/\n{javascript}", css

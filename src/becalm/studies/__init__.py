@@ -1,1 +1,1 @@
-"""The papers re-run, and the simulations that stand in for recordings that are not public."""
+"""Repeat the studies of three papers, with simulations in place of recordings that are not public."""

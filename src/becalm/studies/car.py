@@ -1,7 +1,7 @@
-"""The car paper (Sensors 2001) re-run: its filter, its rival and becalm's own choice on a simulated drive, then a car.
+"""Repeat the car paper (Sensors 2001): its filter, an RLS canceller and becalm on a simulated drive and a real car.
 
-The drive is `car_drive`, the filter `car_filters`, the real car `car_real`; the page and its figures are written from
-what `study` returns.
+`car_drive` simulates the drive, `car_filters` has the paper's filter, and `car_real` uses recordings of a real car. The
+page and its figures are written from the result of `study`.
 """
 
 from __future__ import annotations
@@ -45,36 +45,36 @@ from becalm.studies.recordings import RECORDINGS
 AXES = ("a_x", "a_z")
 MEASURED, TRUTH = "measured", "truth"
 PRINTED, OWN = "paper's matrices", "becalm: three sensors"
-ALONE, TOLD = "becalm: channel by channel", "becalm: channel by channel, vibration told"
+ALONE, TOLD = "becalm: channel by channel", "becalm: channel by channel, vibration as disturbance"
 CANCELLER = "RLS canceller"
-REFERENCE_HZ = 5.0  # -3 dB of the high-pass that makes the canceller's reference
+REFERENCE_HZ = 5.0  # -3 dB cutoff of the high-pass that makes the canceller's reference
 
-_SEGMENT = 4096  # samples of Welch's segments: 0.12 Hz
+_SEGMENT = 4096  # samples in a segment of Welch's method: 0.12 Hz
 
 
 class CarScore(NamedTuple):
-    """How one acceleration left one filter."""
+    """The quality of one filter's output for one acceleration."""
 
     filter: str
     axis: str
-    snr_db: float  # of the output, (14) in usual decibels
-    snr_paper_db: float  # in the paper's
-    described_lag_s: float  # of a slow signal, from the filter alone; NaN where that cannot be told
+    snr_db: float  # signal-to-noise ratio of the output, (14), in usual decibels
+    snr_paper_db: float  # the same in the paper's decibels
+    described_lag_s: float  # for a slow signal, computed from the model; only for a_z, NaN otherwise
     measured_lag_s: float  # by cross-correlation with the truth
     rms_error: float  # m/s^2
 
 
 class Left(NamedTuple):
-    """What makes up the mean square of a filter's error in one acceleration, (m/s^2)^2."""
+    """The parts of the mean square error of a filter in one acceleration, (m/s^2)^2."""
 
     filter: str
     axis: str
     came: dict[str, float]  # power of each kind of noise before the filter
-    stays: dict[str, float]  # after it; "signal" is what the filter itself did to the signal
+    stays: dict[str, float]  # power after it; "signal" is the filter's distortion of the signal
 
 
 class Other(NamedTuple):
-    """What becomes of rms errors, in m/s^2 along and up, where the kinds of noise have other shares."""
+    """Rms errors, in m/s^2 along and up, for other shares of the kinds of noise."""
 
     shares: dict[str, float]
     printed: tuple[float, float]
@@ -86,32 +86,32 @@ class CarStudy(NamedTuple):
 
     drive: CarDrive
     input_snr_paper_db: tuple[float, float]
-    estimates: dict[str, Floats]  # (N, 3) speed, a_x, a_z by filter, with what was measured and what was true
+    estimates: dict[str, Floats]  # (N, 3) speed, a_x, a_z by filter, and as measured and as simulated
     scores: tuple[CarScore, ...]
     left: tuple[Left, ...]
     forms: Apart
     gain: Floats  # (3, 3)
-    gain_apart: float  # from the checked one
-    white_left: Floats  # (2,) share of power, from the settled gain
-    white_measured: Floats  # (2,)
+    gain_apart: float  # largest difference from `CHECKED_GAIN`
+    white_left: Floats  # (2,) share of power, from the steady-state gain
+    white_measured: Floats  # (2,) the same, measured
     reach: tuple[Reach, Reach]
-    bands: dict[str, tuple[dict[str, float], dict[str, float]]]  # power by filter, of each axis, in each band
+    bands: dict[str, tuple[dict[str, float], dict[str, float]]]  # power in each band, for each axis, by filter
     own: TunedModel
     others: tuple[Other, ...]
     real: RealCar | None
 
 
 def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: bool = True) -> CarStudy:
-    """Compute everything.
+    """Compute all numbers and curves of the study.
 
     Parameters
     ----------
     recordings : Path
-        Folder of real recordings; without the car in it `real` is None.
+        Folder of real recordings; if it lacks the car's, `real` is None.
     seed : int
-        Of the simulated drive.
+        Seed of the simulated drive.
     channel_by_channel : bool
-        Whether to clean each channel for itself too, with nothing told.
+        Whether to clean also each channel alone, without any settings.
     """
     drive = simulate(seed)
     z, truth = drive.measured.samples, drive.truth.samples
@@ -160,14 +160,14 @@ def _filtered(model: Model, z: Floats) -> Floats:
 
 
 def _alone(measured: Recording) -> dict[str, Floats]:
-    """Clean each channel for itself, with nothing told, and with tones above the body's motion told as disturbances."""
+    """Clean each channel alone: without settings, and with tones above the body's motion set as disturbances."""
     recipe = tune(measured, causal=True)
     channels = []
     for channel in recipe.channel:
         tones = [tone.model_copy(update={"disturbance": tone.frequency_hz > BODY_HZ[1]}) for tone in channel.tone]
         channels.append(channel.model_copy(update={"tone": tuple(tones)}))
-    told = recipe.model_copy(update={"channel": tuple(channels)})
-    return {ALONE: clean(measured, recipe).signal.samples, TOLD: clean(measured, told).signal.samples}
+    disturbed = recipe.model_copy(update={"channel": tuple(channels)})
+    return {ALONE: clean(measured, recipe).signal.samples, TOLD: clean(measured, disturbed).signal.samples}
 
 
 def _filters(estimates: dict[str, Floats]) -> list[str]:
@@ -175,7 +175,7 @@ def _filters(estimates: dict[str, Floats]) -> list[str]:
 
 
 def _input_ratios(drive: CarDrive) -> tuple[float, float]:
-    """Return the input signal-to-noise ratios of the drive, (12), of what was added to its truth."""
+    """Return the input signal-to-noise ratios of the drive, (12), computed from the added noise."""
     signal, noise = drive.truth.samples[:, 1:], sum(drive.noise.values(), np.zeros(1))
     along, up = (snr_paper_db(signal[:, k], noise[:, k]) for k in (0, 1))
     return along, up
@@ -197,7 +197,7 @@ def _score(name: str, axis: int, estimates: dict[str, Floats], model: Model | No
 
 
 def _left(name: str, model: Model, axis: int, drive: CarDrive) -> Left:
-    """Filter each kind of noise alone, and the signal alone: the filter is linear, so their sum is the output."""
+    """Filter each kind of noise and the signal alone; the filter is linear, so the sum of the results is the output."""
 
     def after(values: Floats) -> Floats:
         return _filtered(model, values)[:, axis]
@@ -213,7 +213,7 @@ def _left(name: str, model: Model, axis: int, drive: CarDrive) -> Left:
 
 
 def _bands(samples: Floats) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the power in the vehicle's bands, from the first row on in which something is told."""
-    told = samples[np.isfinite(samples).all(axis=1)]
-    along, up = (band_powers(welch(told[:, axis], RATE_HZ, _SEGMENT), VEHICLE_BANDS_HZ) for axis in (1, 2))
+    """Return the power in the vehicle's bands, over the rows in which all values are finite."""
+    finite = samples[np.isfinite(samples).all(axis=1)]
+    along, up = (band_powers(welch(finite[:, axis], RATE_HZ, _SEGMENT), VEHICLE_BANDS_HZ) for axis in (1, 2))
     return along, up

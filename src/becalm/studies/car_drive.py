@@ -1,8 +1,8 @@
-"""A simulated drive of the car paper (Sensors 2001), from the volts of its accelerometers on, with its truth.
+"""Simulate the drive of the car paper (Sensors 2001), with the voltages of its accelerometers and the true signal.
 
-Rate, calibration, bands and signal-to-noise ratios are the paper's; its recordings are not public. What it does not
-print is chosen here, and named: the manoeuvres, the noise of the speedometer, and the shares of the kinds of noise.
-Body motion counts as signal, vibrations of wheels and masses as disturbances.
+Rate, calibration, bands and signal-to-noise ratios are the paper's; its recordings are not public. The paper does not
+print the manoeuvres, the noise of the speedometer and the shares of the kinds of noise; these are chosen here. Body
+motion counts as signal, vibrations of wheels and masses as disturbances.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ OUTPUT_SNR_PAPER_DB = (17.0, 39.0)
 KMH = 3.6
 
 SHARES = {"white": 0.7, "coloured": 0.2, "disturbances": 0.1}
-"""Of the power of an accelerometer's noise; the paper names the kinds, not how much of each."""
+"""Shares of the power of an accelerometer's noise; the paper names the kinds, but not their shares."""
 
 OTHER_SHARES = (
     {"white": 0.98, "coloured": 0.01, "disturbances": 0.01},
     {"white": 0.4, "coloured": 0.2, "disturbances": 0.4},
     {"white": 0.3, "coloured": 0.6, "disturbances": 0.1},
 )
-"""Drives with more white noise, more disturbances, and more coloured noise."""
+"""Shares for drives with more white noise, with more disturbances, and with more coloured noise."""
 
 COLOURED_HZ = (40.0, 80.0)
 SPEED_NOISE_MPS = 0.3 / KMH
@@ -46,30 +46,30 @@ _PITCH_MPS2, _HEAVE_MPS2 = 0.2, 1.0  # standard deviations of the body's motion,
 
 
 class CarDrive(NamedTuple):
-    """What the sensors said, and what was true; N rows, the accelerometers along and up."""
+    """The readings and the true signal of a drive; N rows, accelerations along and up."""
 
-    volts: Floats  # (N, 2) of the accelerometers, less their reading at rest
-    speed_kmh: Floats  # (N,) logged
+    volts: Floats  # (N, 2) accelerometer voltages minus those at rest
+    speed_kmh: Floats  # (N,) logged speed
     truth: Recording  # speed, acceleration along and up
-    noise: dict[str, Floats]  # of each kind (N, 2) m/s^2, at the sensor
-    beyond_range: int  # readings that the sensor held at the end of its range
+    noise: dict[str, Floats]  # (N, 2) in m/s^2 at the sensor, for each kind
+    beyond_range: int  # readings that were clipped at the end of the sensor's range
 
     @property
     def measured(self) -> Recording:
-        """Speed and accelerations in SI units, by the calibration of each sensor."""
+        """Return speed and accelerations in SI units, with the calibration of each sensor."""
         accelerations = self.volts * GRAVITY_MPS2 / SENSITIVITY_V_PER_G
         return _recording(np.column_stack([self.speed_kmh / KMH, accelerations]))
 
 
 def simulate(seed: int = 1, shares: Mapping[str, float] = SHARES) -> CarDrive:
-    """Drive for a minute: pull away through three gears, cruise, slow down, brake.
+    """Simulate a drive of one minute: accelerate through three gears, cruise, slow down, brake.
 
     Parameters
     ----------
     seed : int
-        Of road and noise.
+        Seed of road and noise.
     shares : mapping of str to float
-        Of the power of an accelerometer's noise, by kind.
+        Share of the power of an accelerometer's noise, by kind.
     """
     rng = np.random.default_rng(seed)
     count = round(DURATION_S * RATE_HZ)
@@ -88,7 +88,7 @@ def simulate(seed: int = 1, shares: Mapping[str, float] = SHARES) -> CarDrive:
 
 
 def _noise(rng: np.random.Generator, signal: Floats, shares: Mapping[str, float]) -> dict[str, Floats]:
-    """Return noise of each kind, (N, 2), with the input signal-to-noise ratios that the paper prints."""
+    """Return noise of each kind, (N, 2), scaled to the input signal-to-noise ratios that the paper prints."""
     shape = signal.shape
     power = np.mean(signal**2, axis=0) / 10 ** (np.array(INPUT_SNR_PAPER_DB) / 20)  # 20 log10 of a ratio of powers
     kinds = {
@@ -102,7 +102,7 @@ def _noise(rng: np.random.Generator, signal: Floats, shares: Mapping[str, float]
 
 
 def _vibration(rng: np.random.Generator, count: int) -> Floats:
-    """Return wheels and masses in equal parts, (N,)."""
+    """Return the vibration of wheels and masses in equal parts, (N,)."""
     return band_noise(rng, *_WHEELS_HZ, count, 1.0) + band_noise(rng, *_MASSES_HZ, count, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""The car paper's Figures 6 to 10, and the real car: what each shows."""
+"""Describe the figures of the car study: the paper's Figures 6 to 10, spectrograms and the real car."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from becalm.report.description import Axis, Curve, DrawnSurface, Figure, Role
 from becalm.studies.car import MEASURED, OWN, PRINTED, TRUTH, CarStudy
 from becalm.studies.sheets import SheetContents
 
-_CLOSE_S = (20.0, 25.0)  # of the vertical acceleration, which is too quick for a minute across a figure
+_CLOSE_S = (20.0, 25.0)  # part of the vertical acceleration, which is too fast to show a whole minute
 _SEGMENT = 512
 _HIGHEST_HZ, _FAINTEST = 30.0, 1e-5  # (m/s²)²/Hz
 _TIME, _SPEED = Axis("time (s)"), Axis("speed (km/h)")
@@ -18,7 +18,7 @@ _ALONG, _UP = Axis("longitudinal acceleration (m/s²)"), Axis("vertical accelera
 
 
 def sheets(found: CarStudy) -> tuple[SheetContents, ...]:
-    """Say what the figures show, from the numbers of the study; the real car's only where it was there."""
+    """Return the figures of the study; that of the real car only if its recordings are present."""
     times, drawn = found.drive.truth.times_s, found.estimates
     roles: dict[str, Role] = {MEASURED: "readings", PRINTED: "other", OWN: "clean", TRUTH: "truth"}
     whole, close = slice(None), slice(*np.searchsorted(times, _CLOSE_S))
@@ -46,11 +46,11 @@ def sheets(found: CarStudy) -> tuple[SheetContents, ...]:
 
 
 def _spectrogram(name: str, shown: str, times_s: Floats, values: Floats) -> Figure:
-    """Show what a signal holds at which frequency, and when."""
-    found = spectrogram(values, 1 / float(np.diff(times_s).mean()), _SEGMENT)
-    low = found.frequency_hz <= _HIGHEST_HZ
-    decibels = 10 * np.log10(np.maximum(found.density[low].T, _FAINTEST))
-    layer = DrawnSurface("density (dB of (m/s²)²/Hz)", found.times_s, found.frequency_hz[low], decibels, by_point=True)
+    """Draw a signal's power over time and frequency."""
+    power = spectrogram(values, 1 / float(np.diff(times_s).mean()), _SEGMENT)
+    low = power.frequency_hz <= _HIGHEST_HZ
+    decibels = 10 * np.log10(np.maximum(power.density[low].T, _FAINTEST))
+    layer = DrawnSurface("density (dB of (m/s²)²/Hz)", power.times_s, power.frequency_hz[low], decibels, by_point=True)
     return Figure(name, f"Vertical acceleration, {shown}", _TIME, Axis("frequency (Hz)"), (layer,))
 
 
@@ -66,6 +66,6 @@ def _real(found: CarStudy) -> Figure:
 
 
 def _curve(name: str, times_s: Floats, values: Floats, role: Role) -> Curve:
-    """Join what was told: each sensor of the real car reads at its own times."""
-    told = np.isfinite(values)
-    return Curve(name, times_s[told], values[told], role, "dashed" if role == "truth" else "line")
+    """Return a curve through the finite values: the sensors of the real car have different sampling times."""
+    finite = np.isfinite(values)
+    return Curve(name, times_s[finite], values[finite], role, "dashed" if role == "truth" else "line")

@@ -1,4 +1,4 @@
-"""The car paper's filter: its printed matrices, the one-step-prediction form of Appendix B, and the settled gain."""
+"""The car paper's filter: its printed matrices, the one-step prediction of Appendix B, and the steady-state gain."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from becalm.studies.drive import RATE_HZ
 
 T = 1 / RATE_HZ
 CHECKED_GAIN = ((0.00199524, 0.00187742, 0.0), (0.00187742, 0.06124743, 0.0), (0.0, 0.0, 0.06127717))
-"""Of the filtered form, computed from the printed matrices by another road before this project began."""
+"""Steady-state gain of the filtered form, computed independently from the printed matrices before this project."""
 
 
 def printed_model(known_start: bool = True) -> Model:
-    """Return speed, longitudinal and vertical acceleration with the matrices that the paper prints.
+    """Return the model of speed, longitudinal and vertical acceleration with the matrices that the paper prints.
 
     Parameters
     ----------
     known_start : bool
-        Whether to start as the paper does, from x0 and P0; otherwise from the first readings.
+        Whether to start from x0 and P0, as the paper does; otherwise from the first readings.
     """
     F = ((1, T, 0), (0, 1, 0), (0, 0, 1))
     G = ((T**2 / 2, 0), (T, 0), (0, T))
@@ -36,21 +36,21 @@ def printed_model(known_start: bool = True) -> Model:
 
 
 def vertical_alone(model: Model) -> Model:
-    """Return the part of a three-sensor model that is the vertical acceleration; nothing else touches it."""
+    """Return the part of a three-sensor model for the vertical acceleration, which is independent of the rest."""
     return Model(model.F[2:, 2:], [[1.0]], model.process_covariance[2:, 2:], model.R[2:, 2:])
 
 
 class OneStep(NamedTuple):
-    """What Appendix B carries along a record; N rows, n states."""
+    """The states and covariances of Appendix B over a record; N rows, n states."""
 
     ahead: Floats  # (N, n) x(n+1 | n)
-    filtered_cov: Floats  # (N, n, n)
+    filtered_cov: Floats  # (N, n, n) P(n)
     ahead_cov: Floats  # (N, n, n) P(n+1, n)
-    gain: Floats  # (n, m) the last K_G, F included
+    gain: Floats  # (n, m) the last K_G, which includes F
 
 
 def run_one_step(model: Model, z: Floats) -> OneStep:
-    """Filter readings z (N, m) in the one-step-prediction form, from x0 and P0, as Appendix B is printed."""
+    """Filter readings z (N, m) in the one-step-prediction form of Appendix B, from x0 and P0."""
     assert model.x0 is not None
     assert model.P0 is not None
     belief, steps = reference.Belief(model.x0, model.P0), []
@@ -67,15 +67,15 @@ def run_one_step(model: Model, z: Floats) -> OneStep:
 
 
 class Apart(NamedTuple):
-    """How far the one-step form and the filtered form are apart, at most."""
+    """The largest relative differences between the one-step form and the filtered form."""
 
-    state: float  # of x(n+1 | n), over the largest of each state
-    filtered_cov: float  # of P, over its largest entry at the time
-    ahead_cov: float  # of P(n+1, n), the same
+    state: float  # of x(n+1 | n), relative to the largest value of each state
+    filtered_cov: float  # of P, relative to its largest entry at the time
+    ahead_cov: float  # of P(n+1, n), likewise
 
 
 def compare_forms(model: Model, z: Floats) -> Apart:
-    """Filter readings z (N, m) in both forms: x(n+1 | n) = F x(n | n), and so the covariances."""
+    """Filter readings z (N, m) in both forms and compare x(n+1 | n) with F x(n | n), and likewise the covariances."""
     one, got = run_one_step(model, z), kalman_filter(model, z, states=True, covariances=True)
     assert got.mean is not None
     assert got.cov is not None
@@ -89,13 +89,13 @@ def _apart(P: Floats, other: Floats) -> float:
 
 
 def settled_gain(model: Model) -> Floats:
-    """Return the settled gain (n, m) of the filtered form, from the Riccati equation."""
+    """Return the steady-state gain (n, m) of the filtered form, from the Riccati equation."""
     P = solve_discrete_are(model.F.T, model.H.T, model.process_covariance, model.R)
     return gain_before(np.asarray(P, dtype=np.float64), model)
 
 
 def white_noise_left(model: Model) -> Floats:
-    """Return with which share of power (m,) white noise, equal on all channels, leaves, from the settled gain."""
+    """Return the noise gain (m,): output over input power of white noise, equal on all channels, in steady state."""
     K = settled_gain(model)
     A = (np.eye(model.states) - K @ model.H) @ model.F
     left: Floats = np.diag(model.H @ solve_discrete_lyapunov(A, K @ K.T) @ model.H.T)
@@ -103,7 +103,7 @@ def white_noise_left(model: Model) -> Floats:
 
 
 def white_noise_measured(model: Model, count: int = 1_000_000, seed: int = 3) -> Floats:
-    """Return the same share (m,), measured on drawn noise."""
+    """Return the noise gain (m,), measured on random noise."""
     z = np.random.default_rng(seed).normal(size=(count, model.channels))
     settled = slice(count // 100, None)
     after = kalman_filter(model, z, sigma=False, innovations=False).signal[settled]
@@ -112,7 +112,7 @@ def white_noise_measured(model: Model, count: int = 1_000_000, seed: int = 3) ->
 
 
 def response(model: Model, frequency_hz: Floats) -> Complexes:
-    """Return how each reading reaches each output at frequencies (k,), with the settled gain: (k, m, m)."""
+    """Return the frequency response (k, m, m) from each reading to each output, with the steady-state gain."""
     K = settled_gain(model)
     A = (np.eye(model.states) - K @ model.H) @ model.F
     delay = np.exp(-2j * np.pi * np.asarray(frequency_hz) * T)[:, np.newaxis, np.newaxis]
@@ -120,16 +120,16 @@ def response(model: Model, frequency_hz: Floats) -> Complexes:
 
 
 class Reach(NamedTuple):
-    """Where the printed output signal-to-noise ratio of one channel is within reach of the printed matrices."""
+    """The frequencies at which the printed matrices reach the printed output signal-to-noise ratio of a channel."""
 
-    noise_above_hz: float  # noise at this frequency loses as much as the paper says, above it more; inf if nowhere
-    signal_below_hz: float  # motion at this frequency is told as well as the paper says without any noise, below better
+    noise_above_hz: float  # noise above this frequency is reduced at least as much as printed; inf if none is
+    signal_below_hz: float  # noiseless motion below this frequency is followed at least as well as printed
 
 
 def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_paper_db: float) -> Reach:
-    """Ask which noise and which motion would have the paper's ratios, with a model's settled gain.
+    """Return the noise and the motion that would have the paper's ratios, with a model's steady-state gain.
 
-    Motion along reaches the speed too; it is told by both sensors.
+    Motion along appears in the speed too, so that both sensors measure it.
     """
     f = np.geomspace(0.01, RATE_HZ / 2, 20_000)
     G = response(model, f)

@@ -1,4 +1,4 @@
-"""The page of the car study; every number in it comes from the study."""
+"""Write the page of the car study; every number in it comes from the study."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def page(found: CarStudy, drawn: Sequence[Path] = ()) -> str:
     Parameters
     ----------
     found : CarStudy
-        Its numbers.
+        Numbers of the study.
     drawn : sequence of Path
-        Figures, beside the page; where there are none the page says why.
+        Figures in the page's folder; if there are none, the page says why.
     """
     parts = [
         _opening(),
@@ -60,10 +60,10 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _opening() -> str:
     return (
         "# Two accelerometers in a car\n\n"
-        "A paper in Sensors (2001) filters the longitudinal and the vertical acceleration of a car under test, beside"
+        "A paper in Sensors (2001) filters the longitudinal and the vertical acceleration of a car under test, and"
         " its speed, with a Kalman filter of three states. Its recordings are not public: a simulated drive with all"
-        " that it prints stands in for them, and a real car follows. *Paper's dB* are 20 log10 of a ratio of powers,"
-        " as the paper's equations (12) to (14) have them; *dB* are the usual 10 log10, half as many."
+        " printed properties replaces them, and a real car follows. *Paper's dB* are 20 log10 of a ratio of powers,"
+        " as in the paper's equations (12) to (14); *dB* are the usual 10 log10, half as many."
     )
 
 
@@ -73,8 +73,8 @@ def _drive(found: CarStudy) -> str:
     return (
         f"## The drive\n\n{DURATION_S:.0f} s at {RATE_HZ:.0f} Hz, in volts: {SENSITIVITY_V_PER_G[0] * 1e3:.1f} and"
         f" {SENSITIVITY_V_PER_G[1] * 1e3:.1f} mV/g, transverse sensitivity {TRANSVERSE[0]:.2%} and {TRANSVERSE[1]:.2%},"
-        f" a range of 2 g beyond which {found.drive.beyond_range} readings lay. Input: {x:.1f} and {z:.1f} paper's dB"
-        f" (asked: {INPUT_SNR_PAPER_DB[0]} and {INPUT_SNR_PAPER_DB[1]}), {x / 2:.2f} and {z / 2:.2f} dB. Of the noise's"
+        f" a range of 2 g, which {found.drive.beyond_range} readings exceeded. Input: {x:.1f} and {z:.1f} paper's dB"
+        f" (paper: {INPUT_SNR_PAPER_DB[0]} and {INPUT_SNR_PAPER_DB[1]}), {x / 2:.2f} and {z / 2:.2f} dB. Of the noise's"
         f" power {shares}: coloured is a band from {COLOURED_HZ[0]:.0f} to {COLOURED_HZ[1]:.0f} Hz, disturbances are"
         f" wheels and masses. The body's own motion is signal.\n\nChosen here, because the paper does not print it:"
         f" the manoeuvres, these shares, and the speedometer's noise ({SPEED_NOISE_MPS * KMH:.1f} km/h)."
@@ -88,7 +88,7 @@ def _forms(found: CarStudy) -> str:
         "## One-step prediction and filtering\n\nAppendix B carries x(n+1 | n) with a gain that includes F. Over the"
         f" whole drive it is F x(n | n) of the filtered form to {forms.state:.1e} of the largest state; the"
         f" covariances P(n) and P(n+1, n) agree to {forms.filtered_cov:.1e} and {forms.ahead_cov:.1e}. F leaves"
-        " the accelerations as they are, so that both forms tell the same of them.\n\nThe settled gain of the"
+        " the accelerations unchanged, so that both forms estimate them equally.\n\nThe steady-state gain of the"
         f" filtered form, within {found.gain_apart:.1e} of the one computed beforehand:\n\n"
         + _table(["speed", "a_x", "a_z"], rows)
     )
@@ -97,9 +97,9 @@ def _forms(found: CarStudy) -> str:
 def _white(found: CarStudy) -> str:
     rows = []
     for axis, gain, seen in zip(("a_x", "a_z"), found.white_left, found.white_measured, strict=True):
-        told = [f"{-per * np.log10(share):.2f}" for share in (gain, seen) for per in (20, 10)]
-        rows.append([axis, "> 30", *told])
-    head = ["", "paper, paper's dB", "settled gain, paper's dB", "dB", "measured on noise, paper's dB", "dB"]
+        decibels = [f"{-per * np.log10(share):.2f}" for share in (gain, seen) for per in (20, 10)]
+        rows.append([axis, "> 30", *decibels])
+    head = ["", "paper, paper's dB", "steady-state gain, paper's dB", "dB", "measured on noise, paper's dB", "dB"]
     return (
         "## White noise\n\nThe paper's headline follows from its matrices alone, whatever was recorded:\n\n"
         + _table(head, rows)
@@ -114,7 +114,7 @@ def _scores(found: CarStudy) -> str:
         rows += [_row(score) for score in found.scores if score.axis == axis]
     Q, R = (np.diag(values) for values in (found.own.model.Q, found.own.model.R))
     own = (
-        f"becalm's own choice keeps the paper's F, G and H and finds Q = diag({Q[0]:.3g}, {Q[1]:.3g}) and"
+        f"becalm's own choice keeps the paper's F, G and H and estimates Q = diag({Q[0]:.3g}, {Q[1]:.3g}) and"
         f" R = diag({R[0]:.3g}, {R[1]:.3g}, {R[2]:.3g}) by likelihood, from the readings alone; it is causal too. Its"
         " longitudinal acceleration follows the speed more than the accelerometer: less error, more lag. How much"
         " that gains depends on the speedometer's noise, which the paper does not print."
@@ -143,7 +143,7 @@ def _others(found: CarStudy) -> str:
     return (
         "## Other shares of noise\n\nThe shares above are a choice. Rms errors in m/s² with others; in"
         f" {lost} of {2 * len(rows)} cases the three sensors with likelihood err more than the paper's matrices. Their"
-        " model knows white noise only: what else is strong enough it takes for motion.\n\n" + _table(head, rows)
+        " model has white noise only: other strong noise is taken for motion.\n\n" + _table(head, rows)
     )
 
 
@@ -153,21 +153,21 @@ def _alone(found: CarStudy) -> str:
         return ""
     errors = {(score.filter, score.axis): score.rms_error for score in found.scores}
 
-    def beside(name: str) -> str:
+    def compared(name: str) -> str:
         return " and ".join(
             f"{'worse' if errors[name, axis] > errors[PRINTED, axis] else 'better'} on {axis}"
             for axis in ("a_x", "a_z")
         )
 
     return (
-        f"\n\nChannel by channel, with nothing told, becalm is {beside(ALONE)} than with the paper's matrices:"
-        " narrow bands of vibration are tones to it, and tones are signal. Told that those above"
-        f" {BODY_HZ[1]:.0f} Hz are disturbances, it is {beside(TOLD)}."
+        f"\n\nChannel by channel, without settings, becalm is {compared(ALONE)} than with the paper's matrices:"
+        " it models narrow bands of vibration as tones, and tones are signal. If tones above"
+        f" {BODY_HZ[1]:.0f} Hz are set as disturbances, it is {compared(TOLD)}."
     )
 
 
 def _row(score: CarScore) -> list[str]:
-    described = f"{score.described_lag_s * 1e3:.1f} ms" if np.isfinite(score.described_lag_s) else "not told"
+    described = f"{score.described_lag_s * 1e3:.1f} ms" if np.isfinite(score.described_lag_s) else "unknown"
     measured = f"{score.measured_lag_s * 1e3:.1f} ms"
     ratios = [f"{score.snr_paper_db:.1f}", f"{score.snr_db:.1f}"]
     return [score.axis, score.filter, *ratios, described, measured, f"{score.rms_error:.3f}"]
@@ -185,16 +185,16 @@ def _reasons(found: CarStudy) -> str:
         reasons.append(
             f"- **{axis}: {went:.0f} printed, {here.snr_paper_db:.1f} here.** From {came} to {went:.0f} the ratio gains"
             f" {went - came:.1f} paper's dB, but white noise loses only"
-            f" {-20 * np.log10(found.white_left[k]):.1f}. With these matrices a noise of one frequency would have to"
-            f" lie at {reach.noise_above_hz:.0f} Hz or above to leave so little; and a sine of the signal at"
-            f" {reach.signal_below_hz:.2f} Hz or below, because a faster one is told less well even without noise."
-            f" Here most of what is left in the error is {shares}."
+            f" {-20 * np.log10(found.white_left[k]):.1f}. With these matrices, noise of one frequency would have to"
+            f" be at {reach.noise_above_hz:.0f} Hz or above to be reduced so much; and a sine in the signal at"
+            f" {reach.signal_below_hz:.2f} Hz or below, because a faster one is followed less well even without noise."
+            f" Here most of the error is {shares}."
         )
     return (
         "## Why the printed matrices do not reach 17 and 39 here\n\n"
         + "\n".join(reasons)
-        + "\n\nThe paper does not say how it knew the signal z without its noise. Its equation (13) holds of a filter"
-        " that is optimal for what it filters; of any other, the error cannot be told from the output."
+        + "\n\nThe paper does not say how it knew the signal z without its noise. Its equation (13) holds for a filter"
+        " that is optimal for its input; for any other, the output alone does not give the error."
     )
 
 
@@ -211,9 +211,9 @@ def _left(found: CarStudy) -> str:
             came = left.came.get(kind, 0.0)
             ratio = f"{snr_db(np.sqrt([came]), np.sqrt([stays])):.1f}" if came else ""
             rows.append([left.axis, left.filter, _called(kind), f"{came:.3g}" if came else "", f"{stays:.2g}", ratio])
-    head = ["", "filter", "what", "before, (m/s²)²", "after, (m/s²)²", "dB removed"]
+    head = ["", "filter", "part", "before, (m/s²)²", "after, (m/s²)²", "dB removed"]
     return (
-        "## What is left of what\n\nThe filters are linear, so each kind of noise, and the signal, can be filtered"
+        "## Parts of the error\n\nThe filters are linear, so each kind of noise, and the signal, can be filtered"
         " alone.\n\n" + _table(head, rows)
     )
 
@@ -236,12 +236,12 @@ def _real(found: CarStudy) -> str:
         return "## A real car\n\nSkipped: the recordings of the car (comma2k19) are not on this machine."
     noise, jerk = real.fitted.noise_std, real.fitted.jerk_density
     return (
-        f"## A real car\n\nA minute of comma2k19: the CAN bus tells the speed, an accelerometer the acceleration, each"
+        f"## A real car\n\nA minute of comma2k19: the CAN bus gives the speed, an accelerometer the acceleration, each"
         f" on its own clock, {len(real.record.times_s)} times in all. The model is the paper's with exact steps over"
-        f" whatever time lies between two readings; by likelihood the noise is {noise[0]:.3f} m/s, {noise[1]:.2f} and"
+        f" the time between two readings; by likelihood the noise is {noise[0]:.3f} m/s, {noise[1]:.2f} and"
         f" {noise[2]:.2f} m/s², the densities of jerk {jerk[0]:.2g} and {jerk[1]:.2g} (m/s³)²/Hz. A constant"
-        f" {real.record.offset:.2f} m/s² was taken off the longitudinal acceleration, so that its mean is that of the"
-        " speed's gain: tilt, and the road's mean slope.\n\n"
+        f" {real.record.offset:.2f} m/s² was subtracted from the longitudinal acceleration, so that its mean is that of"
+        " the speed's gain. It comes from tilt and from the road's mean slope.\n\n"
         + _table(
             ["longitudinal acceleration against the derivative of the speed", "rms difference, m/s²", "correlation"],
             [
@@ -250,10 +250,10 @@ def _real(found: CarStudy) -> str:
                 ["the same filter without the speed", f"{real.accelerometer_rms:.3f}", f"{real.alone_correlation:.3f}"],
             ],
         )
-        + "\n\nThree sensors have read the speed that they are compared with; the last row has not. Another check:"
-        f" {real.hidden_count} speeds, one second in four, were hidden from the filter (not from the"
-        f" likelihood). From the accelerometer it told them with an rms error of {real.hidden_rms:.3f} m/s; the last"
-        f" speed, held, errs by {real.held_rms:.3f} m/s."
+        + "\n\nThe filter of three sensors uses the speed that it is compared with; that of the last row does not."
+        f" Another check: {real.hidden_count} speeds, one second in four, were hidden from the filter (not from the"
+        f" likelihood). It estimated them from the accelerometer with an rms error of {real.hidden_rms:.3f} m/s; the"
+        f" last speed, held, has one of {real.held_rms:.3f} m/s."
     )
 
 
@@ -269,7 +269,7 @@ def run(folder: Path, recordings: Path = RECORDINGS) -> str:
     Parameters
     ----------
     folder : Path
-        Made where it is not there.
+        Folder for the page; created if it does not exist.
     recordings : Path
         Folder of real recordings.
     """

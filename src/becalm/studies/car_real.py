@@ -1,7 +1,7 @@
-"""A real car: the three-sensor model with the speed of its CAN bus and an accelerometer, each on its own clock.
+"""Apply the three-sensor model to a real car, with the speed of its CAN bus and an accelerometer on another clock.
 
-The process noise is white on the derivative of each acceleration, discretised exactly over whatever time lies between
-two readings; its densities and the noise of each sensor are found by likelihood.
+The process noise is white on the derivative of each acceleration, and is discretised exactly over the time between two
+readings. Its densities and the noise of each sensor are estimated by maximum likelihood.
 """
 
 from __future__ import annotations
@@ -20,46 +20,46 @@ from becalm.core.model.timeline import elapsed_timeline
 from becalm.files.reading import read
 
 FOLDER = "comma2k19"
-_SLOPE_S = 0.25  # on either side: a line through the speed tells its derivative
-_HIDDEN_S, _PERIOD_S = 1.0, 4.0  # of each period, so much of the speed is hidden
+_SLOPE_S = 0.25  # half-width of the window for the slope of the speed
+_HIDDEN_S, _PERIOD_S = 1.0, 4.0  # the speed is hidden for one second of every four
 _EVALUATIONS = 1200
 
 
 class CarRecord(NamedTuple):
-    """Readings of a car, NaN where a sensor said nothing at a time; N rows."""
+    """The readings of a car; NaN where a sensor has no reading at a time; N rows."""
 
     times_s: Floats  # (N,)
     readings: Floats  # (N, 3) speed m/s, acceleration along and up m/s^2
-    offset: float  # m/s^2, taken off the acceleration along: tilt of the sensor, and the mean slope
+    offset: float  # m/s^2, subtracted from the acceleration along: tilt of the sensor, and the mean slope of the road
 
 
 class Fitted(NamedTuple):
-    """What likelihood found."""
+    """The estimates by maximum likelihood."""
 
-    jerk_density: Floats  # (2,) of the noise on the derivative of the accelerations, (m/s^3)^2/Hz, along and up
-    noise_std: Floats  # (3,) of speed m/s, accelerations m/s^2
+    jerk_density: Floats  # (2,) noise density of the derivative of the accelerations along and up, (m/s^3)^2/Hz
+    noise_std: Floats  # (3,) speed in m/s, accelerations in m/s^2
 
 
 class RealCar(NamedTuple):
-    """The three-sensor model on a real car."""
+    """The results of the three-sensor model on a real car."""
 
     record: CarRecord
     fitted: Fitted
-    estimate: Floats  # (N, 3) filtered causally
+    estimate: Floats  # (N, 3) causal estimates
     slope: Floats  # (N,) derivative of the speed alone, not causal; NaN at the ends
-    raw_rms: float  # m/s^2, acceleration along as read against the slope
-    estimate_rms: float  # m/s^2, as estimated
-    accelerometer_rms: float  # m/s^2, as estimated without the speed
+    raw_rms: float  # m/s^2, readings of the acceleration along against the slope
+    estimate_rms: float  # m/s^2, the same for the estimate
+    accelerometer_rms: float  # m/s^2, the same for the estimate without the speed
     raw_correlation: float
     estimate_correlation: float
     alone_correlation: float
-    hidden_rms: float  # m/s, speed estimated where it was hidden, the accelerometer being read
-    held_rms: float  # m/s, the last speed held instead
+    hidden_rms: float  # m/s, error of the speed where it was hidden, estimated from the accelerometer
+    held_rms: float  # m/s, error of holding the last speed instead
     hidden_count: int
 
 
 def load(recordings: Path) -> CarRecord | None:
-    """Read the car of `comma2k19` below a folder; None where it is not."""
+    """Read the car of `comma2k19` in a folder; None if it is absent."""
     paths = [recordings / FOLDER / name for name in ("accelerometer.csv", "can_speed.csv")]
     if not all(path.exists() for path in paths):
         return None
@@ -76,7 +76,7 @@ def load(recordings: Path) -> CarRecord | None:
 
 
 def study_real_car(recordings: Path) -> RealCar | None:
-    """Run the three-sensor model on the car below a folder of recordings; None where it is not."""
+    """Run the three-sensor model on the car in a folder of recordings; None if it is absent."""
     record = load(recordings)
     if record is None:
         return None
@@ -119,7 +119,7 @@ def _component(jerk_density: Floats) -> Component:
 
 
 def run_three_sensors(times_s: Floats, readings: Floats, fitted: Fitted, *, all_of_it: bool = True) -> Estimate:
-    """Filter readings (N, 3) at their own times (N,) causally; only the likelihood where not all is wanted."""
+    """Filter readings (N, 3) at times (N,) causally; without `all_of_it`, compute only the likelihood."""
     elapsed = np.diff(times_s, prepend=times_s[0])
     timeline = elapsed_timeline(_component(fitted.jerk_density), 1.0, elapsed)
     R = np.diag(fitted.noise_std**2)
@@ -130,7 +130,7 @@ def run_three_sensors(times_s: Floats, readings: Floats, fitted: Fitted, *, all_
 
 
 def fit(times_s: Floats, readings: Floats) -> Fitted:
-    """Find densities and noise by likelihood, from rough guesses on."""
+    """Estimate densities and noise by maximum likelihood, from a rough initial guess."""
     spread = [float(np.nanstd(readings[:, k])) / 2 for k in (1, 2)]
     rough = np.log([10.0, 10.0, 0.05, *spread])
 
@@ -140,8 +140,8 @@ def fit(times_s: Floats, readings: Floats) -> Fitted:
         return -run_three_sensors(times_s, readings, tried, all_of_it=False).log_likelihood
 
     best = minimize(cost, rough, method="Nelder-Mead", options={"maxfev": _EVALUATIONS, "xatol": 1e-2, "fatol": 0.1})
-    found: Floats = np.exp(np.asarray(best.x))
-    return Fitted(found[:2], found[2:])
+    numbers: Floats = np.exp(np.asarray(best.x))
+    return Fitted(numbers[:2], numbers[2:])
 
 
 def slope_of_speed(times_s: Floats, speed: Floats) -> Floats:
@@ -165,13 +165,13 @@ class _Hidden(NamedTuple):
 
 
 def _hide(times_s: Floats, readings: Floats, fitted: Fitted) -> _Hidden:
-    """Hide the speed for the last second of every four, and tell it from the accelerometer."""
+    """Hide the speed for the last second of every four, and estimate it from the accelerometer."""
     phase = np.mod(times_s - times_s[0], _PERIOD_S)
     hidden = np.isfinite(readings[:, 0]) & (phase >= _PERIOD_S - _HIDDEN_S)
     shown = readings.copy()
     shown[hidden, 0] = np.nan
-    told = run_three_sensors(times_s, shown, fitted).signal[:, 0]
+    estimated = run_three_sensors(times_s, shown, fitted).signal[:, 0]
     last = np.maximum.accumulate(np.where(np.isfinite(shown[:, 0]), np.arange(len(shown)), 0))
     true = readings[hidden, 0]
-    by_filter, by_holding = (float(np.sqrt(np.mean((v[hidden] - true) ** 2))) for v in (told, shown[last, 0]))
+    by_filter, by_holding = (float(np.sqrt(np.mean((v[hidden] - true) ** 2))) for v in (estimated, shown[last, 0]))
     return _Hidden(by_filter, by_holding, int(hidden.sum()))

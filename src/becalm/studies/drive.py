@@ -1,4 +1,4 @@
-"""A simulated test drive: speed, longitudinal and vertical acceleration of a car, with their truth.
+"""Simulate a test drive: speed, longitudinal and vertical acceleration of a car, with the true signal.
 
 Rates, bands and noise follow the car paper (Sensors 2001): 500 Hz, body motion at 1 to 3 Hz, wheels
 at 4 to 8 Hz; white measurement noise.
@@ -22,14 +22,14 @@ UNITS = ("m/s", "m/s^2", "m/s^2")
 
 
 class Drive(NamedTuple):
-    """What the sensors said, and what was true."""
+    """The readings and the true signal of a drive."""
 
     measured: Recording
     truth: Recording
 
 
 def simulate(seed: int = 1) -> Drive:
-    """Drive for a minute: pull away, cruise, brake, pull away again, brake hard, over a rough road."""
+    """Simulate one minute on a rough road: accelerate, cruise, brake, accelerate again, brake hard."""
     rng = np.random.default_rng(seed)
     t = np.arange(int(DURATION_S * RATE_HZ)) / RATE_HZ
     knots_s = [0, 3, 4, 12, 13, 25, 25.5, 30, 30.5, 36, 37, 44, 45, 50, 50.2, 54, 54.3, 60]
@@ -44,7 +44,7 @@ def simulate(seed: int = 1) -> Drive:
 
 
 def band_noise(rng: np.random.Generator, low_hz: float, high_hz: float, count: int, std: float) -> Floats:
-    """Return Gaussian noise of a band, (count,), with the standard deviation asked."""
+    """Return Gaussian noise in a frequency band, (count,), with standard deviation `std`."""
     sos = butter(2, [low_hz, high_hz], "bandpass", fs=RATE_HZ, output="sos")
     noise: Floats = sosfilt(sos, rng.normal(size=count))
     noise *= std / noise.std()

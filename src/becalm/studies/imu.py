@@ -1,6 +1,7 @@
-"""The IMU paper (Kownacki 2010) re-run: what a motionless record tells, why that is too slow, and what is not.
+"""Repeat the IMU paper (Kownacki 2010): filters tuned on a motionless record are too slow; find better tunings.
 
-`study` computes, `becalm.studies.imu_figures` shows, and `becalm.studies.imu_page` writes the page.
+`study` computes the results, `becalm.studies.imu_figures` describes the figures, and `becalm.studies.imu_page` writes
+the page.
 """
 
 from __future__ import annotations
@@ -35,22 +36,22 @@ _FINE = 8192
 
 @dataclass(frozen=True, eq=False)
 class SensorStudy:
-    """One sensor of the paper.
+    """The results for one sensor of the paper.
 
     Attributes
     ----------
     record : (N,) float array
-        Ten seconds, motionless, simulated, in unit: figure 3.
+        Simulated motionless record of ten seconds, in unit: figure 3.
     spectrum : Spectrum
-        Of it: figure 4.
+        Spectrum of the record: figure 4.
     identified : tuple of Identified
-        Table 1, one a simulated record of a minute.
+        Table 1, one entry for each simulated record of two minutes.
     answers : tuple of FilterResponse
-        The panels of figure 5 or 6.
+        Panels of figure 5 or 6.
     optimum : Optimum
         Table 2 and figure 8.
     tuned : tuple of FilterResponse
-        Figure 9: at the paper's optimum, and at the one found here.
+        Figure 9: responses at the paper's optimum, and at the one computed here.
     """
 
     record: Floats
@@ -63,20 +64,20 @@ class SensorStudy:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """All that the page tells and the figures draw.
+    """All results of the study.
 
     Attributes
     ----------
     sensors : dict of SensorStudy
-        By name.
+        Results for each sensor, by name.
     colours : tuple of ColouredRecord
         Records that may explain the accelerometer's printed optimum.
     rests : tuple of Rest
-        Of real recordings.
+        Rests in real recordings.
     skipped : tuple of str
-        Why others are not there, a sentence each.
+        A sentence for each real recording that is left out.
     contest : Contest
-        The filter that switches beside the paper's optimum.
+        Comparison of an IMM with the paper's optimum.
     """
 
     sensors: dict[Sensor, SensorStudy]
@@ -87,18 +88,18 @@ class Study:
 
 
 def study(recordings: Path = RECORDINGS) -> Study:
-    """Compute everything; real rests from a folder of recordings, each left out where it is not there."""
+    """Compute all results; real recordings are read from a folder, and absent ones are left out."""
     rests, skipped = find_rests(recordings)
     return Study({sensor: study_sensor(sensor) for sensor in SENSORS}, colours(), rests, skipped, contest())
 
 
 def study_sensor(sensor: Sensor) -> SensorStudy:
-    """Compute what concerns one sensor."""
+    """Compute the results for one sensor."""
     record, printed = motionless(sensor, 0), PRINTED[sensor]
-    found = tuple(identify(motionless(sensor, seed, RECORD_S), RATE_HZ) for seed in RECORDS)
+    identified = tuple(identify(motionless(sensor, seed, RECORD_S), RATE_HZ) for seed in RECORDS)
     optimum = optimise(sensor)
     own = NoiseSetting("here", printed.measured_noise, optimum.ratio * printed.measured_noise)
     paper = NoiseSetting("paper", printed.tuned_noise, printed.tuned_process)
     tuned = tuple(answer(sensor, record, setting) for setting in (paper, own))
     shown = welch(np.asarray(record - record.mean()), RATE_HZ, _FINE)
-    return SensorStudy(record, shown, found, answers(sensor, record), optimum, tuned)
+    return SensorStudy(record, shown, identified, answers(sensor, record), optimum, tuned)

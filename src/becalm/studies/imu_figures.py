@@ -1,4 +1,4 @@
-"""The figures of the IMU study: what each shows."""
+"""Describe the figures of the IMU study."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, FilterResponse
 from becalm.studies.imu_switching import Contest
 from becalm.studies.sheets import SheetContents
 
-_BLOCK = 100  # readings, of which a mean is drawn
+_BLOCK = 100  # readings in a mean
 _QUICKEST_MS = 1e3 / RATE_HZ
 _CLOSE_S = (4.5, 6.5)
 _TIME = Axis("time (s)")
@@ -22,7 +22,7 @@ _LOOKS: tuple[Look, ...] = ("line", "dashed", "dotted")
 
 
 def sheets(study: Study) -> tuple[SheetContents, ...]:
-    """Say what the figures show."""
+    """Return the figures of the study."""
     held = study.sensors.items()
     return (
         SheetContents("imu-record", tuple(_record(*each) for each in held)),
@@ -77,7 +77,7 @@ def _step(output: Floats) -> Curve:
 
 
 def _surface(sensor: Sensor, held: SensorStudy) -> Figure:
-    """Draw figure 8: the valley, the paper's optimum and where searches over R and Q ended."""
+    """Draw figure 8: the valley, the paper's optimum and the ends of the searches over R and Q."""
     cost, found, printed = held.optimum.surface, held.optimum, PRINTED[sensor]
     ends = np.log10([[end.noise_variance, end.process_variance] for end in found.ends[1:]])
     tuned = np.log10([[printed.tuned_noise, printed.tuned_process]])
@@ -108,7 +108,7 @@ def _optimum(sensor: Sensor, held: SensorStudy) -> Figure:
 
 
 def _contest(held: Contest) -> Figure:
-    """Draw noise at rest against the time to nine tenths: fixed gains, the paper's, and the filter that switches."""
+    """Draw noise at rest against the time to nine tenths, for fixed gains, the paper's filters, and an IMM."""
     times_ms = np.array([max(each.reached_ms, _QUICKEST_MS) for each in held.switched])
     gains = np.array([each.rest_gain for each in held.switched])
     labels = tuple(f"{each.step_std:.2g} std" for each in held.switched)

@@ -1,4 +1,4 @@
-"""The page of the IMU study: every number in it comes from the study, or from the paper's two tables."""
+"""Write the page of the IMU study; every number in it comes from the study, or from the paper's two tables."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _FIGURE: dict[Sensor, int] = {"accelerometer": 5, "gyroscope": 6}
 
 
 def write_page(study: Study, drawn: Sequence[Path]) -> str:
-    """Return the page; `drawn` are the figures beside it, none where none could be drawn."""
+    """Return the page; `drawn` are the figures in its folder, empty if none could be drawn."""
     names = {path.stem: path.name for path in drawn}
 
     def figure(name: str, caption: str) -> str:
@@ -59,9 +59,9 @@ def _opening() -> str:
     return """# The IMU paper, re-run
 
 Kownacki (2010) tunes a Kalman filter for an accelerometer, state [V, a], and one for a gyroscope, state
-[omega, epsilon], at 10 kHz. R and Q told from a motionless record make filters that are far too slow; so he searches
-for the R and Q of least cost, lag plus noise. His records are not public: simulated ones stand in, made so that his
-own method finds his table 1 in them. The page is written by `becalm.studies.imu`, every number by code.
+[omega, epsilon], at 10 kHz. R and Q measured on a motionless record make filters that are far too slow; so he searches
+for the R and Q of least cost, lag plus noise. His records are not public: simulated ones replace them, made so that his
+own method gives his table 1 for them. The page is written by `becalm.studies.imu`, every number by code.
 """
 
 
@@ -71,19 +71,19 @@ def _measured(study: Study) -> str:
         found = np.array(each.identified)
         mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(len(found))
         printed = PRINTED[sensor]
-        for name, asked, column in (("R", printed.measured_noise, 0), ("Q", printed.measured_process, 1)):
-            rows.append([sensor, name, f"{asked:.4e}", f"{mean[column]:.4e} +- {error[column]:.1e}"])
+        for name, paper, column in (("R", printed.measured_noise, 0), ("Q", printed.measured_process, 1)):
+            rows.append([sensor, name, f"{paper:.4e}", f"{mean[column]:.4e} +- {error[column]:.1e}"])
     kept = butterworth_noise_gain(SPLIT_ORDER, SPLIT_HZ / RATE_HZ)
     times = PRINTED["gyroscope"].measured_process / (kept * made["gyroscope"].white)
     white = made["accelerometer"].white / PRINTED["accelerometer"].measured_noise
-    return f"""## Table 1: what a motionless record tells
+    return f"""## Table 1: R and Q of a motionless record
 
-R is the variance after a 1 Hz high-pass, Q that after a 1 Hz low-pass, the mean taken off before. White noise leaves a
-known share of its variance below 1 Hz, so that both figures together tell what the record was made of, if the filters
+R is the variance after a 1 Hz high-pass, Q that after a 1 Hz low-pass, with the mean subtracted before. A known share
+of the variance of white noise is below 1 Hz, so that both figures together give the parts of the record, if the filters
 were Butterworth's of second order (their order is not printed): the accelerometer's Q is that of a record of which
 {white:.0%} was white, and the rest is put into equal harmonics of 50 to 500 Hz, as the paper's spectrum shows them; the
 gyroscope's is {times:.1f} times that of white noise, and the difference is put into drift below 1 Hz, of which
-taking off the mean removes a part. Mean of {len(found)} simulated records of {RECORD_S:g} s, with its standard error:
+subtracting the mean removes a part. Mean of {len(found)} simulated records of {RECORD_S:g} s, with its standard error:
 
 {_table(["sensor", "", "paper", "here"], rows)}
 """
@@ -104,15 +104,15 @@ def _rests(study: Study) -> str:
     ]
     head = ["recording", "rest", "channel", "R", "Q", "Q over that of white noise"]
     table = _table(head, rows) if rows else ""
-    said = "".join(f"- {sentence}\n" for sentence in study.skipped)
+    skipped = "".join(f"- {sentence}\n" for sentence in study.skipped)
     return f"""### Real rests
 
-The same method on the longest rest of real recordings, which becalm found by itself. The last column has the standard
-deviation that chance alone gives it. Where it is near 1, Q is nothing but the part of white noise that lies below 1 Hz:
-it says how wide the low-pass was, and nothing of how the sensor will move. That is why a filter made of table 1 is too
+The same method on the longest rest of real recordings, which becalm detected by itself. The last column has a ratio
+with its standard deviation by chance. Where the ratio is near 1, Q is only the part of white noise below 1 Hz: it
+depends on the width of the low-pass, and not on how the sensor will move. That is why a filter with table 1 is too
 slow.
 
-{table}{said}"""
+{table}{skipped}"""
 
 
 def _varied(study: Study) -> str:
@@ -121,10 +121,10 @@ def _varied(study: Study) -> str:
     )
     return f"""## Figures 5 and 6: R, Q and P0 one at a time
 
-The record plus a step of {STEP:g} after 5 s; P0 is filled with the number given. R = 0 gives the readings back. R = 1,
-Q = 0 and table 1 itself forget nothing: the accelerometer's filter averages all since the start, and is half-way up
-after as long again; the gyroscope's fits a line to all. Q = 1 follows, and keeps noise. P0 = 0 trusts a start at zero
-so much that five seconds of step are not believed.
+The record plus a step of {STEP:g} after 5 s; every entry of P0 is the given number. R = 0 returns the readings. R = 1,
+Q = 0 and table 1 itself weigh all readings equally: the accelerometer's filter averages them since the start, and needs
+another 5 s for half of the step; the gyroscope's fits a line to them. Q = 1 follows the step, and keeps noise. P0 = 0
+trusts the start at zero so much that five seconds of step change little.
 
 {tables}
 """
@@ -164,13 +164,13 @@ def _valley(study: Study) -> str:
 
 The cost is the squared lag behind a step, summed over time until the output reaches it, plus the amplitude density of
 the output at rest, summed over frequency. Only Q/R sets the gain. So J is a valley: along Q/R = constant, over the
-decades of figure 8, it varies by {floors} of itself, and the R and Q of table 2 are one point of many with
-the same gain. Only Q/R is an answer. (Filters start from their first readings here; the paper's P0 of ones would tilt
+decades of figure 8, it varies by {floors}, relative, and the R and Q of table 2 are one point of many with
+the same gain. Only Q/R is determined. (Filters start from their first readings here; the paper's P0 of ones would tilt
 the floor a little.) On white noise of table 1's variance, {len(found.ratios)} records, median (least to most):
 
 {optima}
 A search over Q/R ends at one place. Nelder and Mead's simplex in R and Q (in their logarithms) finds the same ratio,
-and stops where on the floor its start has led it:
+and stops at a place on the floor that depends on its start:
 
 {searches}
 """
@@ -198,14 +198,14 @@ def _why(study: Study) -> str:
     below = study.colours[-1]
     return f"""## Why the accelerometer's ratio differs
 
-The gyroscope's noise was nearly white, and its printed ratio comes out. The accelerometer's was not. Records of the
-same variance, differently spread:
+The gyroscope's noise was nearly white, and its printed ratio is reproduced. The accelerometer's was not. Records of the
+same variance, with different spectra:
 
 {_table(["record", "Q/R of least cost"], rows)}
-Power at low frequencies passes the filter best, and asks for a slower one. But between 50 and 500 Hz, where the paper
-shows its harmonics, no spread of that variance can ask for much less than {least_ratio():.0f} (by Cauchy and Schwarz,
-for the settled filter). The printed {paper:.4g} needs noise below 50 Hz too: spread from 5 Hz on it is
-{below.ratio:.4g}. That is a possible record, not a known one.
+Power at low frequencies passes the filter best, and requires a slower one. But between 50 and 500 Hz, where the paper
+shows its harmonics, no spectrum of that variance can require much less than {least_ratio():.0f} (by Cauchy and Schwarz,
+for the filter in steady state). The printed {paper:.4g} needs noise below 50 Hz too: with power from 5 Hz on it is
+{below.ratio:.4g}. Such a record is possible, but not known.
 """
 
 
@@ -221,10 +221,10 @@ def _switching(study: Study) -> str:
     ]  # fmt: skip
     return f"""## Beyond a fixed gain
 
-A fixed gain trades noise for lag, and the cost only says at which price. A filter that switches between still and
-moving need not. becalm finds its modes in each record by itself and filters causally: {imu_switching.REST_S:g} s of
-white noise at rest, then a step, medians of {len(imu_switching.SEEDS)} records a step (longer and more records:
-[switching](../switching.md)). Steps are in standard deviations of a reading, noise at rest is over that of a reading:
+A fixed gain trades noise for lag, and the cost only weighs them. A filter with the modes still and moving does not have
+to. becalm identifies the modes in each record by itself and filters causally: {imu_switching.REST_S:g} s of
+white noise at rest, then a step, medians of {len(imu_switching.SEEDS)} records for each step (longer and more records:
+[switching](../switching.md)). Steps are in standard deviations of a reading, noise at rest is relative to that of one:
 
 {_table(["step", "nine tenths after", "noise at rest"], rows)}
 The paper's optimum on the same records; the last two columns are in each sensor's own unit:

@@ -1,9 +1,9 @@
-"""Motionless records of an accelerometer and a gyroscope: simulated after the IMU paper's table 1, and real rests.
+"""Motionless records of an accelerometer and a gyroscope: simulated from table 1 of the IMU paper, and real rests.
 
 The paper (Kownacki 2010) takes the variance after a 1 Hz high-pass for R and that after a 1 Hz low-pass for Q. Its
-records are not public, but its two figures for each sensor tell more than they say. White noise leaves a known share
-of its variance below 1 Hz. The accelerometer kept less: the rest of its noise lies in the harmonics that the paper
-shows. The gyroscope kept more: beside its white noise it drifts.
+records are not public, but R and Q together show how the noise of each sensor was distributed. White noise has a known
+share of its variance below 1 Hz. The accelerometer had less: the rest of its noise is in the harmonics that the paper
+shows. The gyroscope had more: it drifts in addition to its white noise.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ SENSORS: tuple[Sensor, ...] = ("accelerometer", "gyroscope")
 HARMONICS_HZ = np.arange(50.0, 501.0, 50.0)
 RECORDS = range(10)
 RECORD_S = 120.0
-"""Simulated for table 1; the others last 10 s."""
+"""Length of the simulated records for table 1; the others last 10 s."""
 
 SPLIT_HZ = 1.0
 SPLIT_ORDER = 2
-"""Of both Butterworth filters; the paper prints their cut-off, not their order."""
+"""Order of both Butterworth filters; the paper prints their cutoff, but not their order."""
 
 DRIFT_HZ = 0.1
-"""Corner of the simulated drift."""
+"""Corner frequency of the simulated drift."""
 
 _SETTLED_S = 2.0
 _INDEPENDENT_HZ = 1.48 * SPLIT_HZ  # (int |H|^2 df)^2 / int |H|^4 df of the low-pass
@@ -48,7 +48,7 @@ class Printed(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Q/R of table 2."""
+        """Return Q/R of table 2."""
         return self.tuned_process / self.tuned_noise
 
 
@@ -59,7 +59,7 @@ PRINTED: dict[Sensor, Printed] = {
 
 
 class Makeup(NamedTuple):
-    """What a motionless record is made of, as variances in unit^2."""
+    """The parts of a motionless record, as variances in unit^2."""
 
     white: float
     harmonic: float
@@ -67,7 +67,7 @@ class Makeup(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """What the paper's method finds in a motionless record, in unit^2; `white_process` is Q, had it been white."""
+    """R and Q of a motionless record by the paper's method, in unit^2; `white_process` is the Q of white noise."""
 
     noise_variance: float
     process_variance: float
@@ -75,7 +75,7 @@ class Identified(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """A rest of a real recording: where it lies, and what the method finds in each channel."""
+    """A rest in a real recording: its begin and end, and R and Q of each channel by the paper's method."""
 
     source: str
     start_s: float
@@ -85,15 +85,15 @@ class Rest(NamedTuple):
 
     @property
     def chance(self) -> float:
-        """Relative standard deviation of Q, if all noise is white."""
+        """Return the relative standard deviation of Q if all noise is white."""
         return float(1 / np.sqrt(_INDEPENDENT_HZ * (self.stop_s - self.start_s - _SETTLED_S)))
 
 
 def makeup(printed: Printed) -> Makeup:
-    """Return what a record must be made of for the paper's method to find the paper's table 1."""
+    """Return the parts of a record for which the paper's method gives the paper's table 1."""
     kept = butterworth_noise_gain(SPLIT_ORDER, SPLIT_HZ / RATE_HZ)
     white = min(printed.measured_noise, printed.measured_process / kept)
-    passes = 2 / np.pi * np.arctan(SPLIT_HZ / DRIFT_HZ)  # of drift, about
+    passes = 2 / np.pi * np.arctan(SPLIT_HZ / DRIFT_HZ)  # share of the drift, approximately
     drift = max(0.0, printed.measured_process - kept * white) / passes
     return Makeup(white, printed.measured_noise - white, drift)
 
@@ -115,7 +115,7 @@ def motionless(sensor: Sensor, seed: int, duration_s: float = 10.0) -> Floats:
 
 
 def harmonics(count: int, rng: np.random.Generator) -> Floats:
-    """Return equal harmonics of 50 Hz up to 500 Hz, (count,), at any phases, of variance 1 together."""
+    """Return equal harmonics of 50 Hz up to 500 Hz, (count,), with random phases and a total variance of 1."""
     period = round(RATE_HZ / HARMONICS_HZ[0])
     turns = np.outer(np.arange(period) / RATE_HZ, HARMONICS_HZ) + rng.uniform(size=len(HARMONICS_HZ))
     tones = np.sin(2 * np.pi * turns).sum(axis=1)
@@ -151,12 +151,12 @@ def identify(z: Floats, rate_hz: float) -> Identified:
 
 
 def find_rests(data: Path) -> tuple[tuple[Rest, ...], tuple[str, ...]]:
-    """Return the longest rest of each real recording there is, and a sentence for each that is not."""
+    """Return the longest rest of each real recording, and a sentence for each recording that is left out."""
     rests, skipped = list[Rest](), list[str]()
     for source, reader in _READERS.items():
         path = data / source
         if not path.exists():
-            skipped.append(f"{source} is not there, and is left out.")
+            skipped.append(f"{source} is absent, and is left out.")
             continue
         try:
             found = [_rest_of(source, recording) for recording in reader(path)]
@@ -200,14 +200,14 @@ def _hdf5(path: Path) -> Iterator[Recording]:
     import h5py
 
     with h5py.File(path) as opened:
-        held = {name: opened[name][:] for name in ("imu_acc", "imu_gyr")}
-        yield from _broad(held | {"sampling_rate": np.array(opened.attrs["sampling_rate"])})
+        arrays = {name: opened[name][:] for name in ("imu_acc", "imu_gyr")}
+        yield from _broad(arrays | {"sampling_rate": np.array(opened.attrs["sampling_rate"])})
 
 
-def _broad(held: Mapping[str, Any]) -> Iterator[Recording]:
-    rate = float(held["sampling_rate"].item())
+def _broad(arrays: Mapping[str, Any]) -> Iterator[Recording]:
+    rate = float(arrays["sampling_rate"].item())
     for name, kind, unit in (("imu_acc", "acc", "m/s^2"), ("imu_gyr", "gyro", "rad/s")):
-        yield Recording(held[name], names=[f"{kind} {axis}" for axis in "xyz"], units=[unit] * 3, rate_hz=rate)
+        yield Recording(arrays[name], names=[f"{kind} {axis}" for axis in "xyz"], units=[unit] * 3, rate_hz=rate)
 
 
 _READERS = {

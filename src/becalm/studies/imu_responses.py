@@ -1,4 +1,4 @@
-"""How the IMU paper's filters answer a step, R, Q and P0 varied one at a time: its figures 5, 6 and 9."""
+"""Compute step responses of the IMU paper's filters, with R, Q and P0 varied one at a time: its figures 5, 6 and 9."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from becalm.studies.imu_records import PRINTED, RATE_HZ
 STEP = 0.2
 STEP_AT_S = 5.0
 EVERY = 50
-"""Of the rows of a response, the one that is kept for its figure."""
+"""A figure shows every 50th row of a response."""
 
 _LAST = round(0.1 * RATE_HZ)
 
 
 class NoiseSetting(NamedTuple):
-    """R and Q in unit^2, and the number that fills P0."""
+    """R and Q in unit^2, and the value of all entries of P0."""
 
     name: str
     noise_variance: float
@@ -30,24 +30,24 @@ class NoiseSetting(NamedTuple):
 
 
 class FilterResponse(NamedTuple):
-    """How one filter answers.
+    """The response of one filter to the step.
 
     Attributes
     ----------
     setting : NoiseSetting
-        Which filter.
+        R, Q and P0 of the filter.
     output : (k,) float array
-        Every `EVERY`-th row, in unit, from the first on.
+        Every `EVERY`-th row of the output, in unit, from the first on.
     reached_ms : float
-        From the step until the output first passes nine tenths of it; inf if it never does.
+        Time from the step until the output first exceeds nine tenths of it; inf if it never does.
     rest_noise : float
         Standard deviation of the output over the last second before the step, in unit.
     rest_offset : float
-        Mean of it there, in unit; the record's own mean is taken off.
+        Mean of the output over that second, in unit; the mean of the record is subtracted.
     risen : float
-        The output five seconds after the step, mean over its last tenth of a second, over the step.
+        Output five seconds after the step, averaged over the last tenth of a second, relative to the step.
     differs : float
-        The most that output and input differ from the second reading on, in unit.
+        Largest difference of output and input from the second reading on, in unit.
     """
 
     setting: NoiseSetting
@@ -94,13 +94,13 @@ def answer(sensor: Sensor, record: Floats, setting: NoiseSetting) -> FilterRespo
 
 
 def answers(sensor: Sensor, record: Floats) -> tuple[FilterResponse, ...]:
-    """Return the answers of all panels of figure 5 or 6."""
+    """Return the responses in all panels of figure 5 or 6."""
     return tuple(answer(sensor, record, setting) for setting in settings(sensor))
 
 
 def reached_ms(sensor: Sensor, ratio: float) -> float:
-    """Return when the settled filter of a Q/R passes nine tenths of a step, in ms, told from the model alone."""
+    """Return the time in ms at which the steady-state filter of a Q/R reaches nine tenths of a step, from its model."""
     any_record = np.zeros(2 * round(STEP_AT_S * RATE_HZ))
     step = describe(StepTrial(any_record, RATE_HZ, sensor).model(1.0, ratio), 1 / RATE_HZ).step
-    assert step is not None  # a motion passes 0 Hz
+    assert step is not None  # a kinematic model passes 0 Hz
     return 1e3 * step.delay_90_s

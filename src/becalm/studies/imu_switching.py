@@ -1,7 +1,7 @@
-"""What a fixed gain cannot: a filter that switches, becalm's own choice, beside the IMU paper's optimum.
+"""Compare an IMM, becalm's own choice, with the fixed gain of the IMU paper's optimum.
 
-White noise of variance 1 at 10 kHz, then a step. Nothing in becalm knows a unit, so that the noise at rest, over that
-of a reading, and the time to follow are those of both of the paper's sensors.
+The record is white noise of variance 1 at 10 kHz, then a step. becalm does not depend on units, so that the noise at
+rest relative to that of a reading, and the time to follow the step, hold for both of the paper's sensors.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ SETTLED_S = 4.0
 AFTER_S = 2.0
 SEEDS = range(2)
 STEPS = (0.2, 0.05, 0.02, 0.005)
-"""Of the accelerometer, in its unit; of its standard deviation for the others."""
+"""Steps of the accelerometer in its unit; for the simulation they are divided by its standard deviation."""
 
 
 class SwitchedStep(NamedTuple):
-    """The filter that switches, at one step; medians over the records.
+    """The results of the IMM for one step; medians over the records.
 
     Attributes
     ----------
     step_std : float
-        The step, in standard deviations of a reading.
+        Step in standard deviations of a reading.
     reached_ms : float
-        From the step until the output first passes nine tenths of it; inf if it does not within `AFTER_S`.
+        Time from the step until the output first exceeds nine tenths of it; inf if it does not within `AFTER_S`.
     rest_gain : float
-        Root mean square at rest, from `SETTLED_S` on, over the standard deviation of a reading.
+        Root mean square of the output at rest, from `SETTLED_S` on, relative to the standard deviation of a reading.
     """
 
     step_std: float
@@ -46,7 +46,7 @@ class SwitchedStep(NamedTuple):
 
 
 class PrintedOptimum(NamedTuple):
-    """The paper's optimum for one sensor, on the same records."""
+    """The results of the paper's optimum for one sensor, on the same records."""
 
     sensor: Sensor
     reached_ms: float
@@ -54,7 +54,7 @@ class PrintedOptimum(NamedTuple):
 
 
 class GainCurve(NamedTuple):
-    """All fixed gains of one order of motion: noise left over noise read, against the time to nine tenths."""
+    """All fixed gains of one kinematic order: noise gain against the time to nine tenths."""
 
     order: int
     reached_ms: Floats  # (k,)
@@ -62,7 +62,7 @@ class GainCurve(NamedTuple):
 
 
 class Contest(NamedTuple):
-    """All on the same axes."""
+    """The results of all filters."""
 
     switched: tuple[SwitchedStep, ...]
     fixed: tuple[PrintedOptimum, ...]
@@ -70,7 +70,7 @@ class Contest(NamedTuple):
 
     @property
     def rest_gain(self) -> float:
-        """Of the filter that switches, median over all steps."""
+        """Return the noise gain of the IMM at rest, median over all steps."""
         return float(np.median([each.rest_gain for each in self.switched]))
 
 
@@ -92,7 +92,7 @@ def contest() -> Contest:
 
 
 def _record(step_std: float, seed: int) -> Floats:
-    """Return noise of variance 1 with a step after the rest."""
+    """Return noise of variance 1, with a step at the end of the rest."""
     rest, after = round(REST_S * RATE_HZ), round(AFTER_S * RATE_HZ)
     z = np.random.default_rng([seed, round(1e3 * step_std)]).normal(size=rest + after)
     z[rest:] += step_std
@@ -112,7 +112,7 @@ def _switched(step_std: float) -> SwitchedStep:
 
 
 def _fixed(sensor: Sensor) -> PrintedOptimum:
-    """Run the paper's optimum; its time is told from the model, without noise."""
+    """Run the paper's optimum; its time is computed from the model, without noise."""
     rest, settled, ratio = round(REST_S * RATE_HZ), round(SETTLED_S * RATE_HZ), PRINTED[sensor].ratio
     records = [_record(STEPS[0], seed)[:rest] for seed in SEEDS]
     model = StepTrial(records[0], RATE_HZ, sensor).model(1.0, ratio)

@@ -1,4 +1,4 @@
-"""The least of the IMU paper's cost: a valley over R and Q, whose floor only Q/R tells; its figure 8 and table 2."""
+"""Minimise the IMU paper's cost: a valley over R and Q, of which only Q/R is determined; its figure 8 and table 2."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from becalm.studies.imu_responses import reached_ms
 
 SEEDS = range(5)
 STARTS = ((1e-3, 1.0), (1.0, 1e-3))
-"""Of R and Q, in unit^2, beside table 1's own, for the search in both."""
+"""Starts (R, Q) in unit^2 of the search over both, in addition to table 1."""
 
 _DECADES = np.arange(-13.0, 2.0)
-_RAISED = 2  # decades of Q above R
+_RAISED = 2  # the grid of Q begins this many decades above that of R
 _BELOW_HZ = (5.0, 500.0)
 _SHOWN_HZ = (50.0, 500.0)
 
@@ -31,7 +31,7 @@ class ValleySurface(NamedTuple):
     log_noise, log_process : (k,) float array
         Base-10 logarithms of R, and of Q.
     cost : (k, k) float array
-        J, of a row's R and a column's Q.
+        Cost J; rows are R, columns are Q.
     """
 
     log_noise: Floats
@@ -40,32 +40,32 @@ class ValleySurface(NamedTuple):
 
     @property
     def floor_decade(self) -> int:
-        """log10(Q/R), a whole number, where the cost is least on average."""
+        """Return log10(Q/R), an integer, at which the average cost is least."""
         offsets = range(-len(self.cost) + 3, len(self.cost) - 2)
         return _RAISED + min(offsets, key=lambda offset: float(np.mean(np.diagonal(self.cost, offset))))
 
     @property
     def unevenness(self) -> float:
-        """How much the cost varies along its floor, relative: (most - least) / least."""
+        """Return the relative variation of the cost along its floor: (maximum - minimum) / minimum."""
         floor = np.diagonal(self.cost, self.floor_decade - _RAISED)
         return float((floor.max() - floor.min()) / floor.min())
 
 
 class Optimum(NamedTuple):
-    """What the searches found for one sensor on white noise of table 1's variance.
+    """The minima of the cost for one sensor, on white noise of table 1's variance.
 
     Attributes
     ----------
     ratios : (k,) float array
-        Q/R of least cost, one a record.
+        Q/R of least cost for each record.
     excess : float
-        J at the paper's ratio over the least J, median over the records.
+        J at the paper's ratio relative to the least J, median over the records.
     ends : tuple of StepTuning
-        Where the search over Q/R ended, then those over R and Q, all on the first record.
+        Ends of the search over Q/R, and then of those over R and Q, all on the first record.
     reached_ms, paper_reached_ms : float
         Time to nine tenths of a step at the median ratio, and at the paper's.
     surface : ValleySurface
-        Of the first record.
+        Cost over R and Q for the first record.
     """
 
     ratios: Floats
@@ -77,27 +77,27 @@ class Optimum(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Median Q/R."""
+        """Return the median of Q/R."""
         return float(np.median(self.ratios))
 
 
 class ColouredRecord(NamedTuple):
-    """A record that is not white, and the Q/R of least cost."""
+    """A record and its Q/R of least cost."""
 
     made_of: str
     ratio: float
 
 
 def optimise(sensor: Sensor) -> Optimum:
-    """Search for the least cost on white noise, over Q/R and over R and Q."""
+    """Minimise the cost on white noise, over Q/R and over R and Q."""
     printed = PRINTED[sensor]
     trials = [StepTrial(white(sensor, seed), RATE_HZ, sensor) for seed in SEEDS]
-    found = [tune_by_step(trial, printed.measured_noise) for trial in trials]
+    tunings = [tune_by_step(trial, printed.measured_noise) for trial in trials]
     there = [trial.cost(printed.measured_noise, printed.ratio * printed.measured_noise).total for trial in trials]
-    excess = np.median([cost / each.cost.total for cost, each in zip(there, found, strict=True)])
+    excess = np.median([cost / each.cost.total for cost, each in zip(there, tunings, strict=True)])
     starts = ((printed.measured_noise, printed.measured_process), *STARTS)
-    ends = (found[0], *(tune_by_simplex(trials[0], *start) for start in starts))
-    ratios = np.array([each.ratio for each in found])
+    ends = (tunings[0], *(tune_by_simplex(trials[0], *start) for start in starts))
+    ratios = np.array([each.ratio for each in tunings])
     own_ms, paper_ms = reached_ms(sensor, float(np.median(ratios))), reached_ms(sensor, printed.ratio)
     return Optimum(ratios, float(excess), ends, own_ms, paper_ms, _surface(trials[0]))
 
@@ -109,7 +109,7 @@ def _surface(trial: StepTrial) -> ValleySurface:
 
 
 def colours() -> tuple[ColouredRecord, ...]:
-    """Tune the accelerometer on records of the same variance that are not white, to see what explains its ratio."""
+    """Tune the accelerometer on records of equal variance and different spectra, to explain its printed ratio."""
     sensor: Sensor = "accelerometer"
     variance, rng = PRINTED[sensor].measured_noise, np.random.default_rng(0)
     share = makeup(PRINTED[sensor]).harmonic / variance
@@ -117,7 +117,7 @@ def colours() -> tuple[ColouredRecord, ...]:
     made: dict[str, Callable[[], Floats]] = {
         "white": lambda: white(sensor, 0),
         "half white, half in equal harmonics of 50 to 500 Hz": lambda: half,
-        f"{share:.0%} in equal harmonics, as table 1 asks": lambda: motionless(sensor, 0),
+        f"{share:.0%} in equal harmonics, as in table 1": lambda: motionless(sensor, 0),
         "all at 50 to 500 Hz, density falling as 1/f^2": lambda: np.sqrt(variance) * _falling(*_SHOWN_HZ, rng),
         "all at 5 to 500 Hz, density falling as 1/f^2": lambda: np.sqrt(variance) * _falling(*_BELOW_HZ, rng),
     }
@@ -128,7 +128,7 @@ def colours() -> tuple[ColouredRecord, ...]:
 
 
 def least_ratio(low_hz: float = _SHOWN_HZ[0], high_hz: float = _SHOWN_HZ[1], step: float = 0.2) -> float:
-    """Return the least Q/R that noise of the accelerometer's variance within a band can ask for, about.
+    """Return approximately the least Q/R that noise of the accelerometer's variance within a band can require.
 
     Notes
     -----
@@ -141,7 +141,7 @@ def least_ratio(low_hz: float = _SHOWN_HZ[0], high_hz: float = _SHOWN_HZ[1], ste
 
 
 def _falling(low_hz: float, high_hz: float, rng: np.random.Generator) -> Floats:
-    """Return ten seconds of noise of a band, variance 1, whose power density falls as 1/f^2."""
+    """Return ten seconds of noise in a band with variance 1 and a power density proportional to 1/f^2."""
     count = round(10 * RATE_HZ)
     f = np.fft.rfftfreq(count, 1 / RATE_HZ)
     inside = (f >= low_hz) & (f <= high_hz)

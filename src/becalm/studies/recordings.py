@@ -1,8 +1,8 @@
-"""Where the real recordings lie that the studies look at; where they do not, a study says so and goes on."""
+"""The folder of the real recordings for the studies; a study continues without absent ones and says so."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 RECORDINGS = Path(__file__).parents[4] / "shared" / "data"
-"""Beside a working copy of the project."""
+"""Folder next to a working copy of the project."""

@@ -1,4 +1,4 @@
-"""The figures of a study as SVG files in a folder, where they can be drawn."""
+"""Write the figures of a study as SVG files, if matplotlib is installed."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from becalm.report.description import Figure
 from becalm.report.printing import can_print, printed
 
 NOT_DRAWN = "No figures: drawing them needs matplotlib; type `pip install 'becalm[figures]'`."
-"""What a page says where there is none."""
+"""Text of a page without figures."""
 
 
 class SheetContents(NamedTuple):
-    """What one file shows."""
+    """The contents of one file."""
 
-    name: str  # of the file, without its ending
+    name: str  # name of the file without its ending
     figures: tuple[Figure, ...]  # row by row
     columns: int = 1
 
 
 def draw(sheets: Iterable[SheetContents], folder: Path) -> tuple[Path, ...]:
-    """Draw sheets into a folder that exists; return where each is, nothing where matplotlib is not installed.
+    """Draw sheets into an existing folder and return their paths; none if matplotlib is not installed.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""The strain paper re-run: a ramp, a hold and a ramp at 10 Hz, and a real gauge on a bridge.
+"""Repeat the strain paper: ramps of quasi-static strain at 10 Hz, and a real gauge on a bridge.
 
-Quasi-static strain by a Kalman filter whose third derivative is random, beside a Butterworth low-pass and software
-averaging; what the paper found by trial, and measured beforehand, is told by the readings here.
+A Kalman filter with a random third derivative is compared with a Butterworth low-pass and with software averaging. The
+paper finds G by trial and measures R beforehand; here both are identified from the readings.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ from becalm.studies.strain_methods import METHODS, STEP_S, MethodOutcome, Record
 
 NOISES = (0.02, 0.05, 0.1)
 SHOWN = 0.05
-"""Noise of the record that figures show."""
+"""Noise of the record in the figures."""
 
 RUNS = 20
 DURATION_S = 100.0
 KNOTS_S, KNOTS = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0), (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
-SLOPE = 0.05  # of the ramps, in unit/s
+SLOPE = 0.05  # slope of the ramps, in unit/s
 
-_SETTLED_S = ((30.0, 40.0), (70.0, 80.0))  # halves of the ramps in which filters have settled
+_SETTLED_S = ((30.0, 40.0), (70.0, 80.0))  # halves of the ramps in which the filters have settled
 
 
 class Measured(NamedTuple):
-    """How well a filter did, over all runs.
+    """The quality of a filter, over all runs.
 
     Attributes
     ----------
     rms, rms_error : float
         Mean of the runs' rms errors, and the standard error of this mean, in unit.
     noise_share : float
-        Of the mean square error, that differs from run to run; the rest is the same in all, lag and overshoot.
+        Share of the mean square error that differs between runs; the rest, lag and overshoot, is the same in all.
     ramp_lag_s : float
-        How far the output of the noiseless signal trails it at the end of the ramps.
+        Lag of the output for the noiseless signal at the end of the ramps.
     record_lag_s : float
-        By which delay that output and the signal differ least, over the whole record.
+        Delay at which that output differs least from the signal over the whole record.
     overshoot : float
-        How far that output goes beyond 0 and 1, over the height of 1.
+        Largest amount by which that output exceeds 0 or 1, relative to the height of 1.
     told : tuple of (float, float, float)
-        Medians of what the records told: process noise, standard deviation of the noise, order of the motion; NaN
-        where nothing.
+        Medians of the identified process noise, standard deviation of the noise, and kinematic order; NaN if they were
+        not identified.
     """
 
     rms: float
@@ -59,20 +59,20 @@ class Measured(NamedTuple):
 
 
 class ShownRecord(NamedTuple):
-    """One record, for figures."""
+    """One record for the figures."""
 
     time_s: Floats
     truth: Floats
-    outputs: dict[str, Floats]  # of each method
+    outputs: dict[str, Floats]  # by method
 
 
 class StrainStudy(NamedTuple):
-    """Everything that the page tells."""
+    """All results of the study."""
 
     measured: dict[str, dict[float, Measured]]  # by method, by noise
     shown: ShownRecord
     gauge: Gauge | None
-    absent: str  # why there is no gauge; "" where there is
+    absent: str  # why there is no gauge; "" if there is one
 
 
 def ramps() -> tuple[Floats, Floats]:
@@ -82,7 +82,7 @@ def ramps() -> tuple[Floats, Floats]:
 
 
 def records(noise_std: float, runs: int = RUNS) -> Records:
-    """Return noisy readings of the ramps; run k is seeded by k."""
+    """Return noisy readings of the ramps; the seed of run k is k."""
     _, truth = ramps()
     noise = np.column_stack([np.random.default_rng(run).normal(0.0, noise_std, len(truth)) for run in range(runs)])
     return Records(truth, truth[:, np.newaxis] + noise, noise_std)
@@ -94,22 +94,22 @@ def simulate(runs: int = RUNS) -> tuple[dict[str, dict[float, Measured]], ShownR
     Parameters
     ----------
     runs : int
-        Records of each noise; with a *small* number means are less certain. Two or more.
+        Number of records for each noise, at least two; a *small* number makes the means less certain.
     """
-    found: dict[str, dict[float, Measured]] = {name: {} for name in METHODS}
+    measured: dict[str, dict[float, Measured]] = {name: {} for name in METHODS}
     outputs: dict[str, Floats] = {}
     for noise_std in NOISES:
         noisy = records(noise_std, runs)
         for name, method in METHODS.items():
             outcome = method(noisy)
-            found[name][noise_std] = measure(outcome, noisy.truth)
+            measured[name][noise_std] = measure(outcome, noisy.truth)
             if noise_std == SHOWN:
                 outputs[name] = outcome.outputs[:, 0]
-    return found, ShownRecord(*ramps(), outputs)
+    return measured, ShownRecord(*ramps(), outputs)
 
 
 def measure(outcome: MethodOutcome, truth: Floats) -> Measured:
-    """Measure what a filter made of records of one signal (N,), the ramps."""
+    """Measure the errors of a filter on records of one signal (N,), the ramps."""
     time_s, _ = ramps()
     errors = outcome.outputs - truth[:, np.newaxis]
     rms = np.sqrt(np.mean(errors**2, axis=0))
@@ -129,7 +129,7 @@ def measure(outcome: MethodOutcome, truth: Floats) -> Measured:
 
 
 def study(runs: int = RUNS, recordings: Path = RECORDINGS) -> StrainStudy:
-    """Re-run the paper: its simulation, and a real gauge where its recordings are there."""
+    """Repeat the paper's simulation, and analyse a real gauge if its recordings are present."""
     measured, shown = simulate(runs)
     why = absent(recordings)
     return StrainStudy(measured, shown, None if why else measure_gauge(recordings), why)

@@ -1,4 +1,4 @@
-"""The strain paper's figures 1 to 8, from what the study measured."""
+"""Describe the strain paper's figures 1 to 8 with the results of the study."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from becalm.studies.strain_gauge import Gauge
 from becalm.studies.strain_methods import AVERAGE, BECALM, BUTTERWORTH, KALMAN, READINGS
 
 _ZOOM_S = 30.0
-_TRIALS: dict[str, Role] = {  # others hide each other
+_TRIALS: dict[str, Role] = {  # a few only: the curves of the others overlap
     "becalm, smoothed": "clean",
     "G by likelihood, R at rest": "other",
     "G of the simulation, R at rest": "other",
@@ -27,12 +27,12 @@ _TIME = Axis("time (s)")
 
 
 def sheets(study: StrainStudy) -> tuple[SheetContents, ...]:
-    """Say what the figures show; without a gauge figures 7 and 8 are left out."""
+    """Return the figures of the study; without a gauge, figures 7 and 8 are left out."""
     drawn = [(title, "strain", layers) for title, layers in _simulated(study.shown).items()]
     if study.gauge is not None:
         title = "The bridge's gauge and its filters"
-        for said, until_s in ((f"{title}.", np.inf), (f"{title}, first {_ZOOM_S:g} s.", _ZOOM_S)):
-            drawn.append((said, study.gauge.unit, _real(study.gauge, until_s)))
+        for caption, until_s in ((f"{title}.", np.inf), (f"{title}, first {_ZOOM_S:g} s.", _ZOOM_S)):
+            drawn.append((caption, study.gauge.unit, _real(study.gauge, until_s)))
     return tuple(_sheet(number, *each) for number, each in enumerate(drawn, start=1))
 
 

@@ -1,4 +1,4 @@
-"""A real strain gauge on a bridge: the paper's filter as it would be used, and what becalm says of it."""
+"""Apply the strain paper's filter and becalm to a real gauge on a bridge, and judge both."""
 
 from __future__ import annotations
 
@@ -21,41 +21,41 @@ from becalm.studies.strain_model import Noise, likeliest, strain_model
 AT_REST = "munich_bridge/reference_state_strain.csv.gz"
 LOADED = "munich_bridge/support_load_strain.csv.gz"
 CUTOFF_HZ = 1.0
-"""What moves more slowly at rest is called drift."""
+"""At rest, variation below this frequency is called drift."""
 
 DRIFT_S = 10.0
-"""Residuals are averaged over so long to see their drift."""
+"""Residuals are averaged over this time to show their drift."""
 
 
 class QuietStretch(NamedTuple):
-    """The quiet stretch in which R is measured, beforehand and elsewhere."""
+    """The quiet stretch of another record in which R is measured."""
 
     begin_s: float
     end_s: float
-    std: float  # about the mean, in unit: the paper's R is its square
-    noise_std: float  # above the cut-off
-    drift_std: float  # below it
+    std: float  # standard deviation in unit; the paper's R is its square
+    noise_std: float  # the part above the cutoff
+    drift_std: float  # the part below it
 
     @property
     def moved_share(self) -> float:
-        """Share of the variance that is drift and no noise."""
+        """Return the share of the variance that is drift, not noise."""
         return self.drift_std**2 / (self.drift_std**2 + self.noise_std**2)
 
 
 class Trial(NamedTuple):
-    """One filter over the loaded record."""
+    """The results of one filter on the loaded record."""
 
-    jerk_variance: float  # G, of the paper's filter; NaN of becalm's own
+    jerk_variance: float  # G of the paper's filter; NaN for becalm's own
     noise_std: float  # root of R, in unit
     tones_hz: tuple[float, ...]  # vibrations that becalm's own filter counts as signal
     output: Floats  # (N,)
     judgement: Judgement
-    residual_std: float  # of readings minus output, in unit
-    residual_drift: float  # the largest mean of those over ten seconds, in unit
+    residual_std: float  # standard deviation of readings minus output, in unit
+    residual_drift: float  # largest mean of readings minus output over ten seconds, in unit
 
 
 class Gauge(NamedTuple):
-    """A real gauge, filtered."""
+    """The results for a real gauge."""
 
     unit: str
     rate_hz: float
@@ -66,9 +66,9 @@ class Gauge(NamedTuple):
 
 
 def absent(recordings: Path) -> str:
-    """Say which recording is not there; nothing if all are."""
+    """Return a sentence that names absent recordings; empty if there are none."""
     missing = [name for name in (AT_REST, LOADED) if not (recordings / name).exists()]
-    return f"The real gauge is left out: {' and '.join(missing)} are not beside the project." if missing else ""
+    return f"The real gauge is left out: {' and '.join(missing)} are not on this machine." if missing else ""
 
 
 def measure_gauge(recordings: Path) -> Gauge:
@@ -100,17 +100,17 @@ def measure_rest(recording: Recording) -> QuietStretch:
 
 
 def _paper(noise: Noise, z: Floats, step_s: float) -> Trial:
-    found, judge = kalman_filter(strain_model(noise, step_s), z), InnovationJudge(step_s)
-    told = np.isfinite(found.innovations[:, 0])
-    judge.add(found.innovations[told, 0], found.innovation_sigma[told, 0])
-    return _trial(noise, z, found.signal[:, 0], judge.judgement(), step_s)
+    estimate, judge = kalman_filter(strain_model(noise, step_s), z), InnovationJudge(step_s)
+    finite = np.isfinite(estimate.innovations[:, 0])
+    judge.add(estimate.innovations[finite, 0], estimate.innovation_sigma[finite, 0])
+    return _trial(noise, z, estimate.signal[:, 0], judge.judgement(), step_s)
 
 
 def _becalm(loaded: Recording, causal: bool) -> Trial:
-    found, name = clean(loaded, causal=causal), loaded.names[0]
-    report = found.reports[0]
+    cleaned, name = clean(loaded, causal=causal), loaded.names[0]
+    report = cleaned.reports[0]
     noise = Noise(np.nan, np.nan if report.noise_std is None else report.noise_std**2)
-    tried = _trial(noise, loaded.channel(name), found.signal.channel(name), report, loaded.timebase.step_s)
+    tried = _trial(noise, loaded.channel(name), cleaned.signal.channel(name), report, loaded.timebase.step_s)
     return tried._replace(tones_hz=report.tones_hz)
 
 

@@ -1,4 +1,4 @@
-"""The filters that the strain study holds beside each other, each over many noisy records of one signal."""
+"""The filters that the strain study compares, each applied to many noisy records of one signal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from becalm.studies.strain_model import Noise, likeliest, strain_model
 
 STEP_S = 0.1
 TRIED = 1e-4
-"""G of the simulation in unit^2/s^6, as in the paper, whose printed exponent is lost: found by trial."""
+"""G of the simulation in unit^2/s^6. It was found by trial, because the exponent is illegible in the paper."""
 
 CUTOFF_HZ, ORDER, AVERAGED = 0.3, 4, 100
 
@@ -34,17 +34,17 @@ class Records(NamedTuple):
 
 
 class MethodOutcome(NamedTuple):
-    """What a filter made of each record.
+    """The outputs of a filter for each record.
 
     Attributes
     ----------
     outputs : (N, runs) float array
-        Of the noisy records.
+        Outputs for the noisy records.
     followed : (N, runs) float array
-        Of the signal without noise, by the same filters: what is wrong there is lag and overshoot.
+        Outputs of the same filters for the signal without noise; their error is lag and overshoot.
     told : (runs, 3) float array
-        Where the filter was tuned on the record: its G or, of becalm's filters, process noise density; the standard
-        deviation of the noise; and the order of the motion. NaN where it was not.
+        For a filter that was tuned on the record: G or, for becalm's filters, the process noise density; the standard
+        deviation of the noise; and the kinematic order. NaN for other filters.
     """
 
     outputs: Floats
@@ -72,29 +72,29 @@ def _kalman_by_trial(records: Records, from_zero: bool) -> MethodOutcome:
 
 
 def _kalman_by_likelihood(records: Records, noise_known: bool) -> MethodOutcome:
-    found = [likeliest(z, STEP_S, records.noise_std**2 if noise_known else None) for z in records.readings.T]
-    models = [strain_model(noise, STEP_S) for noise in found]
-    told = np.array([[noise.jerk_variance, np.sqrt(noise.noise_variance), 3] for noise in found])
-    return _by_models(records, models, told, _filtered)
+    noises = [likeliest(z, STEP_S, records.noise_std**2 if noise_known else None) for z in records.readings.T]
+    models = [strain_model(noise, STEP_S) for noise in noises]
+    tunings = np.array([[noise.jerk_variance, np.sqrt(noise.noise_variance), 3] for noise in noises])
+    return _by_models(records, models, tunings, _filtered)
 
 
 def _becalm(records: Records, causal: bool) -> MethodOutcome:
-    """Clean without being told anything; every record is a channel."""
+    """Clean the records without settings; every record is a channel."""
     cleaned = clean(Recording(records.readings, rate_hz=1 / STEP_S), causal=causal)
     recipes = cleaned.recipe.channel
-    tunings = [in_steps(recipe.motion, STEP_S) for recipe in recipes if recipe.motion is not None]
-    models = [found.component.to_model(1.0, found.noise_variance) for found in tunings]
-    told = np.array([[own.process_noise_density, own.noise_std, own.order] for own in recipes], dtype=np.float64)
-    found = _by_models(records, models, told, _filtered if causal else _smoothed)
-    return found._replace(outputs=cleaned.signal.samples)
+    in_rows = [in_steps(recipe.motion, STEP_S) for recipe in recipes if recipe.motion is not None]
+    models = [tuning.component.to_model(1.0, tuning.noise_variance) for tuning in in_rows]
+    tunings = np.array([[own.process_noise_density, own.noise_std, own.order] for own in recipes], dtype=np.float64)
+    outcome = _by_models(records, models, tunings, _filtered if causal else _smoothed)
+    return outcome._replace(outputs=cleaned.signal.samples)
 
 
 def _by_models(
-    records: Records, models: list[Model], told: Floats, apply: Callable[[Model, Floats], Floats]
+    records: Records, models: list[Model], tunings: Floats, apply: Callable[[Model, Floats], Floats]
 ) -> MethodOutcome:
     outputs = np.column_stack([apply(model, z) for model, z in zip(models, records.readings.T, strict=True)])
     followed = np.column_stack([apply(model, records.truth) for model in models])
-    return MethodOutcome(outputs, followed, told)
+    return MethodOutcome(outputs, followed, tunings)
 
 
 def _filtered(model: Model, z: Floats) -> Floats:
@@ -106,12 +106,12 @@ def _smoothed(model: Model, z: Floats) -> Floats:
 
 
 def _butterworth(records: Records) -> MethodOutcome:
-    """Start at rest at zero, as the record does."""
+    """Apply a Butterworth low-pass that starts at rest at zero, as the record does."""
     return _each(records, lambda z: butterworth(np.append(0.0, z), CUTOFF_HZ * STEP_S, ORDER)[1:])
 
 
 def _average(records: Records) -> MethodOutcome:
-    """Average the last readings; before the record there was nothing but zeros."""
+    """Average the last readings; readings before the record count as zeros."""
     return _each(records, lambda z: moving_average(np.append(np.zeros(AVERAGED), z), AVERAGED)[AVERAGED:])
 
 
@@ -120,8 +120,8 @@ KALMAN = "Kalman, G by trial, R given, from zero"
 KALMAN_FLAT = "Kalman, G by trial, R given, from the first readings"
 LIKELIEST_G = "Kalman, G by likelihood, R given"
 LIKELIEST = "Kalman, G and R by likelihood"
-BECALM = "becalm, causal, nothing told"
-SMOOTHED = "becalm, smoothed, nothing told"
+BECALM = "becalm, causal, no settings"
+SMOOTHED = "becalm, smoothed, no settings"
 BUTTERWORTH = f"Butterworth of order {ORDER} at {CUTOFF_HZ:g} Hz"
 AVERAGE = f"average of {AVERAGED} readings"
 
@@ -136,4 +136,4 @@ METHODS: dict[str, Method] = {
     BUTTERWORTH: _butterworth,
     AVERAGE: _average,
 }
-"""Every filter by what it is told."""
+"""Every filter, by its name and its given settings."""

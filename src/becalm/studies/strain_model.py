@@ -1,4 +1,4 @@
-"""The strain paper's model, and its process noise by likelihood: what the paper left to trial and error."""
+"""The strain paper's model, and its process noise by maximum likelihood instead of trial and error."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.model.model import Model
 
-_RATIOS = np.arange(-14.0, 5.0)  # decimal logarithms of G T^6 / R that a search begins from
-_NEAR = 0.01  # of a decade
+_RATIOS = np.arange(-14.0, 5.0)  # decimal logarithms of G T^6 / R to start a search from
+_NEAR = 0.01  # tolerance of the search, in decades
 
 
 class Noise(NamedTuple):
-    """What the paper's filter needs to be told."""
+    """The settings of the paper's filter."""
 
     jerk_variance: float  # G, in unit^2/s^6
     noise_variance: float  # R, in unit^2
 
 
 def strain_model(noise: Noise, step_s: float, *, from_zero: bool = False) -> Model:
-    """Return the model of the paper: the third derivative is constant between readings, and random.
+    """Return the model of the paper: the third derivative is random, and constant between two readings.
 
     Parameters
     ----------
     noise : Noise
-        Its two variances: a *small* `jerk_variance` trusts the parabola and smooths more, a *small*
+        Both variances: a *small* `jerk_variance` trusts the parabola and smooths more, a *small*
         `noise_variance` trusts the readings and smooths less.
     step_s : float
-        Between readings, in seconds.
+        Time between readings, in seconds.
     from_zero : bool
-        Whether strain, slope and bend are zero before the first reading, each as surely as one reading would tell
-        it (the paper prints no start); by default nothing is known then.
+        Whether strain and its first two derivatives are zero before the first reading, each with the variance R (the
+        paper does not print a start); by default the initial state is unknown.
 
     Raises
     ------
@@ -53,30 +53,30 @@ def strain_model(noise: Noise, step_s: float, *, from_zero: bool = False) -> Mod
 
 
 def likeliest(readings: Floats, step_s: float, noise_variance: float | None = None) -> Noise:
-    """Return the noise that makes readings likeliest.
+    """Return the maximum-likelihood estimate of the noise.
 
     Parameters
     ----------
     readings : (N,) float array
-        In unit; NaN where missing.
+        Readings in unit; NaN where missing.
     step_s : float
-        Between readings, in seconds.
+        Time between readings, in seconds.
     noise_variance : float, optional
-        R, in unit^2, where it was measured beforehand; by default it is found too.
+        R in unit^2, if it is known; by default it is estimated too.
 
     Notes
     -----
-    One dimension is searched, G / R: R by itself scales every covariance, so that one pass with R = 1 tells the
-    likelihood of every R, and the best is the mean of the squared normalised innovations (Harvey, Forecasting,
+    The search is over one dimension, G / R: R alone scales every covariance, so that one pass with R = 1 gives the
+    likelihood of every R, and the best R is the mean of the squared normalised innovations (Harvey, Forecasting,
     Structural Time Series Models and the Kalman Filter (1989), section 4.3.2).
     """
 
     def noise_at(log_ratio: float) -> tuple[float, Noise]:
         relative = 10.0**log_ratio / step_s**6
-        found = kalman_filter(strain_model(Noise(relative, 1.0), step_s), readings, sigma=False)
-        squares = float(np.nansum((found.innovations / found.innovation_sigma) ** 2))
-        variance = squares / found.used if noise_variance is None else noise_variance
-        log_likelihood = found.log_likelihood + (squares - squares / variance - found.used * np.log(variance)) / 2
+        estimate = kalman_filter(strain_model(Noise(relative, 1.0), step_s), readings, sigma=False)
+        squares, used = float(np.nansum((estimate.innovations / estimate.innovation_sigma) ** 2)), estimate.used
+        variance = squares / used if noise_variance is None else noise_variance
+        log_likelihood = estimate.log_likelihood + (squares - squares / variance - used * np.log(variance)) / 2
         return -log_likelihood, Noise(relative * variance, variance)
 
     def cost(log_ratio: float) -> float:

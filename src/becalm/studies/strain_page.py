@@ -1,4 +1,4 @@
-"""The page of the strain study; every number on it is written here from what was measured."""
+"""Write the page of the strain study; every number on it comes from the study."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ REFERENCE = {
     BUTTERWORTH: (0.0433, 0.0453, 0.0494),
     AVERAGE: (0.1455, 0.146, 0.1465),
 }
-"""Rms errors at each noise of an earlier re-run of the paper's equations, which prints none itself."""
+"""Rms errors at each noise from an earlier simulation with the paper's equations; the paper itself prints none."""
 
 
 def page(study: StrainStudy, drawn: Mapping[str, str]) -> str:
@@ -39,9 +39,9 @@ def page(study: StrainStudy, drawn: Mapping[str, str]) -> str:
     Parameters
     ----------
     study : StrainStudy
-        What was measured.
+        Results of the study.
     drawn : mapping of str to str
-        Title and file name of each figure, in order; empty where none were drawn.
+        Title and file name of each figure, in order; empty if there are none.
     """
     parts = [
         "# Quasi-static strain, re-run",
@@ -59,12 +59,12 @@ def _simulation() -> str:
     return f"""\
 The strain paper filters slow strain by a Kalman filter: the third derivative of the strain is constant between two
 readings and random, with variance G; the noise of a reading has variance R. R is measured beforehand, G found by trial
-and error. Its simulation is run again here: 10 readings a second for 100 s; strain is zero, rises from 20 to 40 s from
+and error. Its simulation is repeated here: 10 readings a second for 100 s; strain is zero, rises from 20 to 40 s from
 0 to 1, stays, falls from 60 to 80 s to zero ({SLOPE:g} a second); white noise is added. {RUNS} records of each noise,
-seeded.
+with fixed seeds.
 
-What the paper leaves to trial, and what it measures beforehand, is then told by the readings: G by likelihood with R
-given; G and R both; and becalm's own choice, which is told nothing, not even the model."""
+Then G, and also R, are estimated from the readings: G by likelihood with R given; G and R both by likelihood; and
+becalm's own choice, which has no settings at all, not even the model."""
 
 
 def _errors(study: StrainStudy) -> str:
@@ -81,28 +81,28 @@ Rms error, mean of the runs and its standard error.
 
 {_table(["filter", *head], rows)}
 
-"An earlier re-run" is one of the same equations with other noise, mean of {REFERENCE_RUNS} runs.
+"An earlier re-run" used the same equations with other noise; mean of {REFERENCE_RUNS} runs.
 
 {_verdict(study)} {_start(study)}"""
 
 
 def _verdict(study: StrainStudy) -> str:
     own = [study.measured[BECALM][noise].rms for noise in NOISES]
-    asked = REFERENCE[KALMAN]
-    kept = all(got <= wanted for got, wanted in zip(own, asked, strict=True))
+    limits = REFERENCE[KALMAN]
+    kept = all(got <= limit for got, limit in zip(own, limits, strict=True))
     return (
-        f"becalm's causal filter, told nothing, errs by {_listed(own)};"
-        f" that is {'' if kept else 'not '}within {_listed(asked)}, the paper's filter told both G and R."
+        f"becalm's causal filter, without settings, errs by {_listed(own)};"
+        f" that is {'' if kept else 'not '}within {_listed(limits)}, those of the paper's filter with G and R given."
     )
 
 
 def _start(study: StrainStudy) -> str:
     flat = [study.measured[KALMAN_FLAT][noise].rms for noise in NOISES]
-    told = [study.measured[KALMAN][noise].rms for noise in NOISES]
+    from_zero = [study.measured[KALMAN][noise].rms for noise in NOISES]
     return (
-        f"The paper prints no start. The filter that knows that strain begins at zero errs by {_listed(told)}; one"
-        f" that starts from the first readings alone, as becalm's does, by {_listed(flat)}. Of P0 = 0, R and 1 the"
-        " known start here is R, taken because it comes nearest to the earlier re-run."
+        f"The paper does not print a start. A filter with a known start at zero errs by {_listed(from_zero)}; one"
+        f" that starts from the first readings alone, as becalm's does, by {_listed(flat)}. The known start has P0 = R,"
+        " because it is nearer to the earlier re-run than P0 = 0 and P0 = 1."
     )
 
 
@@ -116,15 +116,15 @@ def _lags(study: StrainStudy) -> str:
     return f"""\
 ## Lag and overshoot, at noise {SHOWN:g}
 
-Of the signal without noise through the same filters: how far the output trails at the end of the ramps; the delay at
-which it differs least from the signal over the whole record; and how far it goes beyond 0 and 1. Beside it, how much
-of the mean square error differs from run to run; the rest is the same in all, lag and overshoot.
+The first column is the share of the mean square error that differs from run to run; the rest, lag and overshoot, is the
+same in all. The other columns are for the signal without noise: the lag of the output at the end of the ramps; the
+delay at which it differs least from the signal over the whole record; and by how much it exceeds 0 and 1.
 
 {_table(head, rows)}
 
-The Butterworth filter trails by {butterworth.ramp_lag_s:.2f} s and the average by {average.ramp_lag_s:.2f} s: as the
-paper says, their errors are mostly delay, so that less noise hardly helps them. A Kalman filter that knows slopes has
-no lag on a ramp; it errs at the corners, where the model is wrong for a moment."""
+The Butterworth filter lags by {butterworth.ramp_lag_s:.2f} s and the average by {average.ramp_lag_s:.2f} s: as the
+paper says, their errors are mostly delay, so that less noise hardly helps them. A Kalman filter with a slope in its
+state has no lag on a ramp; it errs at the corners, where the model is wrong for a moment."""
 
 
 def _settings(study: StrainStudy) -> str:
@@ -134,20 +134,20 @@ def _settings(study: StrainStudy) -> str:
         rows.append(
             [f"{noise:g}", f"{g[0]:.2g}", f"{found[0]:.2g}", f"{found[1]:.4f}", f"{own[1]:.4f}", f"{own[2]:.0f}"]
         )
-    head = ["noise", "G, R given", "G, both found", "noise found with it", "noise found by becalm", "its order"]
+    head = ["noise", "G, R given", "G, both estimated", "noise estimated with it", "noise by becalm", "order by becalm"]
     smoothed, both, flat = (
         [study.measured[name][noise].rms for noise in NOISES] for name in (SMOOTHED, LIKELIEST, KALMAN_FLAT)
     )
     return f"""\
-## What the readings tell
+## Identified settings
 
-Medians over the records, beside G = {TRIED:g} by trial.
+Medians over the records, to compare with G = {TRIED:g} by trial.
 
 {_table(head, rows)}
 
-With both found, the paper's filter errs by {_listed(both)}; with G by trial and R given, begun as it is, by
-{_listed(flat)}. The paper's model is of order 3, for strain that bends; becalm chooses
-the order too. Its smoother, which waits for the whole record, errs by {_listed(smoothed)}."""
+With both estimated, the paper's filter errs by {_listed(both)}; with G by trial, R given and the same start, by
+{_listed(flat)}. The paper's model is of order 3, for curved strain; becalm chooses
+the order too. Its smoother, which uses the whole record, errs by {_listed(smoothed)}."""
 
 
 def _gauge(gauge: Gauge) -> str:
@@ -163,16 +163,16 @@ def _gauge(gauge: Gauge) -> str:
 the paper: in the longest quiet stretch of another record, {rest.begin_s:.0f} to {rest.end_s:.0f} s
 ({length_s:.0f} s). Readings there have a standard deviation of {rest.std:.3f} {unit}; but {rest.moved_share:.0%} of
 their power is drift, slower than {CUTOFF_HZ:g} Hz ({rest.drift_std:.3f} {unit}), and {rest.noise_std:.3f} {unit} is
-left above. R taken from the whole is the noise and the drift of a quiet bridge, and is too large.
+left above. R from the total power contains the noise and the drift of a quiet bridge, and is too large.
 
 {_table(head, rows)}
 
 Standard deviations in {unit}, G in ({unit})²/s⁶. The residual is reading minus output; its largest mean over
-{DRIFT_S:g} s tells how far the output drifted off: of white noise of {rest.noise_std:.3f} {unit} one in 370 were beyond
+{DRIFT_S:g} s shows how far the output drifted: for white noise of {rest.noise_std:.3f} {unit}, one mean in 370 exceeds
 {3 * rest.noise_std / np.sqrt(DRIFT_S * gauge.rate_hz):.3f}. NIS is the mean square of the normalised innovations, 1 if
-R and G are right; "predictable" the share of their power that the innovations before could have told.
+R and G are right; "predictable" is the share of their power that earlier innovations predict.
 
-What becalm says of each filter:
+becalm's judgement of each filter:
 
 {says}
 
@@ -180,14 +180,14 @@ What becalm says of each filter:
 
 
 def _vibrations(gauge: Gauge) -> str:
-    """Say which filter follows vibrations: it fits, and is no smoother for that."""
-    said = [
+    """Name the filters that follow vibrations: they fit, but their output is not smoother."""
+    sentences = [
         f'"{name}" counts a vibration near {", ".join(f"{tone:.1f}" for tone in trial.tones_hz)} Hz as signal, which a'
-        " quasi-static filter is not after: its residual is smaller for that. "
+        " quasi-static filter does not want: its residual is therefore smaller. "
         for name, trial in gauge.trials.items()
         if trial.tones_hz
     ]
-    return "".join(said)
+    return "".join(sentences)
 
 
 def _warning(gauge: Gauge) -> str:
@@ -197,7 +197,7 @@ def _warning(gauge: Gauge) -> str:
         "The paper warns that a wrong model gives very wrong output. Here the worst filter is"
         f' "{worst_name}", whose output is off by {worst.residual_drift:.2f} {gauge.unit} for {DRIFT_S:g} s, and it is'
         f" {'refused' if worst_name in refused else 'passed'}; {len(refused)} of {len(gauge.trials)} filters are"
-        " said not to fit."
+        " reported not to fit."
     )
 
 
@@ -239,12 +239,12 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def run(folder: Path) -> str:
-    """Re-run the paper and write its page into a folder, with figures where matplotlib is installed.
+    """Repeat the paper and write the page into a folder, with figures if matplotlib is installed.
 
     Parameters
     ----------
     folder : Path
-        Where `strain.md` and its figures go; made where it is not there.
+        Folder for `strain.md` and its figures; created if it does not exist.
 
     Returns
     -------

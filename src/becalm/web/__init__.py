@@ -1,1 +1,1 @@
-"""What a browser sees: a page to tune on, and one that watches a stream; open to this machine only, with a token."""
+"""Web pages: the tuner, and the live page of a stream. Only this machine can open them, and only with a token."""

@@ -1,4 +1,4 @@
-"""Who may see a page: its address, the names that it is asked for by, and the token."""
+"""Decide who may open a page, by its host names and its token."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from typing import NamedTuple
 from becalm.errors import BecalmError, UsageError
 
 LOOPBACK = "127.0.0.1"
-COOKIE = "becalm-"  # and the port
-_PORT_UNSAID = 80  # which browsers leave out
+COOKIE = "becalm-"  # prefix of the cookie's name; the port follows
+_DEFAULT_PORT = 80  # browsers leave it out of the Host header
 _ANYWHERE = ("0.0.0.0", "::")
-_TICKET_S = 30.0  # for a browser to start
-_WATCHED_S = 600.0  # no browser is later than that: a ticket that comes again has been stolen before, not now
+_TICKET_S = 30.0  # a browser has this long to start
+_WATCHED_S = 600.0  # a used ticket that comes again within this time was stolen; later it is harmless
 _STOLEN = (
-    "The address that becalm gave the browser was used twice: somebody else on this machine may have opened the page."
-    " Nobody is let in any more; end becalm, remove the file of --token-file if it has one, and start it again."
+    "The address that becalm gave the browser was used twice: another user of this machine may have opened the page."
+    " The page is now closed to everyone; end becalm, remove the file of --token-file if it has one, and start again."
 )
-_TOKEN = re.compile(r"[A-Za-z0-9_-]{22,256}")  # of 128 bits and more, and harmless in an address or a cookie
+_TOKEN = re.compile(r"[A-Za-z0-9_-]{22,256}")  # at least 128 bits, and safe in an address or a cookie
 
 
 class AccessOptions(NamedTuple):
-    """What a person types to say where a page is."""
+    """Names of the command-line options for the host and the port of a page."""
 
     host: str
     port: str
 
 
 class PageAsked(NamedTuple):
-    """Where a page shall be."""
+    """The port, host and token file that a person gave for a page."""
 
     port: int
     host: str
@@ -44,11 +44,14 @@ class PageAsked(NamedTuple):
 
 
 OPTIONS = AccessOptions("--host", "--port")
-"""Of a command that is there for its page."""
+"""Option names of a command whose main purpose is a page."""
 
 
 def address_of(host: str) -> str:
-    """Return where to listen: "localhost" may be two addresses, and who took the other one would be sent our token."""
+    """Return the address to listen at.
+
+    "localhost" becomes one address: it may stand for two, and a program that listens at the other would get our token.
+    """
     return LOOPBACK if host.lower() == "localhost" else host.lower()
 
 
@@ -57,33 +60,33 @@ class StolenError(BecalmError):
 
 
 class Access:
-    """Where a page is, and what a browser must bring to see it.
+    """The address of a page, and the token that a browser needs to open it.
 
     Parameters
     ----------
     host : str
-        Where it listens, as a person said it: a name or an address; "0.0.0.0" or "::" is every address of this machine.
+        Name or address to listen at, as the person typed it; "0.0.0.0" or "::" is every address of this machine.
     port : int
-        Where it listens.
+        Port to listen at.
     token : str
-        What the browser must bring.
+        Secret that the browser must send.
     options : AccessOptions
-        Where a person said the first two.
+        Names of the options for host and port, for messages.
     """
 
     def __init__(self, host: str, port: int, token: str, options: AccessOptions = OPTIONS) -> None:
         self._options = options
         self.host, self.port = address_of(host), port
         self._token = token
-        self._tickets: dict[str, float] = {}  # and when each was made
+        self._tickets: dict[str, float] = {}  # with the time at which each was made
         self._spent: dict[str, float] = {}
         self.cookie = f"{COOKIE}{port}"
         own = {self.host} | ({"localhost", LOOPBACK, "::1"} if self.loopback or self.anywhere else set())
-        self._names = {_written(name) for name in (own | {socket.gethostname().lower()} if self.anywhere else own)}
+        self._names = {_in_url(name) for name in (own | {socket.gethostname().lower()} if self.anywhere else own)}
 
     @property
     def loopback(self) -> bool:
-        """Whether only this machine can reach it."""
+        """Return whether only this machine can reach the page."""
         try:
             return ipaddress.ip_address(self.host).is_loopback
         except ValueError:
@@ -91,42 +94,42 @@ class Access:
 
     @property
     def anywhere(self) -> bool:
-        """Whether it listens at every address of this machine."""
+        """Return whether the page listens at every address of this machine."""
         return self.host in _ANYWHERE
 
     @property
     def url(self) -> str:
-        """What to open, with the token."""
+        """Return the address of the page, with the token."""
         return f"{self._origin}/?token={self._token}"
 
     @property
     def warning(self) -> str | None:
-        """What a person must know who lets other machines in."""
+        """Return a warning if other machines can reach the page."""
         if self.loopback:
             return None
         return (
-            f"The page is open to other machines at {self._origin}, without TLS: whoever listens to that network can"
-            f" read the token and all data. Where others use the network, leave {self._options.host} out, and reach"
-            f" this machine from the other by ssh -L {self.port}:{LOOPBACK}:{self.port} instead."
+            f"The page is open to other machines at {self._origin}, without TLS: anyone who listens to that network can"
+            f" read the token and all data. If other people use the network, leave {self._options.host} out, and"
+            f" connect to this machine with ssh -L {self.port}:{LOOPBACK}:{self.port} instead."
         )
 
     def ticket(self) -> str:
-        """Return an address that opens the page once, and soon: other users see what a browser is started with."""
+        """Return an address that opens the page once, and only soon: other users can see a browser's arguments."""
         ticket = secrets.token_urlsafe()
         self._tickets[ticket] = time.monotonic()
-        return f"http://{LOOPBACK if self.anywhere else _written(self.host)}:{self.port}/?token={ticket}"
+        return f"http://{LOOPBACK if self.anywhere else _in_url(self.host)}:{self.port}/?token={ticket}"
 
     def admits(self, brought: str) -> bool:
-        """Whether this is the token, or a ticket that serves now.
+        """Return whether this is the token or a valid ticket.
 
         Raises
         ------
         StolenError
-            If a ticket came before: one of the two was not the browser, and from now on nobody is known.
+            If a ticket comes for the second time: one of the two was not the browser. From now on nobody is admitted.
         """
         now = time.monotonic()
         if any(_same(brought, ticket) and now - made < _WATCHED_S for ticket, made in self._spent.items()):
-            self._token = secrets.token_urlsafe(32)  # that nobody is told
+            self._token = secrets.token_urlsafe(32)  # nobody gets this one
             self._tickets.clear()
             raise StolenError(_STOLEN)
         for ticket, made in list(self._tickets.items()):
@@ -136,43 +139,43 @@ class Access:
         return self.knows(brought)
 
     def knows(self, brought: str) -> bool:
-        """Whether this is what the cookie holds."""
+        """Return whether this is the token, which the cookie contains."""
         return _same(brought, self._token)
 
     def set_cookie(self) -> str:
-        """Return the header that leaves the token with a browser, for no other site to use and no script to read."""
+        """Return the header that sets the cookie; other sites cannot use it and scripts cannot read it."""
         return f"{self.cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
 
     def ours(self, host: str) -> bool:
-        """Whether a page was asked for by a name of ours: a foreign one may have been made to lead here (rebinding).
+        """Return whether a Host header has one of our names; another name may be a DNS rebinding attack.
 
         Parameters
         ----------
         host : str
-            The header Host. Where we listen anywhere every address is ours, as no name could be bound to it.
+            The Host header. If we listen at every address, every numeric address is ours: it cannot be rebound.
         """
         name = host.lower().removesuffix(f":{self.port}")
-        if name == host.lower() and self.port != _PORT_UNSAID:
+        if name == host.lower() and self.port != _DEFAULT_PORT:
             return False
         return name in self._names or (self.anywhere and _is_address(name))
 
     @staticmethod
     def same_origin(origin: str, host: str) -> bool:
-        """Whether a request comes from the page that it asks."""
+        """Return whether a request comes from the page that it is sent to."""
         return origin.lower() == f"http://{host.lower()}"
 
     @property
     def _origin(self) -> str:
-        return f"http://{_written(socket.gethostname() if self.anywhere else self.host)}:{self.port}"
+        return f"http://{_in_url(socket.gethostname() if self.anywhere else self.host)}:{self.port}"
 
 
 def token_of(path: Path | None) -> str:
-    """Return a new token; or that of a file, which is made where it is not there, for its owner only.
+    """Return a new token, or the token in a file; a missing file is created, readable by its owner only.
 
     Raises
     ------
     UsageError
-        If others may read the file, or it holds no token.
+        If others may read the file, or it does not contain a token.
     """
     new = secrets.token_urlsafe(32)
     if path is None:
@@ -182,24 +185,28 @@ def token_of(path: Path | None) -> str:
             file.write(f"{new}\n")
         return new
     except FileExistsError:
-        return _kept(path)
+        return _read_token(path)
     except OSError as cause:
-        raise UsageError(f"{path} cannot be written ({cause.strerror}); name another with --token-file.") from cause
+        raise UsageError(
+            f"{path} cannot be written ({cause.strerror}); give another file with --token-file."
+        ) from cause
 
 
-def _kept(path: Path) -> str:
+def _read_token(path: Path) -> str:
     try:
         with path.open("rb") as file:
-            found = os.fstat(file.fileno())
+            status = os.fstat(file.fileno())
             text = file.read(1000).decode("ascii", "replace").strip()
     except OSError as cause:
-        raise UsageError(f"{path} cannot be read ({cause.strerror}); name another with --token-file.") from cause
-    if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
-        raise UsageError(f"{path} can be read by others, so what it holds is no secret; type: rm {path}")
-    if os.name == "posix" and found.st_uid != os.geteuid():
-        raise UsageError(f"{path} belongs to another user, who knows what it holds; name another with --token-file.")
+        raise UsageError(f"{path} cannot be read ({cause.strerror}); give another --token-file.") from cause
+    if os.name == "posix" and stat.S_IMODE(status.st_mode) & 0o077:
+        raise UsageError(f"{path} can be read by others, so its token is not secret; type: rm {path}")
+    if os.name == "posix" and status.st_uid != os.geteuid():
+        raise UsageError(f"{path} belongs to another user, who knows its token; give another --token-file.")
     if not _TOKEN.fullmatch(text):
-        raise UsageError(f"{path} holds no token: 22 letters, digits, - and _ or more; remove it, and one is made.")
+        raise UsageError(
+            f"{path} does not contain a token of at least 22 letters, digits, - and _; remove it, and becalm makes one."
+        )
     return text
 
 
@@ -207,8 +214,8 @@ def _same(brought: str, wanted: str) -> bool:
     return hmac.compare_digest(brought.encode("utf-8", "replace"), wanted.encode())
 
 
-def _written(name: str) -> str:
-    """Return a name as addresses have it."""
+def _in_url(name: str) -> str:
+    """Return a host as an address contains it, with brackets around IPv6."""
     return f"[{name}]" if ":" in name else name
 
 

@@ -1,4 +1,4 @@
-"""Whether the libraries that serve a page are here."""
+"""Check that the libraries that serve pages are installed."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ _NEEDED = ("starlette", "uvicorn", "websockets")
 
 
 def need_app() -> None:
-    """Look for them before anything that needs them is loaded.
+    """Check the libraries, before any module that needs them is loaded.
 
     Raises
     ------
     UsageError
-        If one is not here.
+        If one of them is not installed.
     """
     if missing := [name for name in _NEEDED if find_spec(name) is None]:
-        raise UsageError(f"Pages are served by {', '.join(missing)}, not here; type: pip install 'becalm[app]'")
+        raise UsageError(f"Pages need {', '.join(missing)}, which must be installed; type: pip install 'becalm[app]'")

@@ -1,4 +1,4 @@
-"""What goes over the wire: text frames are JSON objects; binary ones a JSON header and arrays behind it."""
+"""Encode the frames that go to a page: text frames are JSON; binary frames are a JSON header followed by arrays."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-UNFORESEEN = "Something went wrong in becalm that nobody foresaw; its error output says what."
-"""What a page is told where becalm has a fault."""
+UNFORESEEN = "An unexpected error occurred in becalm; its error output shows the cause."
+"""Message to a page after a fault of becalm itself."""
 
-_ALIGNED = 8  # bytes: a page lays typed arrays over a frame, which need that
+_ALIGNED = 8  # bytes: a page reads a frame through typed arrays, which need this alignment
 _LENGTH = struct.Struct("<I")
 _TYPES = {"f4": "<f4", "f8": "<f8", "u2": "<u2"}
-_WIDEST = 1e38  # of what float32 still holds, with room for a difference
+_WIDEST = 1e38  # a magnitude whose differences still fit into float32
 
 Values = NDArray[np.float32] | NDArray[np.float64] | NDArray[np.uint16]
 
 
 class Relative(NamedTuple):
-    """Numbers as differences from one of them, so that float32 keeps what a picture shows.
+    """Numbers as differences from a common offset, so that float32 has enough digits for a picture.
 
     Attributes
     ----------
     values : array of float32
-        The differences.
+        Differences from the offset.
     offset : float
-        What is added to each of them.
+        Number to add to each of them.
     """
 
     values: NDArray[np.float32]
@@ -43,12 +43,12 @@ def relative(values: NDArray[np.float64]) -> Relative | NDArray[np.float64]:
     Parameters
     ----------
     values : array of float64
-        NaN, and what is infinite, stays so.
+        Numbers; NaN and infinite values stay as they are.
 
     Returns
     -------
     Relative or array of float64
-        As they came where float32 would overflow.
+        The unchanged array if float32 would overflow.
     """
     finite = values[np.isfinite(values)]
     if finite.size == 0:
@@ -66,31 +66,31 @@ def frame(header: Mapping[str, Any], arrays: Mapping[str, Values | Relative]) ->
     Parameters
     ----------
     header : mapping
-        What stands in the header beside "arrays"; what is not finite becomes null.
+        Entries of the header other than "arrays"; numbers that are not finite become null.
     arrays : mapping of str to array or Relative
-        float32, float64 or uint16, of any shape, told row by row.
+        Arrays of float32, float64 or uint16 and of any shape, which are written in row-major order.
 
     Raises
     ------
     TypeError
         If an array is of another type.
     """
-    told: dict[str, dict[str, Any]] = {}
+    layout: dict[str, dict[str, Any]] = {}
     parts: list[bytes] = []
     at = 0
     for name, given in arrays.items():
         values, offset = given if isinstance(given, Relative) else (given, None)
         kind = values.dtype.kind + str(values.dtype.itemsize)
         if kind not in _TYPES:
-            raise TypeError(f"{name} is {values.dtype}; a frame holds {', '.join(_TYPES)}.")
+            raise TypeError(f"{name} is {values.dtype}; a frame can contain {', '.join(_TYPES)}.")
         part = values.astype(_TYPES[kind], copy=False).tobytes()
-        told[name] = {"type": kind, "at": at, "count": values.size}
+        layout[name] = {"type": kind, "at": at, "count": values.size}
         if offset is not None:
-            told[name]["offset"] = offset
+            layout[name]["offset"] = offset
         part += bytes(-len(part) % _ALIGNED)
         parts.append(part)
         at += len(part)
-    head = text({**header, "arrays": told}).encode()
+    head = text({**header, "arrays": layout}).encode()
     head += b" " * (-(_LENGTH.size + len(head)) % _ALIGNED)
     return b"".join((_LENGTH.pack(len(head)), head, *parts))
 
@@ -101,22 +101,22 @@ def unframed(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     Returns
     -------
     header : dict
-        Without "arrays".
+        Header without "arrays".
     arrays : dict of str to array
-        With their offsets added, then in float64.
+        Arrays; those with an offset have it added and are float64.
     """
     (length,) = _LENGTH.unpack_from(data)
     begin = _LENGTH.size + length
     header = json.loads(data[_LENGTH.size : begin])
     arrays: dict[str, NDArray[Any]] = {}
-    for name, told in header.pop("arrays").items():
-        values = np.frombuffer(data, _TYPES[told["type"]], told["count"], begin + told["at"])
-        arrays[name] = values + np.float64(told["offset"]) if "offset" in told else values
+    for name, entry in header.pop("arrays").items():
+        values = np.frombuffer(data, _TYPES[entry["type"]], entry["count"], begin + entry["at"])
+        arrays[name] = values + np.float64(entry["offset"]) if "offset" in entry else values
     return header, arrays
 
 
 def text(message: Mapping[str, Any]) -> str:
-    """Return a message as JSON, in which what is not finite is null: browsers read no NaN."""
+    """Return a message as JSON; numbers that are not finite become null, because browsers cannot read NaN."""
     try:
         return json.dumps(message, allow_nan=False, separators=(",", ":"))
     except ValueError:

@@ -1,4 +1,4 @@
-"""Parse what a page sends: one JSON object a frame, or it is refused in a sentence."""
+"""Parse the messages of a page: each frame is one JSON object, and anything else raises an error."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from becalm.errors import UsageError
 
 Number = Annotated[int, Field(ge=0, le=1 << 53, strict=True)]
-"""Which browsers hold exactly."""
+"""An integer that a browser can hold exactly."""
 
-_LONGEST = 200  # characters of what came that an answer repeats
+_LONGEST = 200  # characters of a message that an error repeats
 
 T = TypeVar("T")
 
 
 class Numbered(BaseModel):
-    """A message of a page; answers to it tell its number."""
+    """A message of a page, with a number that answers to it repeat."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -28,7 +28,7 @@ class Numbered(BaseModel):
 
 
 def heard(frame: Mapping[str, Any]) -> dict[str, Any]:
-    """Read what a WebSocket received.
+    """Parse a frame that a WebSocket received.
 
     Parameters
     ----------
@@ -38,45 +38,45 @@ def heard(frame: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        What its names mean is for others to check; its numbers are finite.
+        The JSON object. Its numbers are finite; its names are not checked yet.
 
     Raises
     ------
     UsageError
-        If it is not text, no JSON, no object, or holds a number that is none.
+        If it is not text, not JSON or not an object, or contains NaN or an infinite number.
     """
-    said = frame.get("text")
-    if said is None:
-        raise UsageError("A page sent bytes; it says what it wants in text, one JSON object a frame.")
+    content = frame.get("text")
+    if content is None:
+        raise UsageError("A page sent bytes; a message must be text, one JSON object in each frame.")
     try:
-        message = json.loads(said, parse_constant=_no_number, parse_float=_number)
-    except (ValueError, RecursionError) as cause:  # also of integers with thousands of digits
-        raise UsageError(f"A page sent what is no JSON ({str(cause)[:80]}); reload it.") from cause
+        message = json.loads(content, parse_constant=_no_number, parse_float=_number)
+    except (ValueError, RecursionError) as cause:  # ValueError also for integers with thousands of digits
+        raise UsageError(f"A page sent text that is not JSON ({str(cause)[:80]}); reload it.") from cause
     if not isinstance(message, dict):
-        raise UsageError("A page sent JSON that is no object; reload it.")
+        raise UsageError("A page sent JSON that is not an object; reload it.")
     return message
 
 
 def number_of(said: Mapping[str, Any]) -> int | None:
-    """Return a message's number, also of one that is not understood; None where it has none."""
+    """Return the number of a message, even an invalid one; None if it has no number."""
     number = said.get("number")
-    return number if type(number) is int else None  # true is an int too
+    return number if type(number) is int else None  # in Python, true is an int too
 
 
 def understood(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
-    """Check a message.
+    """Check a message and return it as an object of its type.
 
     Parameters
     ----------
     messages : TypeAdapter
-        Those that are understood.
+        Types of the messages that are allowed.
     said : mapping
-        As `heard` returns it.
+        JSON object from `heard`.
 
     Raises
     ------
     UsageError
-        If it is none of them; the sentence says what is wrong.
+        If it is not one of them; the message says what is wrong.
     """
     try:
         return messages.validate_python(said)
@@ -84,7 +84,7 @@ def understood(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
         first = cause.errors(include_input=False, include_url=False, include_context=False)[0]
         names = (str(one)[:_LONGEST] for one in first["loc"])
         wrong = ": ".join(filter(None, (".".join(names), first["msg"][:_LONGEST])))
-        raise UsageError(f"A page asked for what becalm does not know ({wrong}); reload it.") from cause
+        raise UsageError(f"A page sent a message that becalm does not know ({wrong}); reload it.") from cause
 
 
 def _number(text: str) -> float:
@@ -93,4 +93,4 @@ def _number(text: str) -> float:
 
 
 def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text[:20]}{'...' if len(text) > 20 else ''} is no finite number")
+    raise ValueError(f"{text[:20]}{'...' if len(text) > 20 else ''} is not a finite number")

@@ -1,4 +1,4 @@
-"""A server of its own: it holds its port before anyone is told of it, and runs in a thread beside the work."""
+"""Serve a page from a thread. The port is taken before anyone learns the address."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from becalm.web.sockets import HurriedProtocol, HurriedWebSocket
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
-MOST_SAID_BYTES = 1 << 20  # in a message of a page
-PING_S = 20.0  # how often a page must show that it is there, and how long it may take to
+MOST_SAID_BYTES = 1 << 20  # size limit of a message from a page
+PING_S = 20.0  # time between two pings, and time that a page has to answer one
 _PORTS = 1 << 16
 _HEADERS_BYTES = 1 << 16  # browsers send the cookies of all ports
-_ENDING_S = 1  # for answers on their way when the server ends
-_PATIENCE_S = 4.0  # for its thread to end, which may be computing
+_ENDING_S = 1  # grace for unfinished answers when the server ends
+_PATIENCE_S = 4.0  # grace for the server's thread, which may be computing
 
 
 class TakenError(UsageError):
-    """Another program listens there."""
+    """Another program listens at the port."""
 
 
 def listen(host: str, port: int, options: AccessOptions = OPTIONS) -> socket.socket:
@@ -35,21 +35,21 @@ def listen(host: str, port: int, options: AccessOptions = OPTIONS) -> socket.soc
     Parameters
     ----------
     host : str
-        A name or an address of this machine; "0.0.0.0" or "::" for all.
+        Name or address of this machine; "0.0.0.0" or "::" for all addresses.
     port : int
-        0 takes any that is free.
+        Port number; 0 takes any free port.
     options : AccessOptions
-        Where a person says both.
+        Names of the options for host and port, for messages.
 
     Raises
     ------
     UsageError
-        If it cannot be had; a TakenError where another program has it.
+        If the port cannot be taken; a TakenError if another program has it.
     """
     wanted = f"No page can be served at {host}, port {port}"
-    way_out = f"name another with {options.port}, or 0 for any free one."
+    way_out = f"give another port with {options.port}, or 0 for any free one."
     if not 0 <= port < _PORTS:
-        raise UsageError(f"{wanted}: ports end at {_PORTS - 1}; {way_out}")
+        raise UsageError(f"{wanted}: the highest port is {_PORTS - 1}; {way_out}")
     try:
         found = socket.getaddrinfo(address_of(host), port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         family, _, _, _, address = found[0]
@@ -57,13 +57,13 @@ def listen(host: str, port: int, options: AccessOptions = OPTIONS) -> socket.soc
         return socket.create_server(address[:2], family=family, dualstack_ipv6=both)
     except OSError as cause:
         if cause.errno == errno.EADDRINUSE:
-            raise TakenError(f"{wanted}: another program is there; {way_out}") from cause
+            raise TakenError(f"{wanted}: another program uses it; {way_out}") from cause
         why = str(cause.strerror).partition(" (while")[0]
         raise UsageError(
-            f"{wanted} ({why}); name this machine with {options.host}, and a port with {options.port}."
+            f"{wanted} ({why}); give a name of this machine with {options.host}, and a port with {options.port}."
         ) from cause
     except UnicodeError as cause:
-        raise UsageError(f"{host!r} is no name of a machine; name this one with {options.host}.") from cause
+        raise UsageError(f"{host!r} is not a host name; give a name of this machine with {options.host}.") from cause
 
 
 class Server:
@@ -72,9 +72,9 @@ class Server:
     Parameters
     ----------
     listener : socket
-        Of `listen`; it is closed with the server.
+        Socket from `listen`; the server closes it at its end.
     app : ASGI application
-        What is served.
+        Application to serve.
     """
 
     def __init__(self, listener: socket.socket, app: ASGIApp) -> None:
@@ -87,7 +87,7 @@ class Server:
             lifespan="off",
             interface="asgi3",
             log_config=None,
-            log_level="critical",  # strangers' mistakes are no news; what fails in becalm the guard tells
+            log_level="critical",  # clients' errors are not logged; the guard logs those of becalm
             access_log=False,
             proxy_headers=False,
             server_header=False,
@@ -97,29 +97,29 @@ class Server:
             ws_max_size=MOST_SAID_BYTES,
             ws_ping_interval=PING_S,
             ws_ping_timeout=PING_S,
-            ws_per_message_deflate=False,  # numbers hardly shrink
+            ws_per_message_deflate=False,  # arrays of numbers hardly compress
         )
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._server.run, args=([listener],), name="page", daemon=True)
 
     def start(self) -> None:
-        """Begin to answer; who asked since the port was taken is answered now."""
+        """Start to answer requests, including those that arrived since the port was taken."""
         self._thread.start()
 
     def close(self) -> None:
-        """Stop answering; harmless twice."""
+        """Stop the server; a second call does nothing."""
         self._server.should_exit = True
         if self._thread.is_alive():
             self._thread.join(_PATIENCE_S)
         self._listener.close()
 
     def __enter__(self) -> Self:
-        """Begin to answer."""
+        """Start the server."""
         self.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop answering."""
+        """Stop the server."""
         self.close()

@@ -1,4 +1,4 @@
-"""A page as an application: itself, what it loads, its wire, and whatever else it brings."""
+"""Build the web application of a page: its HTML, its assets, its WebSocket and its other routes."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _KINDS = {"js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
 
 
 class Page(NamedTuple):
-    """What a page is.
+    """The parts of a page.
 
     Attributes
     ----------
     html : str
-        The page itself.
+        HTML of the page.
     wire : callable
-        The conversation: accepts a WebSocket, and speaks with it until it is closed.
+        Accepts a WebSocket, and exchanges messages with it until it is closed.
     routes : sequence of routes
-        What else is answered.
+        Other routes, such as downloads.
     """
 
     html: str
@@ -66,7 +66,7 @@ def site(page: Page, access: Access) -> Guard:
     async def asset(request: Request) -> Response:
         name = request.path_params["name"]
         if name not in table:
-            return PlainTextResponse("The page has no such part.", 404)
+            return PlainTextResponse("The page has no such file.", 404)
         return Response(table[name], media_type=_KINDS[name.rpartition(".")[2]])
 
     async def speak(websocket: WebSocket) -> None:
@@ -76,20 +76,20 @@ def site(page: Page, access: Access) -> Guard:
             return
 
     routes = [Route("/", whole), Route("/assets/{name:path}", asset), WebSocketRoute("/wire", speak), *page.routes]
-    told = {BecalmError: _told, ClientDisconnect: _gone, Exception: _unforeseen}
-    return Guard(Starlette(routes=routes, exception_handlers=told), access)
+    handlers = {BecalmError: _refused, ClientDisconnect: _gone, Exception: _unforeseen}
+    return Guard(Starlette(routes=routes, exception_handlers=handlers), access)
 
 
 def as_file(name: str) -> dict[str, str]:
-    """Return the header by which a browser keeps an answer under a file name, also one that is no Unicode."""
+    """Return the header that makes a browser save an answer as a file; the name may contain invalid Unicode."""
     return {"content-disposition": f"attachment; filename*=UTF-8''{quote(os.fsencode(name))}"}
 
 
 def assets() -> dict[str, bytes]:
-    """Return what pages load, by name: a table, so that no name leads out of it."""
+    """Return the files that pages load, by name. As it is a table, a name cannot lead to other files."""
     javascript, css = uplot()
     table = {"uPlot.iife.min.js": javascript.encode(), "uPlot.min.css": css.encode()}
-    for room in ("becalm.report", "becalm.web"):  # the report's figures are drawn on pages too
+    for room in ("becalm.report", "becalm.web"):  # pages use the scripts of the report's figures too
         _gather(files(room) / "assets", "", table)
     return table
 
@@ -102,18 +102,18 @@ def _gather(folder: Traversable, before: str, table: dict[str, bytes]) -> None:
             table[before + entry.name] = entry.read_bytes()
 
 
-def _told(request: Request, cause: Exception) -> Response:
-    """Answer with what a person can mend."""
+def _refused(request: Request, cause: Exception) -> Response:
+    """Answer with the message of an error that a person can correct."""
     status = cause.status if isinstance(cause, RefusedError) else 400
-    says = str(cause).encode("utf-8", "replace")  # names of files may be no Unicode
+    says = str(cause).encode("utf-8", "replace")  # names of files may contain invalid Unicode
     return PlainTextResponse(says, status, {"connection": "close"})
 
 
 def _gone(request: Request, cause: Exception) -> Response:
-    """Answer nobody: the page has hung up."""
+    """Return an answer that is not sent: the page has disconnected."""
     return Response(status_code=400)
 
 
 def _unforeseen(request: Request, cause: Exception) -> Response:
-    """Answer in words; the guard tells whoever runs becalm."""
+    """Answer with a sentence; the guard logs the exception."""
     return PlainTextResponse(UNFORESEEN, 500)

@@ -1,4 +1,4 @@
-"""Connections that do not wait for ever: a client says soon what it wants, or its place is given to others."""
+"""HTTP and WebSocket connections with time limits, so that idle clients cannot use up all sockets."""
 
 from __future__ import annotations
 
@@ -11,45 +11,45 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from becalm.web.access import COOKIE
 
-REQUEST_S = 10.0  # from a connection, or a request's first byte, to the end of its headers; and to a wire that is open
-MOST_SOCKETS = 200  # of 256 open files, the least that systems allow a process
+REQUEST_S = 10.0  # from a connection, or a request's first byte, to the end of its headers or the open WebSocket
+MOST_SOCKETS = 200  # every system allows a process at least 256 open files
 
 
 class HurriedProtocol(H11Protocol):
-    """uvicorn's HTTP, which by itself waits for a first request without end.
+    """uvicorn's HTTP protocol with a time limit; uvicorn waits for a first request without end.
 
-    Who sends no request, or its headers byte by byte, is left after `REQUEST_S`; where there are more than
-    `MOST_SOCKETS`, the one that has waited longest without asking anything goes first.
+    A client that sends no request, or sends its headers byte by byte, is disconnected after `REQUEST_S`. If there are
+    more than `MOST_SOCKETS` connections, the one that has been idle longest is closed first.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._deadline: asyncio.TimerHandle | None = None
 
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
-        """Begin to wait for a request."""
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # same as in uvicorn
+        """Start the time limit for a request."""
         super().connection_made(transport)
         if len(self.connections) > MOST_SOCKETS:
             self._make_room()
         self._look()
 
     def data_received(self, data: bytes) -> None:
-        """Take what came; it may end a request's headers, or begin the next ones."""
+        """Process data, which may complete a request's headers or begin the next request."""
         super().data_received(data)
         self._look()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Hand over to a wire, without the cookies of other pages: it takes a few kilobytes of headers only."""
+        """Switch to a WebSocket, without the cookies of other pages: it accepts only a few kilobytes of headers."""
         self.headers = [(name, _own(value) if name == b"cookie" else value) for name, value in self.headers]
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no more."""
+        """Cancel the time limit."""
         self._cancel()
         super().connection_lost(exc)
 
     def _look(self) -> None:
-        if self.conn.their_state is not h11.IDLE:  # a request is here, or was none
+        if self.conn.their_state is not h11.IDLE:  # the headers are complete, or invalid
             self._cancel()
         elif self._deadline is None and not self.transport.is_closing():
             self._deadline = self.loop.call_later(REQUEST_S, self.transport.abort)
@@ -70,9 +70,9 @@ class HurriedProtocol(H11Protocol):
 
 
 class HurriedWebSocket(WebSocketsSansIOProtocol):
-    """uvicorn's WebSocket, which by itself waits without end for who opens none, and for who takes nothing.
+    """uvicorn's WebSocket protocol with time limits for the handshake and for pings, which uvicorn lacks.
 
-    What comes by here has passed for HTTP, and knows no token yet.
+    Its requests are valid HTTP, but their tokens are not checked yet.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -80,30 +80,31 @@ class HurriedWebSocket(WebSocketsSansIOProtocol):
         self._deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin to wait for the end of the handshake."""
+        """Start the time limit for the handshake."""
         super().connection_made(transport)
         self._deadline = self.loop.call_later(REQUEST_S, self.transport.abort)
 
     def data_received(self, data: bytes) -> None:
-        """Take what came; hang up on a request that HTTP allows and WebSocket does not, as one with a body."""
+        """Process data; reject a request that HTTP allows and WebSocket does not, such as one with a body."""
         super().data_received(data)
         if self.conn.handshake_exc is not None and not self.transport.is_closing():
-            answer = b"".join(self.conn.data_to_send()) or self.conn.reject(400, "This opens no wire.\n").serialize()
+            refusal = self.conn.reject(400, "This request cannot open a WebSocket.\n")
+            answer = b"".join(self.conn.data_to_send()) or refusal.serialize()
             self.transport.write(answer)
             self.transport.close()
 
     def start_keepalive(self) -> None:
-        """Wait no more: the wire is open."""
+        """Cancel the time limit: the WebSocket is open."""
         self._cancel()
         super().start_keepalive()
 
     def keepalive_timeout(self) -> None:
-        """Let a page go that answers no ping; what it has not taken yet is not waited for."""
+        """Disconnect a page that does not answer a ping, without sending the rest of its data."""
         super().keepalive_timeout()
         self.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no more."""
+        """Cancel the time limit."""
         self._cancel()
         super().connection_lost(exc)
 

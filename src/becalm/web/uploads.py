@@ -1,4 +1,4 @@
-"""Files that a page sends: into a private folder, whole or not at all."""
+"""Store the files that a page sends in a private folder, completely or not at all."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from starlette.requests import Request
 from becalm.errors import BecalmError
 
 PATIENCE_S = 60.0
-"""How long each part of a file is waited for."""
+"""Time limit for each part of a file."""
 
-_OVER_ALL = 2  # times the limit of one file
-_LONGEST_NAME = 255  # bytes, of most file systems
+_OVER_ALL = 2  # limit of all files together, as a multiple of that of one file
+_LONGEST_NAME = 255  # bytes, the limit of most file systems
 _MEBIBYTE = 1 << 20
 
 
 class RefusedError(BecalmError):
-    """What a page asked for is not given; the status is that of the answer."""
+    """A request of a page was refused; `status` is the HTTP status of the answer."""
 
     def __init__(self, says: str, status: int) -> None:
         super().__init__(says)
@@ -34,34 +34,34 @@ class RefusedError(BecalmError):
 
 
 class Uploads:
-    """The files that pages sent; they go when becalm ends.
+    """The files that pages sent; they are removed when becalm ends.
 
     Parameters
     ----------
     limit_bytes : int
-        How large a file may be; all of them may be twice as large together.
+        Size limit of one file; all files together may have twice as much.
     """
 
     def __init__(self, limit_bytes: int) -> None:
         self.limit_bytes = limit_bytes
-        self._bytes = 0  # of all of them, also of those that are on their way
+        self._bytes = 0  # of all files, including unfinished ones
 
     @cached_property
     def folder(self) -> Path:
-        """Where they are, made with the first: only its owner may enter."""
+        """Return the folder of the files, which only its owner may enter; it is created with the first file."""
         return Path(tempfile.mkdtemp(prefix="becalm-"))
 
     async def take(self, request: Request, name: str) -> Path:
-        """Keep the body of a request as a file of that name, in a folder of its own.
+        """Store the body of a request as a file of that name, in a folder of its own.
 
         Raises
         ------
         RefusedError
-            If the name is no plain file name, the file is too large, there is no room for it, or it does not come.
+            If the name is not a plain file name, the file is too large, the disk is full, or the data stop coming.
         ClientDisconnect
-            If the page is gone before all of it was here.
+            If the page disconnects before the file is complete.
 
-        Whatever is raised, nothing of the file is left.
+        After an exception, nothing of the file is left.
         """
         checked_name(name)
         self._check_fits(name, int(request.headers.get("content-length", "0")), 0)
@@ -74,13 +74,13 @@ class Uploads:
                 shutil.rmtree(folder, ignore_errors=True)
             if not isinstance(cause, OSError):
                 raise
-            says = f"{name} cannot be kept ({cause.strerror}); make room where temporary files are, or set TMPDIR."
+            says = f"{name} cannot be stored ({cause.strerror}); free space for temporary files, or set TMPDIR."
             raise RefusedError(says, 507) from cause
         return folder / name
 
     def close(self) -> None:
-        """Remove all of them; harmless twice."""
-        if "folder" in self.__dict__:  # it was made
+        """Remove all files; a second call does nothing."""
+        if "folder" in self.__dict__:  # the folder exists
             shutil.rmtree(self.folder, ignore_errors=True)
 
     def _new_folder(self) -> Path:
@@ -97,7 +97,7 @@ class Uploads:
                     size += len(part)
                     self._bytes += len(part)
                     waiting += part
-                    if len(waiting) >= _MEBIBYTE:  # the wire of other pages does not wait for the disk
+                    if len(waiting) >= _MEBIBYTE:  # in a thread: other pages do not wait for the disk
                         await run_in_threadpool(file.write, bytes(waiting))
                         waiting.clear()
                 file.write(waiting)
@@ -106,35 +106,35 @@ class Uploads:
             raise
 
     def _check_fits(self, name: str, more: int, size: int) -> None:
-        """Raise a RefusedError if so many more bytes of a file of which some are here are too many."""
+        """Raise a RefusedError if `more` bytes are too many for a file that has `size` bytes already."""
         if size + more > self.limit_bytes:
             most = f"{self.limit_bytes / 1e6:.6g} MB"
             raise RefusedError(f"{name} is larger than {most}; type: becalm app {name}, or raise --upload-limit.", 413)
         if self._bytes + more > (over_all := _OVER_ALL * self.limit_bytes):
-            says = f"{name} does not fit: all that is dropped here may be {over_all / 1e6:.6g} MB together"
+            says = f"{name} does not fit: all dropped files together may have {over_all / 1e6:.6g} MB"
             raise RefusedError(f"{says}; end becalm and type: becalm app {name}, or raise --upload-limit.", 413)
 
 
 async def _soon(stream: AsyncIterator[bytes], name: str) -> bytes | None:
-    """Return the next part of a file, None at its end."""
+    """Return the next part of a file, or None at its end."""
     try:
         async with asyncio.timeout(PATIENCE_S):
             return await anext(stream, None)
     except TimeoutError as cause:
-        raise RefusedError(f"Nothing of {name} came for {PATIENCE_S:g} s; drop it once more.", 408) from cause
+        raise RefusedError(f"No data of {name} arrived for {PATIENCE_S:g} s; drop it again.", 408) from cause
 
 
 def checked_name(name: str) -> str:
-    """Return a plain file name as it came.
+    """Return a plain file name unchanged.
 
     Raises
     ------
     RefusedError
-        If it leads elsewhere, or is none.
+        If it leads to another folder, or is not a file name.
     """
     odd = any(unicodedata.category(letter) in ("Cc", "Cs") or letter in "/\\" for letter in name)
     drive = os.name == "nt" and ":" in name
     if odd or drive or name in ("", ".", "..") or len(name.encode("utf-8", "replace")) > _LONGEST_NAME:
         shown = ascii(name if len(name) <= 80 else f"{name[:80]}...")
-        raise RefusedError(f"{shown} is no file name; a name without folders is needed.", 400)
+        raise RefusedError(f"{shown} is not a file name; a name without folders is needed.", 400)
     return name

@@ -1,9 +1,9 @@
-// The axes of figures: their numbers, their room, their heights.
+// Configures the axes of figures: numbers, width and range.
 
 import { colour } from "./colours.js";
 import { decade, even, logarithmic } from "./numbers.js";
 
-const FINEST = 2 ** -46; // of a height: nearer, ticks of an axis would fall on one number
+const FINEST = 2 ** -46; // smallest range relative to the values: with less, the ticks would have equal numbers
 const FONT = "12px system-ui, sans-serif";
 
 /**
@@ -14,28 +14,28 @@ const FONT = "12px system-ui, sans-serif";
 export function axisOf(axis, more) {
   const lines = { stroke: colour("grid"), width: 1 };
   /** @type {uPlot.Axis} */
-  const told = axis.log
+  const numbers = axis.log
     ? { values: (u, splits) => splits.map(decade), splits: logarithmic, filter: (u, splits) => splits }
     : { values: (u, splits, i, space, step) => splits.map((value) => even(value, step)) };
-  return { label: axis.label, labelFont: FONT, labelSize: 18, font: FONT, stroke: colour("ink"), grid: lines, ticks: lines, ...told, ...more };
+  return { label: axis.label, labelFont: FONT, labelSize: 18, font: FONT, stroke: colour("ink"), grid: lines, ticks: lines, ...numbers, ...more };
 }
 
 /**
- * The room that numbers beside an axis take, and its label; never less than others have with which it lies in line.
- * @param {number} least
+ * Return how wide an axis must be for its numbers and its label.
+ * @param {number} least pixels, the width of the axes that it must align with
  * @returns {uPlot.Axis.Size}
  */
 export function roomFor(least) {
   return (u, values) => Math.max(least, 26 + 7.2 * Math.max(0, ...(values ?? []).map((value) => value.length)));
 }
 
-/** How much room an axis has taken, which uPlot keeps to itself. @param {uPlot} u @param {number} axis */
+/** Return the width of an axis, which is a private field of uPlot. @param {uPlot} u @param {number} axis */
 export function roomOf(u, axis) {
   return /** @type {{ _size: number }} */ (/** @type {unknown} */ (u.axes[axis]))._size;
 }
 
 /**
- * Keep the heights in sight however little they differ: what uPlot takes for rounding may be all there is.
+ * A y scale that shows even very small differences, which uPlot would treat as rounding errors.
  * @type {uPlot.Scale}
  */
 export const roomy = {

@@ -1,10 +1,10 @@
-// The colours of figures, as the reader's light or dark theme has them.
+// The colours of figures in the reader's light or dark theme.
 
 const OTHERS = 6;
 /** @type {Map<string, string>} */
 const palette = new Map();
 
-/** Read the colours again, as the reader's light or dark theme has them. */
+/** Read the colours of the current theme. */
 export function readColours() {
   const style = getComputedStyle(document.documentElement);
   const others = Array.from({ length: OTHERS }, (_, i) => `other-${i}`);
@@ -12,18 +12,18 @@ export function readColours() {
     palette.set(name, style.getPropertyValue(`--${name}`).trim());
 }
 
-/** Call when the theme has changed, with colours read anew. @param {() => void} redraw */
+/** Call a function after a change of the theme, with the new colours. @param {() => void} redraw */
 export function onTheme(redraw) {
-  for (const asked of ["(prefers-color-scheme: dark)", "print"])
-    matchMedia(asked).addEventListener("change", () => {
+  for (const query of ["(prefers-color-scheme: dark)", "print"])
+    matchMedia(query).addEventListener("change", () => {
       readColours();
       redraw();
     });
 }
 
-/** The colour of a role, in the theme of now. @param {string} role */
+/** Return the colour of a role in the current theme. @param {string} role */
 export const colour = (role) => () => palette.get(role) ?? "";
-/** The same, through which what is behind shows. @param {string} role */
+/** Return the same colour, translucent. @param {string} role */
 export const translucent = (role) => () => `${palette.get(role)}40`;
 /** @param {number} number */
 export const other = (number) => `other-${number % OTHERS}`;

@@ -1,4 +1,4 @@
-// Draws described figures with uPlot: those of a report, and those that an app is sent.
+// Draws figures from their descriptions with uPlot, for reports and for the app.
 
 import { axisOf, roomFor, roomOf, roomy } from "./axes.js";
 import { colour, other, translucent } from "./colours.js";
@@ -11,7 +11,7 @@ import { short } from "./numbers.js";
  * @property {Kind} kind
  * @property {string} name
  * @property {string} role
- * @property {number} [x] places of arrays, which a payload has once each
+ * @property {number} [x] index of an array in the payload, as are y, low, high, starts and ends
  * @property {number} [y]
  * @property {number} [low]
  * @property {number} [high]
@@ -29,7 +29,7 @@ import { short } from "./numbers.js";
  * @typedef {{ key: string, plots: Plot[] }} Group figures that are zoomed together
  */
 
-const LEFT = 72; // pixels beside what has time in common, so that it lies in line
+const LEFT = 72; // pixels, the width of the y axes of figures with a common time axis, so that they align
 /** @type {WeakSet<uPlot>} */
 const zoomed = new WeakSet();
 
@@ -39,7 +39,7 @@ export function bytesOf(base64) {
 }
 
 /**
- * Turn base64 into numbers; what is no number becomes null, where uPlot leaves a gap.
+ * Decode base64 into numbers; NaN becomes null, where uPlot leaves a gap.
  * @param {Held} held
  */
 export function decode(held) {
@@ -48,14 +48,14 @@ export function decode(held) {
   return Array.from(numbers, (value) => (Number.isFinite(value) ? value + (held.offset ?? 0) : null));
 }
 
-/** Give each layer its role's colour; "other" ones take turns. @param {Layer[]} layers */
+/** Return the colour name of each layer; layers with the role "other" get successive ones. @param {Layer[]} layers */
 function rolesOf(layers) {
   let others = 0;
   return layers.map((layer) => (layer.role === "other" ? other(others++) : layer.role));
 }
 
 /**
- * Lay out the layers as columns beside one x, and say which columns each layer has.
+ * Return the layers as columns with a common x, and for each column the layer that it belongs to.
  * @param {Figure} figure
  * @param {Arrays} arrays
  * @returns {{ data: uPlot.AlignedData, owners: number[] }}
@@ -69,14 +69,15 @@ function columnsOf(figure, arrays) {
     tables.set(layer.x, table);
     for (const y of layer.kind === "band" ? [layer.low, layer.high] : [layer.y]) table.push({ layer: i, y: Number(y) });
   });
-  const grouped = [...tables].map(([x, found]) => /** @type {uPlot.AlignedData} */ ([arrays[x], ...found.map(({ y }) => arrays[y])]));
+  const grouped = [...tables].map(([x, columns]) => /** @type {uPlot.AlignedData} */ ([arrays[x], ...columns.map(({ y }) => arrays[y])]));
   const owners = [...tables.values()].flat().map(({ layer }) => layer);
   const data = grouped.length > 1 ? uPlot.join(grouped) : grouped[0] ?? [[0, 1], [0, 0]];
   return { data, owners };
 }
 
 /**
- * Where a value has no neighbours, so that no line leads to it; what is undefined has its x from another layer.
+ * Return the indices of values without neighbours, which a line does not show. Undefined values are skipped: their x
+ * comes from another layer.
  * @param {uPlot} u
  * @param {number} i
  */
@@ -124,7 +125,7 @@ function bandsOf(figure, owners, roles) {
 }
 
 /**
- * Keep a scale to what is asked; what is not comes from the data, or from where the reader looks.
+ * Return a scale with the limits of an axis; missing limits come from the data, or from the reader's zoom.
  * @param {Axis} axis
  * @returns {uPlot.Scale}
  */
@@ -139,7 +140,7 @@ function scaleOf({ log, low, high }) {
 /** @param {Axis} axis */
 const heightsOf = (axis) => (axis.log || axis.low !== null || axis.high !== null ? scaleOf(axis) : roomy);
 
-/** Draw inside a plot's frame only. @param {uPlot} u @param {() => void} paint */
+/** Clip drawing to a plot's frame. @param {uPlot} u @param {() => void} paint */
 export function clipped(u, paint) {
   const { left, top, width, height } = u.bbox;
   u.ctx.save();
@@ -151,7 +152,7 @@ export function clipped(u, paint) {
 }
 
 /**
- * Draw what uPlot has no series for: lanes, rules, and the names of points.
+ * Draw the layers that uPlot has no series for: lanes, rules, and the names of points.
  * @param {Figure} figure
  * @param {Arrays} arrays
  * @param {string[]} roles
@@ -207,14 +208,14 @@ function label(u, text, x, y) {
 }
 
 /**
- * One button for what has a name, which hides it; beside it what stands under the cursor.
+ * Make a legend: a button for each name, which hides its layer and shows the value under the cursor.
  * @param {uPlot} u
  * @param {{ name: string, role: string, columns: number[] }[]} entries
  * @param {Element} place
- * @returns {() => void} to call when the cursor has moved
+ * @returns {() => void} call it after each move of the cursor
  */
 export function legend(u, entries, place) {
-  const told = entries.map(({ name, role, columns }) => {
+  const buttons = entries.map(({ name, role, columns }) => {
     const button = document.createElement("button");
     button.type = "button";
     button.setAttribute("aria-pressed", "true");
@@ -230,7 +231,7 @@ export function legend(u, entries, place) {
     return { columns, value };
   });
   return () => {
-    for (const { columns, value } of told) {
+    for (const { columns, value } of buttons) {
       const at = u.cursor.idx ?? null;
       const values = columns.map((column) => (at === null ? null : u.data[column]?.[at]));
       const known = values.filter((one) => one !== null && one !== undefined);
@@ -240,7 +241,7 @@ export function legend(u, entries, place) {
 }
 
 /**
- * Draw a figure into its place, which has a .canvas, a .legend and a .reset.
+ * Draw a figure into an element that contains a .canvas, a .legend and a .reset.
  * @param {Figure} figure
  * @param {Arrays} arrays
  * @param {HTMLElement} place

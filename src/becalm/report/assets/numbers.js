@@ -1,17 +1,17 @@
-// How numbers are told, and where the axes of figures have them.
+// Formats numbers, and places them on the axes of figures.
 
 /**
- * Write a number in five digits; very large and very small ones with a power of ten.
+ * Write a number with five digits; very large and very small ones with a power of ten.
  * @param {number} value
  */
 export function short(value) {
   const far = value !== 0 && (Math.abs(value) >= 1e12 || Math.abs(value) < 1e-3);
   if (far) return value.toExponential(4).replace(/\.?0*e\+?/, "e");
-  return String(Number(value.toPrecision(Math.abs(value) >= 1e4 ? 12 : 5))); // what is large may differ by little
+  return String(Number(value.toPrecision(Math.abs(value) >= 1e4 ? 12 : 5))); // large numbers may differ by little
 }
 
 /**
- * Write a power of ten, as logarithmic axes have them: large ones as such.
+ * Write a number of a logarithmic axis; large ones with a power of ten.
  * @param {number} value
  */
 export function decade(value) {
@@ -19,7 +19,7 @@ export function decade(value) {
 }
 
 /**
- * A number beside others that lie a step apart, with the digits that tell it from them.
+ * Write a number of an axis with enough digits to distinguish it from its neighbours, one step away.
  * @param {number} value
  * @param {number} step
  */
@@ -28,12 +28,12 @@ export function even(value, step) {
   if (Math.abs(value) < 1e-6 * step) return "0";
   const far = Math.abs(value) >= 1e15 || (Math.abs(value) < 1 && step < 1e-4);
   const digits = Math.max(0, power(Math.abs(value)) - power(step) + 1);
-  const told = far ? value.toExponential(digits) : value.toFixed(Math.max(0, Math.min(20, 1 - power(step))));
-  return told.replace(/(\.\d*?)0+(?=e|$)/, "$1").replace(/\.(?=e|$)/, "").replace("e+", "e");
+  const text = far ? value.toExponential(digits) : value.toFixed(Math.max(0, Math.min(20, 1 - power(step))));
+  return text.replace(/(\.\d*?)0+(?=e|$)/, "$1").replace(/\.(?=e|$)/, "").replace("e+", "e");
 }
 
 /**
- * Where a logarithmic axis has its numbers: at most seven powers of ten; of less than two decades more than these.
+ * Return the numbers of a logarithmic axis: at most seven powers of ten; for less than two decades, numbers between too.
  * @param {unknown} u
  * @param {number} axis
  * @param {number} low
@@ -47,14 +47,14 @@ export function logarithmic(u, axis, low, high) {
 }
 
 /**
- * Once, twice and five times the powers of ten; where these are too few, even steps.
+ * Return 1, 2 and 5 times the powers of ten between two limits; if these are too few, even steps.
  * @param {number} low
  * @param {number} high
  */
 function within(low, high) {
   const first = Math.floor(Math.log10(low));
-  const found = [0, 1, 2].flatMap((i) => [1, 2, 5].map((times) => times * 10 ** (first + i)));
-  const inside = found.filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
+  const candidates = [0, 1, 2].flatMap((i) => [1, 2, 5].map((times) => times * 10 ** (first + i)));
+  const inside = candidates.filter((value) => value >= low * (1 - 1e-9) && value <= high * (1 + 1e-9));
   if (inside.length > 1) return inside;
   const rough = (high - low) / 4;
   const power = 10 ** Math.floor(Math.log10(rough));

@@ -1,15 +1,15 @@
-// Draws the figures of a report; all that they need stands in the page.
+// Draws the figures of a report from the data in the page.
 
 import { onTheme, readColours } from "./colours.js";
 import { bytesOf, decode, draw } from "./figures.js";
 
-/** Unpack what is shown in print. @param {HTMLElement} place */
+/** Unpack the figures for print. @param {HTMLElement} place */
 async function unpack(place) {
   const stream = new Blob([bytesOf(place.dataset.svg ?? "")]).stream().pipeThrough(new DecompressionStream("gzip"));
   place.innerHTML = await new Response(stream).text();
 }
 
-/** Draw all figures, those together that are zoomed together. */
+/** Draw all figures; those with the same key form a group that zooms together. */
 function drawAll() {
   const { arrays: held, figures } = JSON.parse(document.getElementById("figures")?.textContent ?? "");
   const arrays = held.map(decode);
@@ -29,4 +29,4 @@ readColours();
 const plots = drawAll();
 onTheme(() => plots.forEach((u) => u.redraw(false, true)));
 document.querySelectorAll("[data-svg]").forEach((place) => unpack(/** @type {HTMLElement} */ (place)));
-Object.assign(window, { becalmPlots: plots }); // for whoever looks at the page by a script, as its tests do
+Object.assign(window, { becalmPlots: plots }); // for scripts that inspect the page, such as its tests

@@ -1,4 +1,4 @@
-// Finding and making elements of a page, and telling numbers with their units.
+// Finds and makes elements of a page, and formats numbers with their units.
 
 /**
  * Find an element by its id.
@@ -14,7 +14,7 @@ export function find(id, kind) {
 }
 
 /**
- * Make an element with attributes (those that are true stand without a value, false ones not at all) and children.
+ * Make an element with children and attributes. An attribute that is true gets no value; one that is false is left out.
  * @template {keyof HTMLElementTagNameMap} T
  * @param {T} tag
  * @param {Record<string, string | number | boolean>} [attributes]
@@ -29,20 +29,20 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** Write a text, unless it is there already: what is read aloud is read once. @param {HTMLElement} place @param {string} text */
+/** Write a text if it has changed, so that screen readers read it only once. @param {HTMLElement} place @param {string} text */
 export function write(place, text) {
   if (place.textContent !== text) place.textContent = text;
 }
 
-/** Say something in an element, which is hidden while there is nothing to say. @param {HTMLElement} place @param {string} text */
+/** Write a text into an element, and hide the element while the text is empty. @param {HTMLElement} place @param {string} text */
 export function say(place, text) {
   write(place, text);
   place.hidden = !text;
 }
 
-/** Terms with what is told of them, for a dl. @param {HTMLElement} list @param {[string, string][]} told */
-export function tell(list, told) {
-  list.replaceChildren(...told.map(([term, value]) => make("div", {}, make("dt", {}, term), make("dd", {}, value))));
+/** Fill a dl with terms and their values. @param {HTMLElement} list @param {[string, string][]} entries */
+export function tell(list, entries) {
+  list.replaceChildren(...entries.map(([term, value]) => make("div", {}, make("dt", {}, term), make("dd", {}, value))));
 }
 
 /** @type {Record<string, [number, string][]>} */
@@ -53,7 +53,7 @@ const PREFIXES = {
 };
 
 /**
- * Three digits and a unit; a dash where there is nothing.
+ * Write a number with three digits and a unit; a dash if there is none.
  * @param {number | null | undefined} value
  * @param {string} unit
  */

@@ -1,4 +1,4 @@
-// Binary frames: the length of a JSON header, the header, and arrays behind it.
+// Decodes binary frames: the length of a JSON header, the header, and the arrays after it.
 
 /** @typedef {{ type: "f4" | "f8" | "u2", at: number, count: number, offset?: number | null }} Place */
 /** @typedef {Float32Array | Float64Array | Uint16Array} Values */
@@ -7,7 +7,7 @@
 const KINDS = { f4: Float32Array, f8: Float64Array, u2: Uint16Array };
 
 /**
- * Lay arrays over a frame; only what has an offset is copied.
+ * Read the arrays of a frame in place; only those with an offset are copied.
  * @param {ArrayBuffer} buffer
  * @returns {Frame}
  */
@@ -26,7 +26,7 @@ function laid(buffer, begin, { type, at, count, offset }) {
   return offset ? Float64Array.from(values, (value) => value + offset) : values;
 }
 
-/** As uPlot wants values: null where there is none. @param {Values} values @returns {(number | null)[]} */
+/** Replace numbers that are not finite by null, as uPlot needs it. @param {Values} values @returns {(number | null)[]} */
 export function gapped(values) {
   return Array.from(values, (value) => (Number.isFinite(value) ? value : null));
 }

@@ -1,10 +1,10 @@
-// The wire to becalm: JSON goes up, JSON and frames come down; what breaks is tied again.
+// The WebSocket to becalm: sends JSON, receives JSON and binary frames, and reconnects after a failure.
 
 import { decode } from "./frames.js";
 
 /**
- * @typedef {{ up: boolean, again_s: number, reason: string, hint: string }} Link whether the wire holds; else when it is
- * tried again, why it was refused, if it was, and what may help where it was tried often
+ * @typedef {{ up: boolean, again_s: number, reason: string, hint: string }} Link whether the connection is open; if not,
+ * the time to the next attempt, the reason for a refusal, and advice after several attempts
  * @typedef {object} Ears
  * @property {(message: any) => void} text
  * @property {(frame: import("./frames.js").Frame) => void} frame
@@ -14,12 +14,12 @@ import { decode } from "./frames.js";
 const FIRST_S = 0.5;
 const LONGEST_S = 8;
 const OFTEN = 4;
-const HINT = " If it was started anew, open the address that it printed."; // where another token is
+const HINT = " If becalm was restarted, open the address that it printed."; // a new address has a new token
 
 /**
- * Tie the wire of this page, and keep it tied.
+ * Connect this page to becalm, and reconnect after failures.
  * @param {Ears} ears
- * @returns {(message: object) => number | null} sends a message and returns its number; null while nobody hears
+ * @returns {(message: object) => number | null} sends a message and returns its number; null without a connection
  */
 export function connect(ears) {
   /** @type {WebSocket} */
@@ -34,7 +34,7 @@ export function connect(ears) {
       ears.link({ up: true, again_s: 0, reason: "", hint: "" });
     });
     socket.addEventListener("message", ({ data }) => {
-      tries = 0; // a door that is shut at once is not open
+      tries = 0; // only a message shows that the connection works
       if (typeof data === "string") ears.text(JSON.parse(data));
       else ears.frame(decode(data));
     });

@@ -1,1 +1,1 @@
-"""The live page: what it shows of a stream, and how it is told."""
+"""The live page, which shows a stream while it runs."""

@@ -1,7 +1,8 @@
-"""Bins of a stream: least and greatest of so many rows, at several levels, aligned to absolute row numbers.
+"""Bins of a stream: the minimum and maximum over a number of rows, at several levels of resolution.
 
-Bin b of level l holds rows b * rows_each[l] ... (b + 1) * rows_each[l] - 1, however the rows came in blocks. One thread
-pushes rows, others read, and nobody waits: a reader copies, and then looks whether the writer has overtaken it.
+Bin b of level l covers rows b * rows_each[l] to (b + 1) * rows_each[l] - 1, independent of the blocks that the rows
+arrive in. One thread writes rows and others read, without locks: a reader copies bins, and then drops those that the
+writer has overwritten meanwhile.
 """
 
 from __future__ import annotations
@@ -17,35 +18,35 @@ from becalm.live.block import Output
 
 LEVELS = 5
 COARSER = 8
-"""How many bins of a level make one of the next."""
+"""Number of bins of a level that form one bin of the next."""
 
-_BINS_PER_S = 150.0  # of level 0: about 1500 in the ten seconds that a page shows
+_BINS_PER_S = 150.0  # at level 0: about 1500 in the ten seconds that a page shows
 _MOST_KEPT, _LEAST_KEPT = 1 << 13, 1 << 11  # bins of a level: 55 s, 7 min, 58 min, 8 h, 2.6 days
-_MEMORY = 64 << 20  # bytes that all levels may take, where the fewest bins take no more
-_AT_ONCE = 1 << 8  # bins of level 0 that are written in one go
-_LARGEST = 1e30  # magnitude that a page can draw; what is beyond is no reading of a sensor
+_MEMORY = 64 << 20  # memory limit of all levels in bytes, unless the fewest bins need more
+_AT_ONCE = 1 << 8  # bins of level 0 that are written at once
+_LARGEST = 1e30  # largest magnitude that a page can draw; a sensor does not give more
 _BITS = np.array([0 if verdict is Verdict.USED else 1 << verdict for verdict in Verdict], np.uint16)
 
 Bits = np.ndarray[Any, np.dtype[np.uint16]]
 
 
 class Span(NamedTuple):
-    """Some consecutive bins of a level; what no reading or no filter told is NaN."""
+    """Some consecutive bins of a level; values that are not known are NaN."""
 
     first: int
-    """The number of the first bin."""
+    """Number of the first bin."""
 
     time_s: Floats
-    """(n,) stamps of the first row of each."""
+    """(n,) stamp of the first row of each bin."""
 
     low: Floats
-    """(n, 2m) the least raw readings of the channels, then the least clean values."""
+    """(n, 2m) minima of the m channels' raw readings, then minima of their clean values."""
 
     high: Floats
-    """(n, 3m + K) the greatest of these, the greatest sigma, and of each mode the greatest probability."""
+    """(n, 3m + K) maxima of both, then the maximum of sigma, then of the probability of each mode."""
 
     verdicts: Bits
-    """(n, m) bit 1 << v where the verdict v came up; none for USED."""
+    """(n, m) bit 1 << v if the verdict v occurs; no bit for USED."""
 
     def __len__(self) -> int:
         """Return the number of bins."""
@@ -58,18 +59,18 @@ class Span(NamedTuple):
 
 
 class Bins:
-    """The bins of a stream, as many of each level as memory is for.
+    """The newest bins of a stream at each level, within a memory limit.
 
-    A bin takes 42 bytes a channel: six channels take 10 MB, and no number of channels up to 150 more than 64 MB.
+    A bin takes 42 bytes for each channel: six channels take 10 MB, and up to 150 channels at most 64 MB.
 
     Parameters
     ----------
     channels : int
-        m.
+        Number of channels, m.
     rate_hz : float
-        Rows a second, nominal.
+        Nominal rows per second.
     modes : int
-        K: modes of all channels that switch.
+        Number of modes of all channels with several modes together, K.
     """
 
     def __init__(self, channels: int, rate_hz: float, modes: int = 0) -> None:
@@ -78,18 +79,18 @@ class Bins:
         self.rows_each = tuple(finest * COARSER**level for level in range(LEVELS))
         each = LEVELS * (channels * (5 * 8 + 2) + modes * 8 + 8)
         self.kept = max(_LEAST_KEPT, min(_MOST_KEPT, _MEMORY // each))
-        """Bins of each level that can be read; those before have left."""
+        """Number of bins of each level that are kept for reading."""
         self._rings = [_Ring(self.kept, channels, modes) for _ in self.rows_each]
-        self._open: Span | None = None  # the bin whose last rows did not come yet
+        self._open: Span | None = None  # the bin whose last rows are still missing
 
     def push(self, output: Output) -> None:
-        """Take the rows after those before; a stream that goes on may begin with any."""
+        """Add the next rows; a resumed stream may begin with any row."""
         rows = self.rows_each[0] * _AT_ONCE
         for begin in range(0, len(output), rows):
             self._push(output, slice(begin, begin + rows))
 
     def finish(self) -> None:
-        """Close the last bins, though rows are missing: no more will come."""
+        """Close the last, incomplete bins at the end of the stream."""
         if self._open is not None:
             self._rings[0].write(self._open)
             self._open = None
@@ -106,7 +107,7 @@ class Bins:
         return max(ring.began, ring.closed - self.kept)
 
     def read(self, level: int, first: int, stop: int) -> Span:
-        """Return the closed bins from `first` to before `stop`; those that have left, or never came, are left out."""
+        """Return the closed bins from `first` to before `stop`, without those that are no longer or not yet there."""
         ring = self._rings[level]
         stop = min(stop, ring.closed)
         first = min(max(first, self.oldest(level)), stop)
@@ -131,20 +132,20 @@ class Bins:
                 break
 
     def _columns(self, output: Output, some: slice) -> Floats:
-        """Return raw, clean, sigma and probabilities side by side, without what cannot be drawn."""
+        """Return the columns raw, clean, sigma and probabilities; values that cannot be drawn become NaN."""
         fields = [output.values[some], output.signal[some], output.sigma[some]]
         if self._modes:
-            known = output.modes.shape == (len(output), self._modes)
-            fields.append(output.modes[some] if known else np.full((len(fields[0]), self._modes), np.nan))
+            has_modes = output.modes.shape == (len(output), self._modes)
+            fields.append(output.modes[some] if has_modes else np.full((len(fields[0]), self._modes), np.nan))
         columns = np.concatenate(fields, axis=1)
-        columns += 0.0  # no -0: which of the two zeros is the least is told by their order
+        columns += 0.0  # turns -0 into 0: the minimum of the two zeros would depend on their order
         small = np.abs(columns) <= _LARGEST
         if not small.all():
             columns[~small] = np.nan
         return columns
 
     def _coarsen(self, lower: _Ring, upper: _Ring, closed: int) -> bool:
-        """Close the bins of a level up to number `closed`; say whether there was any."""
+        """Close the bins of a level up to number `closed`; return whether there were any."""
         first = upper.closed * COARSER if upper.closed else lower.began
         if closed * COARSER <= first:
             return False
@@ -153,17 +154,17 @@ class Bins:
 
 
 class _Ring:
-    """The last bins of one level."""
+    """A ring buffer of the newest bins of one level."""
 
     def __init__(self, kept: int, channels: int, modes: int) -> None:
         self._kept = kept
         self._time_s, self._verdicts = np.zeros(kept), np.zeros((kept, channels), np.uint16)
         self._low, self._high = np.zeros((kept, 2 * channels)), np.zeros((kept, 3 * channels + modes))
-        self.began = 0  # the first bin of all
-        self.closed = self.reached = 0  # bins before it are whole; up to here they are being written
+        self.began = 0  # number of the first bin of the stream
+        self.closed = self.reached = 0  # end of the complete bins; end of those that are being written
 
     def write(self, span: Span) -> None:
-        """Take the bins after those before."""
+        """Append bins."""
         if not len(span):
             return
         if self.closed == self.began:
@@ -181,7 +182,7 @@ class _Ring:
 
 
 def _gathered(span: Span, each: int) -> Span:
-    """Return bins of so many rows (or bins) each; those at the ends may hold fewer."""
+    """Return bins of `each` rows (or smaller bins); those at the ends may have fewer."""
     first, stop = span.first // each, span.first + len(span)
     starts = np.arange(first * each, stop, each) - span.first
     starts[0] = 0
@@ -195,7 +196,7 @@ def _gathered(span: Span, each: int) -> Span:
 
 
 def _begun_by(begun: Span, span: Span) -> Span:
-    """Return bins of which the first had rows already."""
+    """Merge a bin that was begun before into the first of some bins."""
     span.time_s[0] = begun.time_s[0]
     span.low[0] = np.fmin(begun.low[0], span.low[0])
     span.high[0] = np.fmax(begun.high[0], span.high[0])

@@ -1,4 +1,4 @@
-"""The sink of a live page: gathers rows in bins at once, waits for nobody and fails nobody."""
+"""A sink for the live page: it puts rows into bins, does not wait for viewers, and never fails the stream."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from becalm.web.livepage.bins import Bins
 
 
 class Shown(NamedTuple):
-    """A stream as a page shows it."""
+    """The data of a stream that a page shows."""
 
     head: Head
     bins: Bins
     modes: dict[int, tuple[str, ...]]
-    """Names of the modes of channels that switch; their probabilities come one channel after the other."""
+    """Names of the modes, for the number of each channel with several; probabilities are ordered by channel."""
 
 
 class Feed:
-    """Takes what is told of a stream, for pages to read from another thread.
+    """A sink that collects the output of a stream, for pages to read from another thread.
 
     Parameters
     ----------
     say : callable
-        Is given a sentence where a page can be shown no more; the stream goes on.
+        Prints a sentence if the page stops because of an error; the stream goes on.
 
     Attributes
     ----------
     shown : Shown or None
-        Once the stream has begun.
+        Data of the stream; None before it has begun.
     ended : bool
-        Whether no more rows will come.
+        Whether the stream has ended.
     """
 
     def __init__(self, say: Callable[[str], object]) -> None:
@@ -42,7 +42,7 @@ class Feed:
         self.ended = False
 
     def open(self, head: Head) -> None:
-        """Begin with the first rows of a stream."""
+        """Start with the head of a stream."""
         channels = Recipe.from_toml(head.recipe).channel
         modes = {
             number: tuple(mode.name for mode in channel.switching.mode)
@@ -52,20 +52,20 @@ class Feed:
         self.shown = Shown(head, Bins(len(head.names), head.rate_hz, sum(map(len, modes.values()))), modes)
 
     def write(self, output: Output) -> None:
-        """Take some rows; this takes some ten microseconds, however many pages look on, and never fails."""
+        """Add some rows; this takes about ten microseconds, independent of the number of pages, and never fails."""
         if self.shown is None or self._failed:
             return
         try:
             self.shown.bins.push(output)
-        except Exception as cause:  # a stream of weeks shall not end by what is there to look at
+        except Exception as cause:  # an error of the page must not end a stream
             self._failed = True
-            self._say(f"The live page shows nothing more ({type(cause).__name__}: {cause}); the stream goes on.")
+            self._say(f"The live page stopped ({type(cause).__name__}: {cause}); the stream goes on.")
 
     def flush(self) -> None:
-        """Return: nobody need have seen what was written."""
+        """Do nothing: viewers need not have seen the rows."""
 
     def close(self) -> None:
-        """Close the last bins; harmless twice."""
+        """Close the last bins; a second call does nothing."""
         if self.shown is not None and not self.ended:
             self.shown.bins.finish()
         self.ended = True

@@ -1,4 +1,4 @@
-"""What a live page may ask: every word checked, and nothing else heard."""
+"""Define and check the messages that a live page may send."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from becalm.web.incoming_messages import Number, Numbered
 from becalm.web.livepage.bins import LEVELS
 
 MOST_BINS = 1 << 12
-"""Of one answer."""
+"""Maximum number of bins in one answer."""
 
 Level = Annotated[int, Field(ge=0, lt=LEVELS)]
 
 
 class From(Numbered):
-    """Send bins of a level from one on, as they close; null begins with those that close next."""
+    """Send the bins of a level from a number on, as they close; null starts with the next bin to close."""
 
     do: Literal["from"]
     level: Level
@@ -26,7 +26,7 @@ class From(Numbered):
 
 
 class Past(Numbered):
-    """Send some bins that are closed already."""
+    """Send some closed bins."""
 
     do: Literal["past"]
     level: Level
@@ -35,7 +35,7 @@ class Past(Numbered):
 
 
 class TuneRequest(Numbered):
-    """Take another tuning for a channel; what is left out stays."""
+    """Change the tuning of a channel; values that are left out stay."""
 
     do: Literal["turn"]
     channel: Annotated[int, Field(ge=0, le=1 << 20)]
@@ -44,7 +44,7 @@ class TuneRequest(Numbered):
 
 
 class UndoRequest(Numbered):
-    """Take the last turn back, whoever made it."""
+    """Undo the last change, whichever viewer made it."""
 
     do: Literal["undo"]
 
@@ -55,5 +55,5 @@ _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator=
 
 
 def understood(said: Mapping[str, Any]) -> Message:
-    """Check what a page said, as `incoming_messages.understood` does."""
+    """Check a message of a live page; see `incoming_messages.understood`."""
     return incoming_messages.understood(_ANY, said)

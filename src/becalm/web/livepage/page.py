@@ -1,4 +1,4 @@
-"""The live page: what all who look on share, kept up by one clock in the server's thread."""
+"""The live page: the state that all viewers share, updated by a timer in the server's thread."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
     from starlette.routing import BaseRoute
 
 _HEALTH_S, _LOOK_S = 1.0, 0.1
-_GOODBYE_S = 2.0  # for the last bins to be told when a stream ends
+_GOODBYE_S = 2.0  # time to send the last bins when a stream ends
 
 _log = logging.getLogger(__name__)
 
 
 class News(NamedTuple):
-    """What everyone is told when it changes."""
+    """A message that every viewer gets when its number changes."""
 
     number: int
     told: str
 
 
 class LivePage:
-    """Shows a stream to all who look on.
+    """The live page of a stream, for all its viewers.
 
     Parameters
     ----------
     feed : Feed
-        The sink that rows come by.
+        Sink that collects the rows.
     meter : Meter
-        Counts of the stream.
+        Counters of the stream.
     retune : callable
-        Asks for another recipe, as `Runner.retune`.
+        Requests another recipe, as `Runner.retune` does.
     """
 
     def __init__(self, feed: Feed, meter: Meter, retune: Retune) -> None:
@@ -60,42 +60,42 @@ class LivePage:
         self._closing, self._look_again_s = False, 0.0
         self._meter, self._scrub = meter, Scrubber()
         self._run = secrets.token_hex(8)
-        self._recipe: tuple[str, bool] | None = None  # that `tuning` tells
+        self._recipe: tuple[str, bool] | None = None  # described by `tuning`
         self._viewers = 0
         self._clocks: list[asyncio.Task[None]] = []
 
     @property
     def routes(self) -> list[BaseRoute]:
-        """What the page answers beside its wire."""
+        """Return the routes of the page other than its WebSocket."""
         from starlette.routing import Route
 
         return [Route("/save/recipe", self._save)]
 
     @asynccontextmanager
     async def looked_at(self) -> AsyncIterator[None]:
-        """Keep up what is shown while somebody looks on."""
+        """Count a viewer; the shared state is updated while there is at least one."""
         self._viewers += 1
         try:
             if not self._clocks:
                 self._look()
-                self._clocks = [asyncio.create_task(_again_and_again(each)) for each in (self._keep_up, self._describe)]
+                self._clocks = [asyncio.create_task(_repeat(each)) for each in (self._update, self._describe)]
             yield
         finally:
             self._viewers -= 1
-            if not self._viewers:  # nobody looks on: nothing need be kept up
+            if not self._viewers:
                 for clock in self._clocks:
                     clock.cancel()
                 self._clocks = []
 
     def close(self) -> None:
-        """Say the last to all who look on, and let them go; a page that does not listen is not waited for long."""
+        """Send all viewers the last messages and disconnect them, for at most two seconds."""
         self._closing = True
         until = time.monotonic() + _GOODBYE_S
         while self._viewers and time.monotonic() < until:
             time.sleep(0.01)
 
     def welcome(self) -> str | None:
-        """Say what a page shows; None before the stream has begun."""
+        """Return the first message to a page, which describes the stream; None before the stream has begun."""
         shown = self.feed.shown
         if shown is None:
             return None
@@ -118,8 +118,8 @@ class LivePage:
             }
         )
 
-    async def _keep_up(self) -> None:
-        """Look every second how the stream fares, and once more when it has ended."""
+    async def _update(self) -> None:
+        """Update the status of the stream every second, and once more when it has ended."""
         if self._closing or time.monotonic() >= self._look_again_s:
             self.ending = self._closing
             self._look()
@@ -130,23 +130,23 @@ class LivePage:
         self.health = News(self.health.number + 1, text({"kind": "health", **status}))
 
     async def _describe(self) -> None:
-        """Say what the filters are, once they are others: beside all else, for it takes up to some seconds."""
+        """Describe the filters after a change, in a thread, because it may take some seconds."""
         shown, now = self.feed.shown, (self._meter.recipe, self.desk.can_undo)
         if shown is None or not self._meter.recipe or self._recipe == now:
             return
         recipe, can_undo = now
-        found = {}
+        description = {}
         try:
-            found = await asyncio.to_thread(facts, recipe, 1 / shown.head.rate_hz)
-        except BecalmError:  # a recipe that runs, of which nothing can be said
+            description = await asyncio.to_thread(facts, recipe, 1 / shown.head.rate_hz)
+        except BecalmError:  # the recipe runs, but cannot be described
             pass
         except Exception:
-            _log.exception("What the filters of a live page are could not be said.")
-        if self._meter.recipe != recipe:  # it was turned on meanwhile; what it is now is told next
+            _log.exception("The filters of a live page could not be described.")
+        if self._meter.recipe != recipe:  # changed meanwhile; the next call describes the new one
             return
         self._recipe = now
-        told = text({"kind": "tuned", "recipe": recipe, "can_undo": can_undo, **found})
-        self.tuning = News(self.tuning.number + 1, told)
+        message = text({"kind": "tuned", "recipe": recipe, "can_undo": can_undo, **description})
+        self.tuning = News(self.tuning.number + 1, message)
 
     async def _save(self, request: Request) -> Response:
         from starlette.responses import Response
@@ -158,11 +158,11 @@ class LivePage:
         return Response(self._meter.recipe, media_type="application/toml", headers=as_file("live.recipe.toml"))
 
 
-async def _again_and_again(do: Callable[[], Awaitable[None]]) -> None:
-    """Do something for ever; where it fails whoever runs becalm is told, and the page goes on."""
+async def _repeat(do: Callable[[], Awaitable[None]]) -> None:
+    """Call a function again and again; an exception is logged, and the page goes on."""
     while True:
         await asyncio.sleep(_LOOK_S)
         try:
             await do()
         except Exception:
-            _log.exception("What the live page tells could not be kept up.")
+            _log.exception("The live page could not be updated.")

@@ -1,4 +1,4 @@
-"""Bins as frames: float32 beside an offset of each channel, and encoded once for all who look on."""
+"""Encode bins as frames, once for all viewers: values are float32 relative to an offset for each channel."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ from becalm.core.arrays import Floats
 from becalm.web.frames import Values, frame
 from becalm.web.livepage.bins import Bins, Span
 
-_HELD = 16  # frames: those who look on ask for the same ones at the same time
+_CACHED = 16  # frames: viewers request the same ones at about the same time
 
 
 class LivePictures:
-    """Frames of a stream's bins.
+    """The frames of a stream's bins.
 
     Parameters
     ----------
     bins : Bins
-        Where they come from.
+        Bins of the stream.
     channels : int
-        m.
+        Number of channels, m.
     """
 
     def __init__(self, bins: Bins, channels: int) -> None:
         self._bins, self._channels = bins, channels
-        self._held: OrderedDict[tuple[int, int, int], tuple[int, bytes]] = OrderedDict()
+        self._cache: OrderedDict[tuple[int, int, int], tuple[int, bytes]] = OrderedDict()
 
     def following(self, level: int, first: int, most: int) -> tuple[int, bytes] | None:
-        """Return the bins from `first` on and the number of the bin after them; None where none has closed.
+        """Return the number of the next bin, and a frame with up to `most` bins from `first` on; None if none closed.
 
-        Bins that have left are told as "gap": how many are missing before the first.
+        The header's "gap" counts the bins that were dropped before the first one of the frame.
         """
         stop = min(self._bins.newest(level), max(first, self._bins.oldest(level)) + most)
         if stop <= first:
             return None
         key = (level, first, stop)
-        if key not in self._held:
+        if key not in self._cache:
             span = self._bins.read(level, first, stop)
-            told = self._frame(level, span, {"gap": span.first - first})
-            self._held[key] = span.first + len(span), told  # not the span: it is several times as large
-            while len(self._held) > _HELD:
-                self._held.popitem(last=False)
-        return self._held[key]
+            encoded = self._frame(level, span, {"gap": span.first - first})
+            self._cache[key] = span.first + len(span), encoded  # without the span, which is several times as large
+            while len(self._cache) > _CACHED:
+                self._cache.popitem(last=False)
+        return self._cache[key]
 
     def past(self, level: int, first: int, count: int, answers: int) -> bytes:
-        """Return some bins that are closed, as far as they are held still."""
+        """Return a frame with some closed bins, as far as they are still kept."""
         return self._frame(level, self._bins.read(level, first, first + count), {"answers": answers})
 
     def _frame(self, level: int, span: Span, more: dict[str, Any]) -> bytes:
@@ -79,11 +79,11 @@ class LivePictures:
 
 
 def _middles(low: Floats, high: Floats) -> Floats:
-    """Return the middle of each channel's range, (m,): what lies far from zero keeps its digits beside it."""
+    """Return the middle of each channel's range, (m,); relative to it, float32 keeps enough digits."""
     least = np.fmin.reduce(low, axis=(0, 1), initial=np.inf)
     most = np.fmax.reduce(high, axis=(0, 1), initial=-np.inf)
-    known = least <= most
-    return np.where(known, np.where(known, least, 0.0) / 2 + np.where(known, most, 0.0) / 2, 0.0)
+    has_values = least <= most
+    return np.where(has_values, np.where(has_values, least, 0.0) / 2 + np.where(has_values, most, 0.0) / 2, 0.0)
 
 
 def _near(values: Floats, offset: Floats) -> np.ndarray[Any, np.dtype[np.float32]]:

@@ -1,4 +1,4 @@
-"""The session of one viewer: it sends bins as they close, at the pace of the screen, and answers requests."""
+"""The session of one viewer: it sends bins as they close, 30 times a second, and answers requests."""
 
 from __future__ import annotations
 
@@ -18,57 +18,57 @@ if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
 UPDATES_PER_S = 30
-_MOST_ANSWERS = 16  # that wait, or are waited for, before no more is heard
-_MOST_HEARD = 8  # between two updates: a hand says less, and others look on too
-_NORMAL = 1000  # how a WebSocket is told that all was said
+_MOST_ANSWERS = 16  # unsent or unfinished answers, above which no more messages are read
+_MOST_HEARD = 8  # messages between two updates; a person causes fewer, and other viewers need time too
+_NORMAL = 1000  # close code of a WebSocket
 
 
 class Viewer:
-    """The conversation with one page, which has a cursor of its own.
+    """The session of one viewer, which has a read position of its own.
 
     Parameters
     ----------
     page : LivePage
-        What it looks at.
+        Page that the viewer looks at.
     websocket : WebSocket
-        Accepted already.
+        Connection, accepted already.
     """
 
     def __init__(self, page: LivePage, websocket: WebSocket) -> None:
         self._page, self._websocket = page, websocket
         self._answers: deque[Callable[[], str | bytes]] = deque()
-        self._tunings = 0  # that filters have not taken yet
-        self._heard = 0  # since the last update
+        self._tunings = 0  # requested changes without an answer
+        self._received = 0  # messages since the last update
         self._level = 0
-        self._next: int | None = None  # bin to send; None until the page says which
+        self._next: int | None = None  # next bin to send; None until the page has chosen one
         self._welcomed = False
-        self._told_tuning = self._told_health = -1
+        self._sent_tuning = self._sent_health = -1  # numbers of the last messages of their kind
 
     async def converse(self) -> None:
-        """Speak until the page hangs up, or the stream has ended and all of it is told."""
-        tasks = [asyncio.create_task(each) for each in (self._hear_all(), self._tell_all())]
+        """Exchange messages until the page disconnects, or the stream has ended and all of it is sent."""
+        tasks = [asyncio.create_task(each) for each in (self._receive_all(), self._send_all())]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        finally:  # also where this one is cancelled, for the page may see no more
+        finally:  # also after a cancellation, when the page may not see any more data
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
         for task in done:
             task.result()
 
-    async def _hear_all(self) -> None:
+    async def _receive_all(self) -> None:
         while True:
             frame = await self._websocket.receive()
             if frame["type"] == "websocket.disconnect":
                 return
-            self._heard += 1
-            while self._heard > _MOST_HEARD or len(self._answers) + self._tunings >= _MOST_ANSWERS:
+            self._received += 1
+            while self._received > _MOST_HEARD or len(self._answers) + self._tunings >= _MOST_ANSWERS:
                 await asyncio.sleep(1 / UPDATES_PER_S)
             number = None
             try:
-                said = heard(frame)
-                number = number_of(said)
-                self._do(understood(said))
+                content = heard(frame)
+                number = number_of(content)
+                self._do(understood(content))
             except BecalmError as cause:
                 self._trouble(str(cause), number)
 
@@ -85,16 +85,16 @@ class Viewer:
     def _tune(self, message: Message) -> None:
         loop, number = asyncio.get_running_loop(), message.number
 
-        def told(why: str | None) -> None:  # by the thread that filters
+        def settled(why: str | None) -> None:  # called by the filtering thread
             try:
                 loop.call_soon_threadsafe(self._tuned, why, number)
-            except RuntimeError:  # the server has ended meanwhile
+            except RuntimeError:  # the server has ended
                 return
 
         if isinstance(message, TuneRequest):
-            self._page.desk.turn(message.channel, message.process_noise_density, message.noise_std, told)
+            self._page.desk.turn(message.channel, message.process_noise_density, message.noise_std, settled)
         else:
-            self._page.desk.undo(told)
+            self._page.desk.undo(settled)
         self._tunings += 1
 
     def _tuned(self, why: str | None, number: int) -> None:
@@ -106,8 +106,8 @@ class Viewer:
             self._answers.append(lambda: text({"kind": kind, "answers": number}))
 
     def _trouble(self, says: str, answers: int | None) -> None:
-        said = text({"kind": "trouble", "says": says, "answers": answers})
-        self._answers.append(lambda: said)
+        message = text({"kind": "trouble", "says": says, "answers": answers})
+        self._answers.append(lambda: message)
 
     def _past(self, message: Past) -> str | bytes:
         pictures = self._page.pictures
@@ -115,49 +115,49 @@ class Viewer:
             return text({"kind": "trouble", "says": NOT_BEGUN, "answers": message.number})
         return pictures.past(message.level, message.first, message.count, message.number)
 
-    async def _tell_all(self) -> None:
-        """Say what is new, 30 times a second of absolute time; what is said slowly is said less often, and whole."""
+    async def _send_all(self) -> None:
+        """Send updates 30 times a second by the clock; over a slow connection less often, but without losses."""
         loop = asyncio.get_running_loop()
         while True:
-            self._heard = 0
-            ending = self._page.ending  # before what is new: it is the last then
-            for each in self._news():
-                await self._say(each)
+            self._received = 0
+            ending = self._page.ending  # read first: then the following updates are the last ones
+            for each in self._updates():
+                await self._send(each)
             if ending:
                 await self._websocket.close(_NORMAL, "The stream has ended.")
                 return
             await asyncio.sleep((loop.time() * UPDATES_PER_S // 1 + 1) / UPDATES_PER_S - loop.time())
 
-    async def _say(self, said: str | bytes) -> None:
-        if isinstance(said, bytes):
-            await self._websocket.send_bytes(said)
+    async def _send(self, message: str | bytes) -> None:
+        if isinstance(message, bytes):
+            await self._websocket.send_bytes(message)
         else:
-            await self._websocket.send_text(said)
+            await self._websocket.send_text(message)
 
-    def _news(self) -> list[str | bytes]:
-        """Return what this page has not heard."""
-        page, news = self._page, list[str | bytes]()
+    def _updates(self) -> list[str | bytes]:
+        """Return the messages that this page does not have yet."""
+        page, updates = self._page, list[str | bytes]()
         if not self._welcomed and (welcome := page.welcome()) is not None:
             self._welcomed = True
-            news.append(welcome)
-        if self._welcomed and page.tuning.number != self._told_tuning:
-            self._told_tuning = page.tuning.number
-            news.append(page.tuning.told)
-        if page.health.number != self._told_health:
-            self._told_health = page.health.number
-            news.append(page.health.told)
+            updates.append(welcome)
+        if self._welcomed and page.tuning.number != self._sent_tuning:
+            self._sent_tuning = page.tuning.number
+            updates.append(page.tuning.told)
+        if page.health.number != self._sent_health:
+            self._sent_health = page.health.number
+            updates.append(page.health.told)
         while self._answers:
-            news.append(self._answers.popleft()())
+            updates.append(self._answers.popleft()())
         if self._next is not None and page.pictures is not None:
-            found = page.pictures.following(self._level, self._next, MOST_BINS)
-            if found is not None:
-                self._next, picture = found
-                news.append(picture)
-        return news
+            following = page.pictures.following(self._level, self._next, MOST_BINS)
+            if following is not None:
+                self._next, picture = following
+                updates.append(picture)
+        return updates
 
 
 async def converse(page: LivePage, websocket: WebSocket) -> None:
-    """Speak with one who looks on until it hangs up."""
+    """Serve one viewer until it disconnects."""
     await websocket.accept()
     async with page.looked_at():
         await Viewer(page, websocket).converse()

@@ -1,4 +1,4 @@
-"""The tuner: a recording and its filter on a page, with a dial between quick and calm."""
+"""The tuner: a page that shows a recording and its filter, with a dial between a fast and a smooth output."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ class Tuner:
     Parameters
     ----------
     folder : Path
-        Whose files may be opened.
+        Folder whose files may be opened.
     file : Path or None
-        What is opened first, wherever it is.
+        File to open first, in any folder.
     upload_limit : int
-        Bytes of a file that a page may bring.
+        Size limit of a file that a page uploads, in bytes.
     options : ReadOptions
-        What was said of the time of the file that is opened first.
+        Options for the time base of the first file.
 
     Attributes
     ----------
     routes : list of Route
-        What is answered beside the page itself: uploads and downloads.
+        Routes of uploads and downloads.
     """
 
     def __init__(self, folder: Path, file: Path | None, upload_limit: int, options: ReadOptions = AS_IT_IS) -> None:
         self._shared = Shared(folder, file, upload_limit, options)
-        self._saving = asyncio.Semaphore(1)  # each save is a process of its own
+        self._saving = asyncio.Semaphore(1)  # one at a time, because each runs in a subprocess
         self.routes = [
             Route("/files/{name:path}", self._bring, methods=["PUT"]),
             Route("/save/recipe", self._save_recipe),
@@ -55,11 +55,11 @@ class Tuner:
         ]
 
     async def wire(self, websocket: WebSocket) -> None:
-        """Speak with a page until it is closed."""
+        """Exchange messages with a page until it is closed."""
         await Conversation(self._shared, websocket).run()
 
     def close(self) -> None:
-        """End what computes, and remove what was brought."""
+        """Stop the threads, and remove uploaded files."""
         self._shared.close()
 
     async def _bring(self, request: Request) -> Response:
@@ -79,7 +79,7 @@ class Tuner:
         return _Download(await _while_there(request, self._saved(reported)))
 
     async def _saved(self, make: Callable[[CleaningJob], Awaitable[Made]]) -> Made:
-        """Save what is set now, of what was opened, once those who asked before have theirs."""
+        """Save the open recording with the present settings, after earlier requests are finished."""
         desk = self._shared.open_desk
         opened, recipe = desk.opened, desk.recipe().to_toml()
         async with self._saving:
@@ -88,28 +88,28 @@ class Tuner:
                     CleaningJob(self._unchanged(opened), recipe, opened.group if opened.several else None)
                 )
             except OutputError:
-                self._unchanged(opened)  # or that is why
+                self._unchanged(opened)  # a changed file may be the cause, and raises a clearer error
                 raise
         try:
-            self._unchanged(opened)  # nor did it change while it was read again
+            self._unchanged(opened)  # it may have changed during the second reading
         except InputError:
             made.close()
             raise
         return made
 
     def _unchanged(self, opened: Opened) -> Path:
-        """Return where a file is that is still what was opened."""
+        """Return the path of the open file; raise an InputError if the file has changed or is gone."""
         try:
             path = self._shared.folder.path_of(opened.id)
         except InputError as cause:
-            raise InputError(f"{opened.path.name} is not there any more; open another file.") from cause
+            raise InputError(f"{opened.path.name} no longer exists; open another file.") from cause
         if not opened.is_unchanged(path):
             raise InputError(f"{path.name} changed since it was opened; open it again.")
         return path
 
 
 async def _while_there(request: Request, work: Coroutine[None, None, Made]) -> Made:
-    """Wait for work, which ends where nobody waits for it any more."""
+    """Await some work, and cancel it if the client disconnects."""
     job, gone = asyncio.ensure_future(work), asyncio.ensure_future(_gone(request))
     try:
         await asyncio.wait((job, gone), return_when=asyncio.FIRST_COMPLETED)
@@ -128,7 +128,7 @@ async def _gone(request: Request) -> None:
 
 
 class _Download(StreamingResponse):
-    """A file that was made, which goes once it was sent, or nobody wants it."""
+    """A response that sends a temporary file and then removes it, also if the client disconnects."""
 
     def __init__(self, made: Made) -> None:
         headers = {**as_file(made.name), "content-length": str(made.bytes)}
@@ -136,7 +136,7 @@ class _Download(StreamingResponse):
         self._made = made
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
+        """Send the file, and remove it."""
         try:
             await super().__call__(scope, receive, send)
         finally:

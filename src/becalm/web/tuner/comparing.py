@@ -1,4 +1,4 @@
-"""A classic filter beside a channel's own, set so that it leaves as much noise."""
+"""Run a classic filter for comparison, with the cutoff at which it leaves as much noise as the channel's filter."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from becalm.errors import UsageError
 from becalm.report.envelope import Envelope
 from becalm.web.tuner.picture import View
 
-_SETTLED = 12.0  # over the cut-off: rows in which the slowest has settled
-_DIGITS = 3  # of a noise gain: a cut-off is looked for once for those that are alike
-_MIDDLE = 0.1  # cycles a row, of filters that have no noise gain to be equal in
+_SETTLED = 12.0  # divided by the cutoff: rows after which the slowest filter has settled
+_DIGITS = 3  # digits of a noise gain, so that the search for a cutoff is done once for similar gains
+_MIDDLE = 0.1  # cutoff in cycles per row, for filters whose noise gain cannot be matched
 
 
 def classic_beside(rows: ChannelRows, view: View, name: str, noise_gain: float | None) -> Envelope:
@@ -25,13 +25,13 @@ def classic_beside(rows: ChannelRows, view: View, name: str, noise_gain: float |
     Parameters
     ----------
     rows : ChannelRows
-        The readings; what is impossible is missing.
+        Readings; impossible ones count as missing.
     view : View
-        Which of them.
+        Rows to show.
     name : str
-        Of the filter.
+        Name of the classic filter.
     noise_gain : float or None
-        What becalm's own leaves of the power of white noise; None where that is not known.
+        Share of the power of white noise that the channel's filter leaves; None if it is unknown.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def classic_beside(rows: ChannelRows, view: View, name: str, noise_gain: float |
     """
     classic = CLASSICS.get(name)
     if classic is None:
-        raise UsageError(f"There is no classic filter {name!r}; choose one that is offered.")
+        raise UsageError(f"There is no classic filter {name!r}; choose one from the list.")
     gain = None if noise_gain is None or not 0 < noise_gain < 1 else float(f"{noise_gain:.{_DIGITS}g}")
     cutoff = _MIDDLE if gain is None or not classic.calms else _cutoff(name, gain)
     margin = int(_SETTLED / cutoff) + 64

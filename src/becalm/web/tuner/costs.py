@@ -1,4 +1,4 @@
-"""A map of how well every noise and density of a channel would foretell the next reading."""
+"""Map how well each pair of noise and process noise density predicts the next reading of a channel."""
 
 from __future__ import annotations
 
@@ -21,58 +21,59 @@ _STRETCHES = 4
 
 
 class CostMap(NamedTuple):
-    """A map about the setting of a channel."""
+    """A map of the prediction cost around the setting of a channel."""
 
     noise_std: Floats  # (k,) in unit
     process_noise_density: Floats  # (l,) in unit^2/s^(2 order - 1)
-    cost: Floats  # (k, l) in nats a reading, 0 at the best
-    best: tuple[int, int]  # where that is: of the noises, of the densities
-    here: tuple[float, float]  # the noise and the density that are set
+    cost: Floats  # (k, l) in nats per reading, 0 at the minimum
+    best: tuple[int, int]  # indices of the minimum: of the noise, of the density
+    here: tuple[float, float]  # noise and density of the present setting
 
 
 def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
-    """Tell how much worse each noise and density foretells readings than the best of them.
+    """Compute how much worse each noise and density predicts readings than the best pair.
 
     Parameters
     ----------
     rows : ChannelRows
-        The channel's readings, of which 20 000 in whole stretches are looked at.
+        Readings of the channel; the map uses 20 000 of them, in a few long stretches.
     channel : ChannelRecipe
-        As it is set: the map is about its motion, whatever modes stand beside it.
+        Present setting; the map is that of its kinematic model alone, without tones or further modes.
 
     Raises
     ------
     UsageError
-        If it passes unchanged, or too few readings come in a row.
+        If the channel passes unchanged, or has too few readings without a gap.
     """
     if channel.motion is None:
-        raise UsageError(f"{channel.name!r} passes unchanged; there is no noise and density to choose.")
+        raise UsageError(f"{channel.name!r} passes unchanged; it has no noise and density to choose.")
     tuning = in_steps(channel.motion, rows.step_s)
-    found = surface(tuning, _stretches(rows, channel, tuning))
-    if found is None:
-        raise UsageError("Too few readings come in a row to tell how well they are foretold.")
-    best = np.unravel_index(int(np.argmin(found.cost)), found.cost.shape)
+    grid = surface(tuning, _stretches(rows, channel, tuning))
+    if grid is None:
+        raise UsageError("Too few readings without a gap to compute how well they are predicted.")
+    best = np.unravel_index(int(np.argmin(grid.cost)), grid.cost.shape)
     return CostMap(
-        found.noise_std,
-        found.density / rows.step_s ** (2 * tuning.order - 1),
-        found.cost,
+        grid.noise_std,
+        grid.density / rows.step_s ** (2 * tuning.order - 1),
+        grid.cost,
         (int(best[0]), int(best[1])),
         (channel.motion.noise_std, channel.motion.process_noise_density),
     )
 
 
 def _stretches(rows: ChannelRows, channel: ChannelRecipe, tuning: Tuning) -> list[Evidence]:
-    """Return a few stretches of the readings, without what a gate leaves out."""
+    """Return a few stretches of the readings, without those that the gate rejects."""
     readings, count = rows.healthy(channel.limits, None).readings, len(rows)
     length = MOST_READINGS if count <= MOST_READINGS else MOST_READINGS // _STRETCHES
     starts = [0] if count <= length else np.linspace(0, count - length, _STRETCHES).astype(int).tolist()
     gate = None if channel.gate is None else gate_of(channel.gate, rows.step_s)
-    found = []
+    stretches = []
     for start in starts:
         part = slice(start, start + length)
         z = readings[part]
         if gate is not None:
             z = np.where(forecasts(tuning, z, rows.elapsed[part], gate).rejected, np.nan, z)
         whole = Evidence.of(z, rows.elapsed[part])
-        found += [Evidence(whole.z[one], whole.elapsed[one]) for one in whole.stretches if len(whole.z[one]) > UNSCORED]
-    return found
+        long = [one for one in whole.stretches if len(whole.z[one]) > UNSCORED]
+        stretches += [Evidence(whole.z[one], whole.elapsed[one]) for one in long]
+    return stretches

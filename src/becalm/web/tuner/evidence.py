@@ -1,4 +1,4 @@
-"""What speaks for a model, in words."""
+"""Describe models, and how well they predict readings, in words."""
 
 from __future__ import annotations
 
@@ -9,44 +9,44 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.identification.likelihood import Tuning
 
-_ALIKE = 5e-4  # of an error: less is not worth telling
-_ROUND = 0.1  # from there on in whole percent
+_ALIKE = 5e-4  # smaller relative differences of the error are not shown
+_ROUND = 0.1  # larger differences are shown in whole percent
 
 
 def described(channel: ChannelRecipe) -> str:
-    """Say what a channel's model is."""
+    """Return a short description of a channel's model."""
     if channel.model != "motion":
         return "passes unchanged" if channel.model == "untold" else "constant: passes unchanged"
-    beside = [f"a tone at {tone.frequency_hz:.4g} Hz" for tone in channel.tone]
-    beside += ["coloured noise"] if channel.coloured_noise is not None else []
+    parts = [f"a tone at {tone.frequency_hz:.4g} Hz" for tone in channel.tone]
+    parts += ["coloured noise"] if channel.coloured_noise is not None else []
     if channel.switching is not None:
-        beside.append(f"switching between {' and '.join(mode.name for mode in channel.switching.mode)}")
-    return f"order {channel.order}" + (f" with {', '.join(beside)}" if beside else "")
+        parts.append(f"the modes {' and '.join(mode.name for mode in channel.switching.mode)}")
+    return f"order {channel.order}" + (f" with {', '.join(parts)}" if parts else "")
 
 
 def beside_best(rivals: Sequence[Tuning]) -> dict[int, str]:
-    """Say of each order, alone, how much worse it tells readings than the best of them.
+    """Return, for each order, a sentence on how much worse it predicts readings than the best one.
 
     Parameters
     ----------
     rivals : sequence of Tuning
-        Of one record; of smoothers `loss` tells, of filters the likelihood.
+        Tunings of different orders on one record. Smoothers are compared by `loss`, filters by their likelihood.
     """
     if not rivals:
         return {}
     smooths = all(np.isfinite(rival.loss) for rival in rivals)
     costs = {rival.order: _cost(rival, smooths) for rival in rivals}
     best = min(costs.values())
-    what = "tells a reading left out" if smooths else "foretells the next reading"
-    return {order: _said(what, float(np.expm1(cost - best))) for order, cost in costs.items()}
+    what = "estimates a left-out reading" if smooths else "predicts the next reading"
+    return {order: _sentence(what, float(np.expm1(cost - best))) for order, cost in costs.items()}
 
 
 def _cost(rival: Tuning, smooths: bool) -> float:
-    """Return the logarithm of the error of a reading that is told, but for a constant of the record."""
+    """Return the logarithm of the error of an estimated reading, up to a constant of the record."""
     return rival.loss / 2 if smooths else -rival.log_likelihood / max(rival.count, 1)
 
 
-def _said(what: str, worse: float) -> str:
+def _sentence(what: str, worse: float) -> str:
     if not worse >= _ALIKE:
         return f"{what} as well as any"
     if not worse < 100:

@@ -1,4 +1,4 @@
-"""The files that a page may open: those of one folder, by name, and those that it brought itself."""
+"""List the files that a page may open: those of one folder, and those that were uploaded."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ READ_ENDINGS = (
     ".ulg",
     ".ide",
 )
-"""Of names of recordings; the content decides what a file is."""
+"""Endings of the names of recordings; the format of a file is decided by its content."""
 
 _MOST_LISTED = 2000
 
 
 class OpenableFile(NamedTuple):
-    """A file that may be opened.
+    """A file that a page may open.
 
     Attributes
     ----------
     id : str
-        What a page calls it.
+        Name of the file in messages.
     path : Path
-        Where it is.
+        Path of the file.
     bytes : int
-        How large it is.
+        Size in bytes.
     changed : float
-        When it was written, in seconds since 1970.
+        Time of the last change, in seconds since 1970.
     """
 
     id: str
@@ -62,20 +62,20 @@ class OpenableFile(NamedTuple):
     changed: float
 
     def as_dict(self) -> dict[str, object]:
-        """Tell a page of it, but not where it is."""
+        """Return the file as a message for a page, without its path."""
         name = os.fsencode(self.path.name).decode("utf-8", "replace")
         return {"id": self.id, "name": name, "bytes": self.bytes, "changed": self.changed}
 
 
 class Folder:
-    """A folder that was chosen, and what pages brought.
+    """The folder of the tuner, with the uploaded files.
 
     Parameters
     ----------
     folder : Path
-        Of which files may be opened; those in folders inside are not.
+        Folder whose files may be opened, but not those in its subfolders.
     file : Path or None
-        One that may be opened wherever it is.
+        Another file that may be opened, in any folder.
     """
 
     def __init__(self, folder: Path, file: Path | None) -> None:
@@ -84,52 +84,52 @@ class Folder:
 
     @property
     def name(self) -> str:
-        """The folder's own name."""
+        """Return the name of the folder."""
         return os.fsencode(self.folder.resolve().name or str(self.folder)).decode("utf-8", "replace")
 
     @property
     def first(self) -> str | None:
-        """The file that was named at the start, as a page calls it."""
+        """Return the id of the file that was named at the start."""
         return None if self._file is None else _id("given", self._file.name)
 
     def known(self) -> list[OpenableFile]:
-        """List what may be opened now: what was named at the start, what was brought, what is in the folder."""
+        """List the files that may be opened: the one named at the start, the uploaded ones, those in the folder."""
         return [*self._elsewhere(), *self._in_folder()]
 
     def path_of(self, file: str) -> Path:
-        """Return where a file is that a page may open.
+        """Return the path of a file that a page may open.
 
         Raises
         ------
         InputError
-            If it is none of these, or no longer there.
+            If it is not one of these files, or no longer exists.
         """
         room, _, name = file.partition("/")
         for one in self._in_folder(name) if room == "folder" else self._elsewhere():
             if one.id == file:
                 return one.path
-        raise InputError("That file is not there any more; choose another one, or drop it here.")
+        raise InputError("That file no longer exists; choose another one, or drop it here.")
 
     def bring(self, path: Path) -> str:
-        """Take in a file that a page sent; return what the page calls it."""
+        """Add an uploaded file; return its id."""
         self._brought.append(path)
         return _id(f"brought/{path.parent.name}", path.name)
 
     def _elsewhere(self) -> list[OpenableFile]:
-        found = [] if self._file is None else [_known("given", self._file, leaving=True)]
-        found += [_known(f"brought/{path.parent.name}", path) for path in self._brought]
-        return [one for one in found if one is not None]
+        files = [] if self._file is None else [_openable("given", self._file, leaving=True)]
+        files += [_openable(f"brought/{path.parent.name}", path) for path in self._brought]
+        return [one for one in files if one is not None]
 
     def _in_folder(self, name: str | None = None) -> list[OpenableFile]:
-        """List what the folder holds, or only what may be of one name."""
+        """List the files in the folder, or only those that a name may stand for."""
         given = None if self._file is None else os.path.realpath(self._file)
         paths = self._listed() if name is None else self._named(name)
-        found = [_known("folder", path) for path in paths if os.path.realpath(path) != given]
-        return [one for one in found if one is not None]
+        files = [_openable("folder", path) for path in paths if os.path.realpath(path) != given]
+        return [one for one in files if one is not None]
 
     def _named(self, name: str) -> list[Path]:
-        """Return what a page may mean by a name, without a look at the others."""
-        if "\ufffd" in name:  # it stands for what is no text
+        """Return the paths that a name may stand for, without reading the whole folder if possible."""
+        if "\ufffd" in name:  # a replacement character: the real name is not valid text
             return self._listed()
         path = self.folder / name
         return [path] if path.name == name and _looks_readable(path) and path.exists() else []
@@ -148,16 +148,16 @@ def _looks_readable(path: Path) -> bool:
     return path.name.lower().endswith(READ_ENDINGS) or (path.is_dir() and (path / BAG).is_file())
 
 
-def _known(room: str, path: Path, *, leaving: bool = False) -> OpenableFile | None:
-    """Tell of a file; None of a link that leads out of its folder, a pipe, a device, or what cannot be looked at."""
+def _openable(room: str, path: Path, *, leaving: bool = False) -> OpenableFile | None:
+    """Describe a file; None for a pipe, a device, a link out of its folder, or a file that cannot be examined."""
     try:
         if not leaving and Path(os.path.realpath(path)).parent != Path(os.path.realpath(path.parent)):
             return None
-        told = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    if stat.S_ISREG(told.st_mode) or (stat.S_ISDIR(told.st_mode) and (path / BAG).is_file()):
-        return OpenableFile(_id(room, path.name), path, told.st_size, told.st_mtime)
+    if stat.S_ISREG(status.st_mode) or (stat.S_ISDIR(status.st_mode) and (path / BAG).is_file()):
+        return OpenableFile(_id(room, path.name), path, status.st_size, status.st_mtime)
     return None
 
 

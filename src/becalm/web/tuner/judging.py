@@ -1,4 +1,4 @@
-"""A channel over the whole record: the report's verdict and figures, unless something else is asked meanwhile."""
+"""Judge a channel over the whole record, with the report's verdict and figures, until another request interrupts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from becalm.report.channel import CleanedChannels, Pictured, Pictures
 from becalm.report.gathering import Gathering
 from becalm.report.payload import payload
 
-_CHUNK = 1 << 18  # rows between two looks whether it is still wanted
+_CHUNK = 1 << 18  # rows between two checks for an interruption
 
 _TONES: dict[Decision, str] = {"fits": "fits", "constant": "fits", "fits except": "except", "does not fit": "not"}
 _DIGITS = 4
@@ -25,25 +25,25 @@ _DIGITS = 4
 def judged(
     rows: ChannelRows, recipe: Recipe, channel: ChannelRecipe, number: int, wanted: Callable[[], bool]
 ) -> dict[str, Any] | None:
-    """Clean a channel, and draw what came of it.
+    """Clean a channel, and draw the figures of its report.
 
     Parameters
     ----------
     rows : ChannelRows
-        Its readings.
+        Readings of the channel.
     recipe : Recipe
-        Of the recording.
+        Recipe of the recording.
     channel : ChannelRecipe
-        Of this channel.
+        Recipe of the channel.
     number : int
-        Which it is, counted from 0.
+        Number of the channel, from 0.
     wanted : callable
-        Whether it is still wanted.
+        Returns whether the result is still wanted.
 
     Returns
     -------
     dict or None
-        What a page is told, "figures"; None where it is not wanted any more.
+        The message "figures" for a page; None if the result is no longer wanted.
     """
     alone = recipe.model_copy(update={"channel": (channel,)})
     gathering = Gathering(len(rows), rows.step_s, 1)
@@ -54,20 +54,20 @@ def judged(
                 return None
             part = slice(start, min(start + _CHUNK, len(rows)))
             waiting.append(part)
-            for told in cleaner.push([rows.z[part]], rows.elapsed[part]):
+            for estimates in cleaner.push([rows.z[part]], rows.elapsed[part]):
                 done = waiting.pop(0)
-                gathering.add([rows.z[done]], rows.elapsed[done], told)
-        for told in cleaner.finish():
+                gathering.add([rows.z[done]], rows.elapsed[done], estimates)
+        for estimates in cleaner.finish():
             done = waiting.pop(0)
-            gathering.add([rows.z[done]], rows.elapsed[done], told)
+            gathering.add([rows.z[done]], rows.elapsed[done], estimates)
         reports = cleaner.reports()
     if not wanted():
         return None
     drawn = Pictures(CleanedChannels(alone, reports, gathering, rows.step_s)).channel(0)
-    return _told(drawn, number) if wanted() else None
+    return _message(drawn, number) if wanted() else None
 
 
-def _told(drawn: Pictured, number: int) -> dict[str, Any]:
+def _message(drawn: Pictured, number: int) -> dict[str, Any]:
     lanes = [figure for figure in drawn.wide if figure.name.endswith("-verdicts")]
     figures = [*drawn.narrow, *lanes]
     return {
@@ -82,14 +82,14 @@ def _told(drawn: Pictured, number: int) -> dict[str, Any]:
 
 
 def _numbers(drawn: Pictured) -> list[list[str]]:
-    """Tell in numbers what was found; what is not known is left out."""
+    """Return the known numbers of the report, each with its name."""
     report = drawn.report
-    told = [
+    values = [
         ("noise of a reading", report.noise_std, report.unit),
         ("coloured noise", report.coloured_std, report.unit),
         ("bandwidth", report.bandwidth_hz, "Hz"),
         ("lag", report.lag_s, "s"),
-        ("told later by", report.delay_s, "s"),
+        ("delay", report.delay_s, "s"),
         ("errors independent after", report.independence_s, "s"),
         ("still predictable", None if report.predictable_share is None else 100 * report.predictable_share, "%"),
         ("NIS, 1 is right", report.nis_mean, ""),
@@ -97,7 +97,7 @@ def _numbers(drawn: Pictured) -> list[list[str]]:
     ]
     numbers = [
         [term, f"{value:.{_DIGITS}g} {unit}".strip()]
-        for term, value, unit in told
+        for term, value, unit in values
         if value is not None and np.isfinite(value)
     ]
     return numbers + [[name, f"{count} readings"] for name, count in report.verdicts.items() if count]

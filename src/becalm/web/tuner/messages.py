@@ -1,4 +1,4 @@
-"""What a page may ask of the tuner: every word checked, and nothing else heard."""
+"""Define and check the messages that a page of the tuner may send."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from becalm.web import incoming_messages
 from becalm.web.incoming_messages import Numbered
 
 MOST_STRETCHES = 4000
-"""Stretches of a picture."""
+"""Maximum number of stretches of a picture."""
 
 _LONGEST_NAME, _LONGEST_RECIPE = 500, 1_000_000
 
@@ -24,9 +24,9 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Open(Numbered):
-    """Open a file of the folder, or one that was uploaded; of a file with channels at several times, one of these.
+    """Open a file of the folder or an uploaded one; `group` chooses one of several time axes.
 
-    With a rate, rows are counted at it, whatever times the file tells.
+    With a rate, rows are counted at it, and times in the file are ignored.
     """
 
     do: Literal["open"]
@@ -36,13 +36,13 @@ class Open(Numbered):
 
 
 class ListFiles(Numbered):
-    """Tell which files may be opened now."""
+    """List the files that may be opened now."""
 
     do: Literal["files"]
 
 
 class Look(Numbered):
-    """Show a part of a channel in so many stretches at the most; null is the beginning, or the end."""
+    """Show a part of a channel in at most `width` stretches; null means from the beginning, or to the end."""
 
     do: Literal["look"]
     channel: Channel
@@ -52,7 +52,7 @@ class Look(Numbered):
 
 
 class Turned(BaseModel):
-    """What is changed of a channel's settings; what is left out stays."""
+    """Changes of a channel's settings; values that are left out stay."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -64,7 +64,7 @@ class Turned(BaseModel):
 
 
 class Turn(Numbered):
-    """Change the settings of a channel; one that is not final is being dragged."""
+    """Change the settings of a channel; a change during a drag is not final."""
 
     do: Literal["turn"]
     channel: Channel
@@ -73,7 +73,7 @@ class Turn(Numbered):
 
 
 class InMode(Numbered):
-    """Smooth, filter, or wait for a lag."""
+    """Choose the mode: smoother, filter, or fixed lag."""
 
     do: Literal["mode"]
     mode: Mode
@@ -87,26 +87,26 @@ class InMode(Numbered):
 
 
 class Undo(Numbered):
-    """Take the last change back."""
+    """Undo the last change."""
 
     do: Literal["undo"]
 
 
 class Redo(Numbered):
-    """Do again what was taken back."""
+    """Redo the change that was undone last."""
 
     do: Literal["redo"]
 
 
 class Map(Numbered):
-    """Tell how well every noise and density foretells readings."""
+    """Send the map of how well each noise and density predicts readings."""
 
     do: Literal["map"]
     channel: Channel
 
 
 class Compare(Numbered):
-    """Draw a classic filter beside a channel; null draws none."""
+    """Draw a classic filter for comparison; null draws none."""
 
     do: Literal["compare"]
     channel: Channel
@@ -114,7 +114,7 @@ class Compare(Numbered):
 
 
 class Restore(Numbered):
-    """Do as a recipe says."""
+    """Set all filters as in a recipe."""
 
     do: Literal["restore"]
     recipe: Annotated[str, Field(max_length=_LONGEST_RECIPE)]
@@ -126,5 +126,5 @@ _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator=
 
 
 def understood(said: Mapping[str, Any]) -> Message:
-    """Check what a page said, as `incoming_messages.understood` does."""
+    """Check a message of a tuner page; see `incoming_messages.understood`."""
     return incoming_messages.understood(_ANY, said)

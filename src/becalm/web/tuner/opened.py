@@ -1,4 +1,4 @@
-"""A recording that a page works on: read, and tuned on, as the command line does."""
+"""The open recording of the tuner: it is read and its filters are identified as on the command line."""
 
 from __future__ import annotations
 
@@ -23,43 +23,43 @@ from becalm.web.tuner.settings import Options
 Progress = Callable[[str], None]
 
 AS_IT_IS = ReadOptions()
-"""Of a file that tells its times."""
+"""Read options for a file with times."""
 
 MOST_SAMPLES = 1 << 28
-"""Samples whose readings are held, 2 GiB; of each channel that is looked at two copies more."""
+"""Maximum number of samples in memory, 2 GiB; each channel that a page shows needs two more copies."""
 
 
 class Opened:
-    """One time of a file, in memory.
+    """The channels of a file that share one time axis, in memory.
 
     Parameters
     ----------
     id : str
-        What a page calls the file.
+        Name of the file in messages.
     path : Path
-        Where it is.
+        Path of the file.
     group : str or None
-        Of a file with channels at several times, which of them; None takes the first.
+        Time axis to choose, for a file with several; None takes the first.
     progress : callable
-        Told what is being done, in a sentence.
+        Gets a sentence about the work in progress.
     said : ReadOptions
-        What a person said of its time.
+        Options for the file's time base.
 
     Attributes
     ----------
     recording : Recording
-        All of it.
+        All rows.
     group : str
-        What the file calls it; "" where all channels share one time.
+        Name that the file gives this time axis; "" if it has only one.
     groups : list of str
-        What the file calls all of its times.
+        Names of all time axes of the file.
     remarks : list of str
-        What a person must know.
+        Notes on the file that a person should read.
 
     Raises
     ------
     InputError
-        If it cannot be read, or is too large.
+        If the file cannot be read, or is too large.
     UsageError
         If there is no such group, or the options do not fit the file.
     """
@@ -75,7 +75,7 @@ class Opened:
             self.groups = [one.group for one in opened.sources]
             if source.rows * len(source.names) > MOST_SAMPLES:
                 raise InputError(
-                    f"{path.name} holds {source.rows} rows of {len(source.names)} channels, more than is held at once"
+                    f"{path.name} has {source.rows} rows of {len(source.names)} channels, more than fit into memory"
                     f" ({MOST_SAMPLES} samples); clean it with: becalm clean {path.name} -o OUT"
                 )
             self.recording = source.recording()
@@ -86,41 +86,44 @@ class Opened:
             self.remarks = list(source.notes)
             self.several = len(opened.sources) > 1
         self._explored: dict[bool, tuple[Tuned, tuple[Options, ...]]] = {}
-        self._exploration = threading.Lock()  # of which two pages may have need at once
+        self._exploration = threading.Lock()  # two pages may need it at once
         self._times: Floats | None = None
         self._rows: dict[int, ChannelRows] = {}
 
     @property
     def step_s(self) -> float:
-        """One step, in seconds."""
+        """Return the length of one step, in seconds."""
         return self.recording.timebase.step_s
 
     @property
     def lasts_s(self) -> float:
-        """Time from the first row to the last, in seconds."""
+        """Return the time from the first row to the last, in seconds."""
         return self.recording.timebase.duration_s
 
     @property
     def times_s(self) -> Callable[[], Floats] | None:
-        """What gives the time of each row since the first, (N,); None where they are even, and none is missing."""
+        """Return a function that gives the time of each row since the first, (N,), in seconds.
+
+        None if the rows are evenly spaced and none is missing.
+        """
         time = self.recording.timebase
         even = time.uniform and round(time.duration_s / time.step_s) == len(self.recording) - 1 and not len(time.gaps)
-        return None if even and not len(time.repeats) else self._told_times
+        return None if even and not len(time.repeats) else self._row_times
 
     def is_unchanged(self, path: Path) -> bool:
-        """Whether a file is still what was read."""
+        """Return whether a file is unchanged since it was read."""
         return bool(self._stamps) and _stamps(path) == self._stamps
 
     def as_filter(self, mode: str, lag_s: float | None) -> bool:
-        """Whether a mode is tuned as a filter, or as a smoother; raises a UsageError if the lag is impossible."""
+        """Return whether a mode is tuned as a filter, not as a smoother; raise a UsageError for an impossible lag."""
         return tuned_as_filter(mode == "causal", lag_s, self.step_s)
 
     def options(self, as_filter: bool) -> tuple[Options, ...]:
-        """Return what may be set of each channel; the first time, which takes a while, all are tuned."""
+        """Return the possible settings of each channel; the first call identifies all filters, which takes a while."""
         return self._exploring(as_filter)[1]
 
     def origin(self, as_filter: bool) -> Origin:
-        """Return where the numbers come from."""
+        """Return the origin of the identified numbers."""
         return self._exploring(as_filter)[0].recipe.tuned_on.model_copy(update={"sha256": self._sha256})
 
     def check_channel(self, channel: int) -> None:
@@ -129,7 +132,7 @@ class Opened:
             raise UsageError(f"There is no channel {channel + 1}; there are {len(self.recording.names)}.")
 
     def rows(self, channel: int) -> ChannelRows:
-        """Return the rows of a channel, a copy the first time; raises a UsageError if there is no such channel."""
+        """Return the rows of a channel, copied at the first call; raise a UsageError if there is no such channel."""
         self.check_channel(channel)
         if channel not in self._rows:
             limits = next(iter(self._explored.values()))[1][channel].channel.limits if self._explored else None
@@ -137,7 +140,7 @@ class Opened:
             self._rows[channel] = ChannelRows(z, self.recording.timebase.elapsed_steps, self.step_s, limits)
         return self._rows[channel]
 
-    def _told_times(self) -> Floats:
+    def _row_times(self) -> Floats:
         if self._times is None:
             time = self.recording.timebase
             self._times = np.cumsum(time.elapsed_steps) * time.step_s
@@ -154,27 +157,27 @@ class Opened:
         count, done = len(self.recording.names), list[str]()
         self._progress(f"Finding the noise of {count} channel{'s' * (count > 1)} ...")
 
-        def tell(name: str) -> None:
+        def report(name: str) -> None:
             done.append(name)
             self._progress(f"Found the filter of {name} ({len(done)} of {count}).")
 
-        tuned = explore(self._sample, causal=as_filter, wishes=Wishes(), progress=tell)
-        told = calibrated(tuned.recipe.channel, self._calibrations)
-        pairs = zip(tuned.found, told, strict=True)
+        tuned = explore(self._sample, causal=as_filter, wishes=Wishes(), progress=report)
+        channels = calibrated(tuned.recipe.channel, self._calibrations)
+        pairs = zip(tuned.found, channels, strict=True)
         return tuned, tuple(Options(found, channel, self.step_s, as_filter) for found, channel in pairs)
 
 
 def _stamps(path: Path) -> list[tuple[int, ...]]:
-    """Tell a file, or a folder with all in it, from what it becomes; nothing of what cannot be looked at."""
+    """Return a fingerprint of a file, or of a folder and its files; empty if it cannot be examined."""
     try:
-        told = [one.stat() for one in (path, *(sorted(path.iterdir()) if path.is_dir() else ()))]
+        entries = [one.stat() for one in (path, *(sorted(path.iterdir()) if path.is_dir() else ()))]
     except OSError:
         return []
-    return [(one.st_dev, one.st_ino, one.st_size, one.st_mtime_ns) for one in told]
+    return [(one.st_dev, one.st_ino, one.st_size, one.st_mtime_ns) for one in entries]
 
 
 def _chosen(sources: Sequence[OpenSource], group: str | None) -> OpenSource:
-    found = [source for source in sources if group in (None, source.group)]
-    if not found:
+    matching = [source for source in sources if group in (None, source.group)]
+    if not matching:
         raise UsageError(f"The file has no channels at the time {group!r}; choose another one.")
-    return found[0]
+    return matching[0]

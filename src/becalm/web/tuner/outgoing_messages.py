@@ -1,4 +1,4 @@
-"""Send messages to a page one after the other, and a sentence where something could not be done."""
+"""Send messages to a page one after the other, and a sentence for each request that failed."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ Said = TypeVar("Said", str, bytes)
 
 
 class Wire:
-    """The way down to one page.
+    """The sending side of the connection to one page.
 
     Parameters
     ----------
     websocket : WebSocket
-        That it is spoken to by.
+        Connection to the page.
 
     Attributes
     ----------
     gone : bool
-        Whether the page was closed, as whoever speaks to it then hears by a WebSocketDisconnect.
+        Whether the page is closed; sending then raises a WebSocketDisconnect.
     """
 
     def __init__(self, websocket: WebSocket) -> None:
@@ -37,35 +37,35 @@ class Wire:
 
     async def tell(self, message: dict[str, Any]) -> None:
         """Send a message."""
-        await self._say(self._websocket.send_text, text(message))
+        await self._transmit(self._websocket.send_text, text(message))
 
     async def send(self, data: bytes) -> None:
         """Send a frame."""
-        await self._say(self._websocket.send_bytes, data)
+        await self._transmit(self._websocket.send_bytes, data)
 
     async def trouble(self, says: str, answers: int | None) -> None:
-        """Say what could not be done, and which message asked for it."""
+        """Report an error, with the number of the message that caused it."""
         await self.tell({"kind": "trouble", "says": says, "answers": answers})
 
     async def guarded(self, doing: Callable[[], Awaitable[None]], number: int | None) -> None:
-        """Do something, and tell the page in a sentence where it cannot be done."""
+        """Await some work, and report an error to the page if it fails."""
         try:
             await doing()
         except WebSocketDisconnect:
             raise
         except BecalmError as cause:
             await self.trouble(str(cause), number)
-        except Exception:  # the page goes on, and whoever runs becalm is told
+        except Exception:  # the page goes on
             if not self.gone:
-                _log.exception("What a page asked for failed.")
+                _log.exception("A page's request failed.")
                 await self.trouble(UNFORESEEN, number)
 
-    async def _say(self, send: Callable[[Said], Awaitable[None]], said: Said) -> None:
+    async def _transmit(self, send: Callable[[Said], Awaitable[None]], data: Said) -> None:
         async with self._sending:
             if self.gone:
                 raise WebSocketDisconnect
             try:
-                await send(said)
+                await send(data)
             except WebSocketDisconnect:
                 self.gone = True
                 raise

@@ -1,4 +1,4 @@
-"""What a page looks at, painted in a thread: a picture, its dial, a classic filter beside it."""
+"""Compute the frames of a page in a thread: pictures, dial positions, a classic filter, cost maps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DECIBEL = 10.0
 
 
 class PictureRequest(NamedTuple):
-    """What a page looks at."""
+    """A request for a picture: the channel, its recipe and the span of time that a page shows."""
 
     opened: Opened
     channel: int
@@ -37,21 +37,21 @@ class PictureRequest(NamedTuple):
     answers: int
     classic: str | None = None
     hurried: bool = False
-    setting: list[object] | None = None  # as pages are told of it
+    setting: list[object] | None = None  # the setting in the form that pages get
 
     @property
     def dial_key(self) -> tuple[object, ...]:
-        """What a dial depends on."""
+        """Return everything that the positions of the dial depend on."""
         return self.channel, self.recipe.order, self.recipe.noise_std, self.lag, self.recipe.model
 
     @property
     def judged_key(self) -> tuple[object, ...]:
-        """What the verdict on the whole record depends on, or how a page knows that it has come."""
+        """Return everything that the verdict on the whole record depends on, and by which a page recognises it."""
         return self.channel, self.recipe, self.lag, self.setting
 
 
 class Painted(NamedTuple):
-    """A picture, and what else is drawn into it."""
+    """A finished picture with the data to add further curves."""
 
     header: dict[str, Any]
     view: View
@@ -59,7 +59,7 @@ class Painted(NamedTuple):
     clean: Clean
 
     def framed(self, classic: Envelope | None = None) -> bytes:
-        """Return it as a frame, with a classic filter beside it."""
+        """Return the picture as a frame, with the output of a classic filter if there is one."""
         drawn = {"raw": self.raw.readings, "clean": self.clean.signal, "band": self.clean.band}
         drawn |= {} if classic is None else {"classic": classic}
         arrays: dict[str, Any] = {"t": self.raw.times_s}
@@ -69,7 +69,7 @@ class Painted(NamedTuple):
 
 
 class _Gated(NamedTuple):
-    """The rows of a channel, without what its gate left out."""
+    """The rows of a channel without the spikes that its gate rejected."""
 
     spikes: Integers
     limits: LimitsRecipe | None
@@ -77,29 +77,30 @@ class _Gated(NamedTuple):
 
 
 class Painter:
-    """Paints what pages look at.
+    """Computes pictures, and caches data that the next pictures need.
 
     Parameters
     ----------
     pool : Executor
-        Two threads, in which the halves of a long view run side by side.
+        Two threads, which filter the halves of a long view in parallel.
     """
 
     def __init__(self, pool: Executor) -> None:
         self._pool = pool
-        self._of: Opened | None = None  # whose these are
+        self._of: Opened | None = None  # the recording that the caches belong to
         self._raw: OrderedDict[tuple[int, View], Raw] = OrderedDict()
-        self._gated: dict[int, _Gated] = {}  # of one channel
+        self._gated: dict[int, _Gated] = {}  # at most one channel
 
     def picture(self, wanted: PictureRequest) -> Painted:
-        """Paint a picture; a hurried one leaves out the spikes that the gate left out of the whole record before.
+        """Compute a picture.
 
-        It then is that of the gate, unless the gate would judge otherwise now, and is there sooner.
+        A hurried one is faster: instead of running the gate, it leaves out the spikes that the gate rejected in the
+        whole record before. The result is the same unless the gate would now decide differently.
 
         Raises
         ------
         BecalmError
-            If the recipe's numbers make no filter.
+            If the numbers of the recipe do not give a filter.
         """
         opened, recipe = wanted.opened, wanted.recipe
         if opened is not self._of:
@@ -115,7 +116,7 @@ class Painter:
             clean = clean_of(self._gated[wanted.channel].rows, ungated, wanted.lag, view, self._pool)
         else:
             clean = clean_of(rows, recipe, wanted.lag, view, self._pool)
-        told = told_of(recipe, rows.step_s, wanted.lag)
+        description = told_of(recipe, rows.step_s, wanted.lag)
         header = {
             "kind": "picture",
             "answers": wanted.answers,
@@ -123,25 +124,25 @@ class Painter:
             "from_s": float(raw.times_s[0]),
             "to_s": self._second_of(wanted, view.stop - 1),
             "rows_each": view.rows_each,
-            "filter": told._asdict(),
+            "filter": description._asdict(),
             "classic": None,
             "hurried": hurried,
         }
         return Painted(header, view, raw, clean)
 
     def hurries(self, wanted: PictureRequest) -> bool:
-        """Whether a picture is worth painting in a hurry first, for it takes long and can be."""
+        """Return whether a hurried picture is useful first: the full one takes long, and the spikes are known."""
         rows = wanted.opened.rows(wanted.channel)
         view = view_of(rows, wanted.opened.times_s, wanted.span_s, wanted.width)
         return self._knows_spikes(wanted) and view.stop - view.first >= LONG
 
     def remember(self, wanted: PictureRequest, painted: Painted) -> None:
-        """Make ready for pictures in a hurry, where a gate makes those of the whole record slow."""
+        """Remember the spikes of a picture of the whole record, for hurried pictures later."""
         rows = wanted.opened.rows(wanted.channel)
         view, gate = painted.view, wanted.recipe.gate
         if gate is None or wanted.hurried or view.stop - view.first < max(len(rows), LONG):
             return
-        if (painted.clean.verdicts & (1 << Verdict.STEP)).any():  # behind which the gate begins anew
+        if (painted.clean.verdicts & (1 << Verdict.STEP)).any():  # after a step the gate restarts
             self._gated.clear()
             return
         spikes, limits, before = painted.clean.spikes, wanted.recipe.limits, self._gated.get(wanted.channel)
@@ -149,18 +150,18 @@ class Painter:
             self._gated = {wanted.channel: _Gated(spikes, limits, rows.without(spikes, limits, wanted.lag))}
 
     def classic(self, wanted: PictureRequest, painted: Painted) -> bytes:
-        """Paint a classic filter into a picture, as calm as the channel's own.
+        """Add a classic filter that leaves as much noise as the channel's own, and return the frame.
 
         Raises
         ------
         UsageError
             If there is no such filter.
         """
-        assert wanted.classic is not None, "a picture without one is painted already"
+        assert wanted.classic is not None, "a picture without a classic filter is finished already"
         gain_db = painted.header["filter"]["noise_gain_db"]
         gain = None if gain_db is None else 10.0 ** (gain_db / _DECIBEL)
-        found = classic_beside(wanted.opened.rows(wanted.channel), painted.view, wanted.classic, gain)
-        return painted._replace(header={**painted.header, "classic": wanted.classic}).framed(found)
+        output = classic_beside(wanted.opened.rows(wanted.channel), painted.view, wanted.classic, gain)
+        return painted._replace(header={**painted.header, "classic": wanted.classic}).framed(output)
 
     def _knows_spikes(self, wanted: PictureRequest) -> bool:
         return wanted.opened is self._of and wanted.recipe.gate is not None and wanted.channel in self._gated
@@ -180,29 +181,29 @@ class Painter:
 
 
 def dial_frame(wanted: PictureRequest) -> bytes:
-    """Tell what each position of a channel's dial is."""
+    """Return a frame that describes the filter at each position of a channel's dial."""
     opened = wanted.opened
     arrays = dial(wanted.recipe, opened.step_s, wanted.lag, len(opened.recording))
     return frame({"kind": "dial", "channel": wanted.channel, "order": wanted.recipe.order}, arrays)
 
 
 def map_frame(wanted: PictureRequest) -> bytes:
-    """Tell how well every noise and density foretells readings.
+    """Return a frame with the map of how well each noise and density predicts readings.
 
     Raises
     ------
     UsageError
-        If the channel has no motion to tell it of.
+        If the channel has no kinematic model, or too few readings.
     """
-    found = cost_map(wanted.opened.rows(wanted.channel), wanted.recipe)
+    costs = cost_map(wanted.opened.rows(wanted.channel), wanted.recipe)
     header = {
         "kind": "map",
         "answers": wanted.answers,
         "channel": wanted.channel,
-        "noise_std": found.noise_std.tolist(),
-        "process_noise_density": found.process_noise_density.tolist(),
-        "best": list(found.best),
-        "here": list(found.here),
+        "noise_std": costs.noise_std.tolist(),
+        "process_noise_density": costs.process_noise_density.tolist(),
+        "best": list(costs.best),
+        "here": list(costs.here),
         "density_unit": density_unit(wanted.opened.recording.units[wanted.channel], wanted.recipe.order or 1),
     }
-    return frame(header, {"cost": found.cost.astype(np.float32)})
+    return frame(header, {"cost": costs.cost.astype(np.float32)})

@@ -1,4 +1,4 @@
-"""A part of a channel as a page draws it: the least and the greatest of each stretch, so that no spike is lost."""
+"""Compute a part of a channel for a page: the minimum and maximum of each stretch, so that spikes stay visible."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from becalm.report.envelope import Envelope, Kinds, Stretches
 from becalm.report.gathering import WIDTH
 
 LONG = 1 << 19
-"""Rows from which on two run side by side."""
+"""Number of rows above which two halves are filtered in parallel."""
 
-_PIECE = 1 << 16  # rows that are looked at while they are in the cache
+_PIECE = 1 << 16  # rows that fit into the cache
 
-_WORTH = 4  # times what each has to run before its rows
+_WORTH = 4  # a view is split only if it is this many times as long as the run-up of the filter
 
 
 class View(NamedTuple):
-    """Which rows of a channel are looked at, and in how many stretches at the most."""
+    """A range of rows of a channel, and the maximum number of stretches."""
 
     first: int
     stop: int
@@ -34,24 +34,24 @@ class View(NamedTuple):
 
     @property
     def rows_each(self) -> int:
-        """Rows of a stretch."""
+        """Return the number of rows in each stretch."""
         return Stretches(self.stop - self.first, self.width).rows_each
 
 
 class Raw(NamedTuple):
-    """What a view shows whatever the filter."""
+    """The part of a picture that does not depend on the filter."""
 
-    times_s: Floats  # (k,) where each stretch begins, since the first row
+    times_s: Floats  # (k,) begin of each stretch, in seconds since the first row
     readings: Envelope
 
 
 class Clean(NamedTuple):
-    """What a filter makes of a view."""
+    """The output of a filter over a view."""
 
     signal: Envelope
     band: Envelope
-    verdicts: NDArray[np.uint16]  # (k,) a bit for each
-    spikes: Integers  # (n,) rows that its gate left out
+    verdicts: NDArray[np.uint16]  # (k,) one bit for each verdict that occurs
+    spikes: Integers  # (n,) rows that the gate rejected
 
 
 def view_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, span_s: tuple[float, float], width: int) -> View:
@@ -62,11 +62,11 @@ def view_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, span_s: tup
     rows : ChannelRows
         All rows.
     times_s : callable or None
-        Gives the time of each since the first, (N,); None where they are even, and none is missing.
+        Returns the time of each row since the first, (N,), in seconds; None if the rows are evenly spaced.
     span_s : tuple of float
-        From and to, in seconds since the first row; whatever lies outside is cut off.
+        Begin and end in seconds since the first row; they are limited to the recording.
     width : int
-        Stretches at the most.
+        Maximum number of stretches.
     """
     count = len(rows)
     if times_s is None:
@@ -81,7 +81,7 @@ def view_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, span_s: tup
 
 
 def raw_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, view: View) -> Raw:
-    """Return what a view shows of the readings."""
+    """Return the readings of a view."""
     stretches = Stretches(view.stop - view.first, view.width)
     readings = Envelope(stretches.count)
     starts = view.first + np.arange(stretches.count) * stretches.rows_each
@@ -92,12 +92,12 @@ def raw_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, view: View) 
 
 
 def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: View, pool: Executor) -> Clean:
-    """Run a filter over a view, in two halves side by side where that is worth it.
+    """Run a filter over a view, in two halves in parallel if that is faster.
 
     Raises
     ------
     RecipeError
-        If the recipe's numbers make no filter.
+        If the numbers of the recipe do not give a filter.
     """
     if recipe.motion is None:
         return _unchanged(rows, recipe, view)
@@ -111,7 +111,7 @@ def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: Vi
 
 
 class _Enclosing:
-    """Encloses what is told of the rows of a view, as it comes."""
+    """Envelopes of the estimates of a view, which arrive in blocks."""
 
     def __init__(self, view: View, each: int) -> None:
         rows = view.stop - view.first
@@ -121,13 +121,13 @@ class _Enclosing:
         self._row, self._spikes = view.first, [np.empty(0, np.int64)]
 
     def clean(self) -> Clean:
-        """Return what all rows were."""
+        """Return the envelopes and verdicts of all rows."""
         return Clean(self.signal, self.band, self.kinds.met, np.concatenate(self._spikes))
 
-    def add(self, told: EstimatedRows) -> None:
-        """Take the next rows."""
-        for start in range(0, len(told.signal), _PIECE):
-            part = told.rows(slice(start, start + _PIECE))
+    def add(self, estimates: EstimatedRows) -> None:
+        """Add the estimates of the next rows."""
+        for start in range(0, len(estimates.signal), _PIECE):
+            part = estimates.rows(slice(start, start + _PIECE))
             touched, begins = self._stretches.next(len(part.signal))
             self._enclose(part, touched, begins)
             self.kinds.add(touched, begins, part.verdicts)
@@ -135,27 +135,28 @@ class _Enclosing:
                 self._spikes.append(self._row + np.flatnonzero(part.verdicts == Verdict.SPIKE))
             self._row += len(part.signal)
 
-    def _enclose(self, told: EstimatedRows, touched: slice, begins: NDArray[np.intp]) -> None:
-        low, high = np.fmin.reduceat(told.signal, begins), np.fmax.reduceat(told.signal, begins)
+    def _enclose(self, estimates: EstimatedRows, touched: slice, begins: NDArray[np.intp]) -> None:
+        signal, sigma = estimates.signal, estimates.sigma
+        low, high = np.fmin.reduceat(signal, begins), np.fmax.reduceat(signal, begins)
         each = np.arange(len(low))
         self.signal.add(touched, each, low, high)
-        least, greatest = float(told.sigma.min()), float(told.sigma.max())
-        if least == greatest and np.isfinite(least):  # settled, as mostly
+        least, greatest = float(sigma.min()), float(sigma.max())
+        if least == greatest and np.isfinite(least):  # the filter is in its steady state, the usual case
             self.band.add(touched, each, low - WIDTH * least, high + WIDTH * least)
             return
-        half = WIDTH * np.where(np.isfinite(told.sigma), told.sigma, np.nan)
-        self.band.add(touched, begins, told.signal - half, told.signal + half)
+        half = WIDTH * np.where(np.isfinite(sigma), sigma, np.nan)
+        self.band.add(touched, begins, signal - half, signal + half)
 
 
 def _enclosed(run: ChannelRun, view: View, each: int) -> Clean:
     enclosing = _Enclosing(view, each)
-    for told in run.told(view.first, view.stop):
-        enclosing.add(told)
+    for estimates in run.told(view.first, view.stop):
+        enclosing.add(estimates)
     return enclosing.clean()
 
 
 def _unchanged(rows: ChannelRows, recipe: ChannelRecipe, view: View) -> Clean:
-    """Give readings back, of which no sigma is told."""
+    """Return the readings themselves as the output, without sigma."""
     healthy, enclosing = rows.healthy(recipe.limits), _Enclosing(view, view.rows_each)
     part = slice(view.first, view.stop)
     unknown = np.full(view.stop - view.first, np.nan)

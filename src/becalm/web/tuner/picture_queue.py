@@ -17,33 +17,33 @@ from becalm.web.tuner.painting import Painter, PictureRequest, dial_frame, map_f
 if TYPE_CHECKING:
     from becalm.web.tuner.sharing import Shared
 
-_WIDTH = 2000  # stretches, until a page says how many it has room for
+_WIDTH = 2000  # stretches, until a page sends its own number
 
 
 @dataclass
 class _Shown:
-    """What a page was shown beside pictures since it was told from the beginning."""
+    """The dial and the figures that a page has got since the recording was sent."""
 
     dial: tuple[object, ...] = ()
     figures: tuple[object, ...] = ()
 
 
 class Showing:
-    """The pictures of one page.
+    """The queue of pictures for one page.
 
     Parameters
     ----------
     shared : Shared
-        The desk, and the threads that paint.
+        View model and threads, common to all pages.
     wire : Wire
-        The way to the page.
+        Connection to the page.
 
     Attributes
     ----------
     dragging : bool
-        Whether the dial is held: what takes longer waits then.
+        Whether the person drags the dial; slow figures wait then.
     answers : int
-        The newest message that the next picture answers.
+        Number of the newest message that the next picture answers.
     """
 
     def __init__(self, shared: Shared, wire: Wire) -> None:
@@ -51,49 +51,49 @@ class Showing:
         self._painter = Painter(shared.halves)
         self._look = Look(number=0, do="look", channel=0, width=_WIDTH)
         self._classics: dict[int, str] = {}
-        self._asked, self.answers, self._shown = asyncio.Event(), 0, _Shown()
+        self._requested, self.answers, self._shown = asyncio.Event(), 0, _Shown()
         self.dragging = False
 
     async def run(self) -> None:
-        """Paint whatever is asked for, and then, while nothing is, what takes longer."""
+        """Send requested pictures for ever, and slower figures while no picture is requested."""
         while True:
-            await self._asked.wait()
-            self._asked.clear()
+            await self._requested.wait()
+            self._requested.clear()
             await self._wire.guarded(self._show_newest, self.answers)
 
     def begin(self) -> None:
-        """Show the page all of what is open now, as if nothing had been shown."""
+        """Start again with a new recording: nothing of it has been sent."""
         self._look = Look(number=0, do="look", channel=0, width=self._look.width)
         self._shown = _Shown()
         self._classics.clear()
 
     def wait(self) -> None:
-        """Paint nothing until it is asked for again."""
-        self._asked.clear()
+        """Drop the present request."""
+        self._requested.clear()
 
     def ask(self, number: int | None = None) -> None:
-        """Ask for a picture; one that was asked for and not begun is not painted any more."""
+        """Request a picture; it replaces a request that has not been started."""
         self.answers = self.answers if number is None else number
-        self._asked.set()
+        self._requested.set()
 
     def look(self, look: Look) -> None:
-        """Look at a part of a channel."""
+        """Request a part of a channel."""
         self._shared.open_desk.opened.check_channel(look.channel)
         self._look = look
         self.ask(look.number)
 
     def turned(self, channel: int, number: int) -> None:
-        """Look at the channel whose dial was turned."""
+        """Request a picture of the channel whose setting was changed."""
         self._look = self._look.model_copy(update={"channel": channel})
         self.ask(number)
 
     def compare(self, message: messages.Compare) -> None:
-        """Draw a classic filter beside a channel, or none.
+        """Draw a classic filter for comparison with a channel, or none.
 
         Raises
         ------
         UsageError
-            If it is none to compare with.
+            If the filter cannot be compared in this mode.
         """
         desk = self._shared.open_desk
         desk.opened.check_channel(message.channel)
@@ -102,11 +102,11 @@ class Showing:
         elif message.classic in desk.classics:
             self._classics[message.channel] = message.classic
         else:
-            raise UsageError("That classic filter is not one to compare with in this mode; choose one that is offered.")
+            raise UsageError("That classic filter cannot be compared in this mode; choose one from the list.")
         self.ask(message.number)
 
     async def map(self, message: messages.Map) -> None:
-        """Tell how well every noise and density foretells readings."""
+        """Send the map of how well each noise and density predicts readings."""
         in_thread = self._shared.in_thread
         wanted = await in_thread(lambda: self._wanted(message.number, message.channel))
         await self._wire.send(await in_thread(lambda: map_frame(wanted)))
@@ -118,7 +118,7 @@ class Showing:
             math.inf if look.to_s is None else look.to_s,
         )
         classic = self._classics.get(channel)
-        if classic not in desk.classics:  # it was of another mode
+        if classic not in desk.classics:  # it was chosen in another mode
             classic = None
         recipe, lag = desk.channel(channel), desk.lag
         how = (recipe, lag, span_s, look.width, answers, classic, self.dragging)
@@ -129,20 +129,20 @@ class Showing:
         wanted, shown = self._wanted(self.answers, self._look.channel), self._shown
         if not wanted.hurried and await in_thread(lambda: painter.hurries(wanted)):
             await self._wire.send(await in_thread(lambda: painter.picture(wanted._replace(hurried=True)).framed()))
-            if self._asked.is_set():
+            if self._requested.is_set():
                 return
         painted = await in_thread(lambda: painter.picture(wanted))
         await self._wire.send(painted.framed())
-        if self._asked.is_set():
+        if self._requested.is_set():
             return
         if shown.dial != wanted.dial_key:
             await self._wire.send(await in_thread(lambda: dial_frame(wanted)))
             shown.dial = wanted.dial_key
-        if wanted.classic is not None and not self._asked.is_set():
+        if wanted.classic is not None and not self._requested.is_set():
             await self._wire.send(await in_thread(lambda: painter.classic(wanted, painted)))
-        if not self._asked.is_set():
+        if not self._requested.is_set():
             await in_thread(lambda: painter.remember(wanted, painted))
-        if not (self.dragging or self._asked.is_set() or shown.figures == wanted.judged_key):
+        if not (self.dragging or self._requested.is_set() or shown.figures == wanted.judged_key):
             await self._judge(wanted, shown)
 
     async def _judge(self, wanted: PictureRequest, shown: _Shown) -> None:
@@ -158,4 +158,4 @@ class Showing:
             shown.figures = wanted.judged_key
 
     def _is_quiet(self) -> bool:
-        return not (self._asked.is_set() or self._wire.gone)
+        return not (self._requested.is_set() or self._wire.gone)

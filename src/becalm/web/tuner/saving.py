@@ -1,4 +1,4 @@
-"""What was set, saved: by the command line itself, so that its bytes are those that anyone gets from the recipe."""
+"""Save cleaned files and reports by running the command line, so that they equal what anyone gets from the recipe."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BLOCK = 1 << 18
 
 
 class CleaningJob(NamedTuple):
-    """A file to clean, by which recipe."""
+    """A file to clean, with its recipe."""
 
     file: Path
     recipe: str  # TOML
@@ -26,14 +26,14 @@ class CleaningJob(NamedTuple):
 
 
 class Made:
-    """A file that was made in a private folder, which goes away with it."""
+    """A finished file in a private folder, which is removed with it."""
 
     def __init__(self, folder: tempfile.TemporaryDirectory[str], path: Path, name: str) -> None:
         self._folder, self.path, self.name = folder, path, name
         self.bytes = path.stat().st_size
 
     async def blocks(self) -> AsyncIterator[bytes]:
-        """Give its bytes, and remove it, also where nobody takes all of them."""
+        """Yield the bytes of the file, and then remove it, even if the reader stops early."""
         try:
             with self.path.open("rb") as stream:
                 while block := await asyncio.to_thread(stream.read, _BLOCK):
@@ -42,7 +42,7 @@ class Made:
             self.close()
 
     def close(self) -> None:
-        """Remove it."""
+        """Remove the file and its folder."""
         self._folder.cleanup()
 
 
@@ -52,14 +52,14 @@ async def cleaned(job: CleaningJob, ending: str) -> Made:
     Parameters
     ----------
     job : CleaningJob
-        Which file, and how.
+        File and recipe.
     ending : str
-        Of the output's name, without its dot: its format.
+        Ending of the output's name without the dot; it decides the format.
 
     Raises
     ------
     OutputError
-        If there is no such format, or it cannot be written.
+        If there is no such format, or the file cannot be written.
     """
     if f".{ending}" not in ENDINGS:
         raise OutputError(f"There is no format {ending!r} to save in; choose {', '.join(sorted(ENDINGS))}.")
@@ -67,12 +67,12 @@ async def cleaned(job: CleaningJob, ending: str) -> Made:
 
 
 async def reported(job: CleaningJob) -> Made:
-    """Make the page of a file as `becalm clean --report` does.
+    """Write the report on a file as `becalm clean --report` does.
 
     Raises
     ------
     OutputError
-        If it cannot be made.
+        If the report cannot be written.
     """
     return await _made(job, f"{stem_of(job.file)}-clean.npz", f"{stem_of(job.file)}-report.html")
 
@@ -82,9 +82,7 @@ async def _made(job: CleaningJob, output: str, page: str | None) -> Made:
         folder = tempfile.TemporaryDirectory(prefix="becalm-", ignore_cleanup_errors=True)
         return await _made_in(folder, job, output, page)
     except OSError as cause:
-        says = (
-            f"{page or output} cannot be made ({cause.strerror}); make room where temporary files are, or set TMPDIR."
-        )
+        says = f"{page or output} cannot be made ({cause.strerror}); free space for temporary files, or set TMPDIR."
         raise OutputError(says) from cause
 
 
@@ -98,7 +96,7 @@ async def _made_in(folder: tempfile.TemporaryDirectory[str], job: CleaningJob, o
         words += ["--group", job.group] if job.group is not None else []
         try:
             await _run(words, inside)
-        except OutputError as cause:  # a page knows files by name
+        except OutputError as cause:  # replace paths by names, which is what a page shows
             named = str(cause).replace(str(file), job.file.name).replace(f"{inside}{os.sep}", "")
             raise OutputError(named.replace(str(inside), "the folder for temporary files")) from cause
         name = output if page is None else page
@@ -109,12 +107,12 @@ async def _made_in(folder: tempfile.TemporaryDirectory[str], job: CleaningJob, o
 
 
 async def _run(words: list[str], inside: Path) -> None:
-    """Run becalm in a private folder; it is ended where nobody waits for it any more.
+    """Run becalm in a private folder; the process is killed if the task is cancelled.
 
     Raises
     ------
     OutputError
-        If it refuses; what it says is told.
+        If becalm fails; the message is its error output.
     """
     process = await asyncio.create_subprocess_exec(
         *MODULE,
@@ -127,12 +125,12 @@ async def _run(words: list[str], inside: Path) -> None:
         env={**environment(), "COLUMNS": "10000", "NO_COLOR": "1"},
     )
     try:
-        _, said = await process.communicate()
+        _, errors = await process.communicate()
     except BaseException:
         if process.returncode is None:
             process.kill()
             await process.wait()
         raise
     if process.returncode not in (0, NOT_DESCRIBED):
-        text = said.decode("utf-8", "replace").strip()
+        text = errors.decode("utf-8", "replace").strip()
         raise OutputError(text or f"It could not be saved: becalm ended with {process.returncode}.")

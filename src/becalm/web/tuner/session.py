@@ -1,4 +1,4 @@
-"""The session of one page of the tuner: requests change the view model at once, and the newest picture wins."""
+"""The session of one page of the tuner: requests change the view model at once, and only the newest picture is sent."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from becalm.web.tuner.sharing import Shared, Telling
 
 
 class Conversation:
-    """One page.
+    """The session of one page.
 
     Parameters
     ----------
     shared : Shared
-        The desk, and what all pages have in common.
+        View model and threads, common to all pages.
     websocket : WebSocket
-        The page's wire.
+        Connection to the page.
     """
 
     def __init__(self, shared: Shared, websocket: WebSocket) -> None:
@@ -35,10 +35,10 @@ class Conversation:
         self._showing = Showing(shared, self._wire)
         self._tasks: set[asyncio.Task[None]] = set()
         self._mapping: asyncio.Task[None] | None = None
-        self._turned = 0  # by which message last
+        self._turned = 0  # number of the last message that changed a setting
 
     async def run(self) -> None:
-        """Speak with the page until it is closed."""
+        """Exchange messages with the page until it is closed."""
         await self._websocket.accept()
         await self._wire.tell(await self._shared.in_thread(self._shared.welcome))
         self._shared.pages.add(self)
@@ -52,7 +52,7 @@ class Conversation:
                 frame = await self._websocket.receive()
                 if frame["type"] == "websocket.disconnect":
                     return
-                await self._hear(frame)
+                await self._receive(frame)
         except WebSocketDisconnect:
             return
         finally:
@@ -63,34 +63,34 @@ class Conversation:
             await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def told_anew(self) -> None:
-        """Tell the page what is open, and what is set, from the beginning."""
+        """Send the page the open recording and all settings."""
         desk = self._shared.open_desk
         self._showing.begin()
         await self._wire.tell(await self._shared.in_thread(desk.recording_told))
         await self.told_state()
 
     async def told_state(self, but: Conversation | None = None) -> None:
-        """Tell the page what is set, and show it; `but` is the page whose picture is already on its way."""
+        """Send the page all settings and a new picture; the page `but` has already requested its picture."""
         if but is not self:
             self._showing.ask()
         turned = self._turned
         await self._wire.tell({**await self._shared.in_thread(self._shared.open_desk.state_told), "turned": turned})
 
     def tell(self, what: Telling) -> None:
-        """Tell the page something beside all else: another one does not wait until this one hears."""
+        """Send the page something in a task of its own, so that other pages do not wait for this one."""
         if not self._wire.gone:
             self._start(lambda: self._wire.guarded(lambda: what(self), None))
 
     async def working(self, says: str) -> None:
-        """Tell the page what is being done; "" of nothing any more."""
+        """Send the page a sentence about the work in progress; "" if it is finished."""
         await self._wire.tell({"kind": "working", "says": says})
 
-    async def _hear(self, frame: Mapping[str, Any]) -> None:
+    async def _receive(self, frame: Mapping[str, Any]) -> None:
         number: int | None = None
         try:
-            said = heard(frame)
-            number = number_of(said)
-            message = understood(said)
+            content = heard(frame)
+            number = number_of(content)
+            message = understood(content)
         except BecalmError as cause:
             await self._wire.trouble(str(cause), number)
             return
@@ -134,7 +134,7 @@ class Conversation:
         if message.settings.choice is None and message.settings.on is None:
             turn()
         else:
-            await self._shared.in_thread(turn)  # a model of another order may have to be looked at first
+            await self._shared.in_thread(turn)  # a model of another order may have to be computed first
         self._turned = message.number
         self._showing.dragging = not message.final
         self._showing.turned(message.channel, message.number)
@@ -159,11 +159,11 @@ class Conversation:
             raise
         self._showing.dragging = False
         self._showing.answers = message.number
-        anew = isinstance(message, messages.Restore) or desk.options is not before  # of the other mode
+        anew = isinstance(message, messages.Restore) or desk.options is not before  # the other mode has other options
         await self._shared.tell_all(Conversation.told_anew if anew else Conversation.told_state, self)
 
     def _start(self, doing: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
-        """Do something beside all else, until the page is gone."""
+        """Start a task, which ends when the page is closed."""
 
         async def quietly() -> None:
             with suppress(WebSocketDisconnect):

@@ -1,4 +1,4 @@
-"""What a person set of a channel's filter, and the recipe that it makes of what was found."""
+"""The settings of a channel's filter, and the recipe that they make from the identified one."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from becalm.web.tuner.evidence import beside_best, described
 from becalm.web.tuner.messages import Turned
 
 FOUND, GIVEN = "found", "given"
-"""Choices: what becalm chose, and what a recipe says that was given."""
+"""Keys of two choices: the model that becalm chose, and that of a recipe that the person loaded."""
 
 _ORDER, _TONE = "order-", "tone-"
 
 
 class Setting(NamedTuple):
-    """What was set of a channel; None is as it was tuned."""
+    """The settings of a channel; None is the identified value."""
 
     choice: str = FOUND
     noise_std: float | None = None
@@ -32,18 +32,18 @@ class Setting(NamedTuple):
 
 
 class Options:
-    """What may be set of a channel.
+    """The possible settings of a channel.
 
     Parameters
     ----------
     found : ChannelTuning
-        What it was chosen among.
+        Result of the identification, with the models that were compared.
     channel : ChannelRecipe
-        What was chosen, with all that was put into its recipe since.
+        Recipe of the chosen model, with calibration and other later additions.
     step_s : float
-        One step, in seconds.
+        Length of one step, in seconds.
     causal : bool
-        Whether it was tuned as a filter.
+        Whether the channel was tuned as a filter, not as a smoother.
     """
 
     def __init__(self, found: ChannelTuning, channel: ChannelRecipe, step_s: float, causal: bool) -> None:
@@ -53,7 +53,7 @@ class Options:
 
     @cached_property
     def choices(self) -> list[dict[str, object]]:
-        """What models there are, each with its evidence."""
+        """Return the models to choose from, each with its evidence."""
         chosen = {"key": FOUND, "name": f"becalm's choice: {described(self.channel)}", "order": self.channel.order}
         evidence = beside_best(self._found.choice.rivals)
         return [
@@ -65,14 +65,14 @@ class Options:
         ]
 
     def changed(self, setting: Setting, turned: Turned) -> Setting:
-        """Return a setting after a turn.
+        """Return a setting after a change.
 
         Raises
         ------
         UsageError
             If there is no such choice or component, or the channel has no filter to set.
         """
-        if turned.choice is not None:  # also the same again: with the numbers that were tuned
+        if turned.choice is not None:  # choosing the same model again restores its identified numbers
             self._refuse_unknown(turned.choice, setting)
             setting = setting._replace(choice=turned.choice, noise_std=None, process_noise_density=None)
         if turned.unchanged is not None:
@@ -82,7 +82,7 @@ class Options:
         return self._dialled(setting, turned)
 
     def recipe(self, setting: Setting) -> ChannelRecipe:
-        """Return what a setting makes of the channel; nothing but its watch where it passes unchanged."""
+        """Return the channel's recipe for a setting; a channel that passes unchanged keeps only its sensor limits."""
         base = self._base(setting)
         if setting.unchanged:
             return ChannelRecipe(name=base.name, unit=base.unit, model="untold", limits=base.limits)
@@ -95,7 +95,7 @@ class Options:
         update: dict[str, object] = {
             "noise_std": noise_std,
             "process_noise_density": base.motion.process_noise_density if density is None else density,
-            "tuning_spread": 0.0,  # what a person asked for is no estimate
+            "tuning_spread": 0.0,  # numbers that a person sets are not estimates
             "switching": None,
         }
         if recipe.timing is not None:
@@ -104,7 +104,7 @@ class Options:
         return _without_alarms(_with_fair_gate(recipe.model_copy(update=update), base, self._step_s))
 
     def told(self, setting: Setting) -> dict[str, object]:
-        """Tell a page of a setting."""
+        """Return a setting as a message for a page."""
         recipe, base = self.recipe(setting), self._base(setting)
         on = dict.fromkeys(components(self.channel), False)
         on |= {key: key not in setting.off for key in components(base)}
@@ -121,7 +121,7 @@ class Options:
         }
 
     def as_given(self, given: ChannelRecipe) -> Setting:
-        """Return the setting that makes a channel's recipe, as simply as it can be said."""
+        """Return the simplest setting that gives a channel's recipe."""
         for choice in (FOUND, *self._rivals):
             base = self._base(Setting(choice))
             off = frozenset(key for key in components(base) if not _has(given, key, base))
@@ -139,53 +139,53 @@ class Options:
             return setting.given
         if setting.choice not in self._tuned:
             rival = self._rivals.get(setting.choice)
-            if rival is None:  # the other mode's orders are not all tried in this one
+            if rival is None:  # an order of the other mode that was not tried in this one
                 return self.channel
             spread = tuning_spread(rival, self._found.believed, self._causal)
             alone = in_seconds(self.channel.name, self.channel.unit, rival, self._step_s, spread)
-            beside = {key: getattr(self.channel, key) for key in ("tone", "coloured_noise", "gate", "calibration")}
-            more = {"limits": self.channel.limits, "timing": self.channel.timing}
-            self._tuned[setting.choice] = _without_alarms(alone.model_copy(update=beside | more))
+            shared = ("tone", "coloured_noise", "gate", "calibration", "limits", "timing")
+            update = {key: getattr(self.channel, key) for key in shared}
+            self._tuned[setting.choice] = _without_alarms(alone.model_copy(update=update))
         return self._tuned[setting.choice]
 
     def _refuse_unknown(self, choice: str, setting: Setting) -> None:
         if choice not in (FOUND, *self._rivals) and not (choice == GIVEN and setting.given is not None):
-            raise UsageError(f"There is no model {choice!r} of {self.channel.name!r}; choose one that is offered.")
+            raise UsageError(f"There is no model {choice!r} for {self.channel.name!r}; choose one from the list.")
 
     def _switched(self, setting: Setting, key: str, on: bool) -> Setting:
         if key not in components(self._base(setting)):
             if key not in components(self.channel):
                 raise UsageError(f"{self.channel.name!r} has no component {key!r} to switch; reload the page.")
-            if not on:  # as of what switches, which one order alone does not
+            if not on:  # a model of one order has no modes to switch off, for example
                 return setting
             setting = setting._replace(choice=FOUND, noise_std=None, process_noise_density=None)
-        if key in ("switching", "gate") and on:  # neither belongs to a dial that was turned
+        if key in ("switching", "gate") and on:  # both belong to the identified numbers only
             setting = setting._replace(noise_std=None, process_noise_density=None)
         return setting._replace(off=setting.off - {key} if on else setting.off | {key})
 
     def _dialled(self, setting: Setting, turned: Turned) -> Setting:
         if turned.noise_std is None and turned.process_noise_density is None:
             return setting
-        told = self.recipe(setting._replace(unchanged=False))
-        if told.motion is None:
+        motion = self.recipe(setting._replace(unchanged=False)).motion
+        if motion is None:
             raise UsageError(f"{self.channel.name!r} passes unchanged: it has no filter to set.")
-        noise_std = told.motion.noise_std if turned.noise_std is None else turned.noise_std
+        noise_std = motion.noise_std if turned.noise_std is None else turned.noise_std
         density = turned.process_noise_density
-        density = told.motion.process_noise_density if density is None else density
-        if (noise_std, density) == (told.motion.noise_std, told.motion.process_noise_density):
-            return setting  # a page may say back what it was told
+        density = motion.process_noise_density if density is None else density
+        if (noise_std, density) == (motion.noise_std, motion.process_noise_density):
+            return setting  # a page may send back the present values
         return setting._replace(noise_std=noise_std, process_noise_density=density)
 
 
 def components(recipe: ChannelRecipe) -> dict[str, str]:
-    """Return what of a channel's filter can be switched off, by its key: a name for people."""
+    """Return the components of a channel's filter that can be switched off: a name for people for each key."""
     named = {f"{_TONE}{k}": f"tone at {tone.frequency_hz:.4g} Hz" for k, tone in enumerate(recipe.tone)}
     if recipe.coloured_noise is not None:
         named["coloured"] = "coloured noise"
     if recipe.gate is not None:
-        named["gate"] = "gate: leaves spikes out"
+        named["gate"] = "gate: rejects spikes"
     if recipe.switching is not None:
-        named["switching"] = f"switches: {', '.join(mode.name for mode in recipe.switching.mode)}"
+        named["switching"] = f"modes: {', '.join(mode.name for mode in recipe.switching.mode)}"
     if recipe.limits is not None:
         named["limits"] = "sensor limits: clipped and stuck readings"
     if recipe.timing is not None:
@@ -197,7 +197,7 @@ _FIELDS = {"coloured": "coloured_noise"} | {key: key for key in ("gate", "switch
 
 
 def _has(recipe: ChannelRecipe, key: str, base: ChannelRecipe) -> bool:
-    """Whether a recipe has the component that another one calls by a key."""
+    """Return whether a recipe has the component with a key; the numbers of tones are those of `base`."""
     if key in _FIELDS:
         return getattr(recipe, _FIELDS[key]) is not None
     return base.tone[int(key.removeprefix(_TONE))] in recipe.tone
@@ -211,7 +211,7 @@ def _without(recipe: ChannelRecipe, off: frozenset[str]) -> ChannelRecipe:
 
 
 def _with_fair_gate(dialled: ChannelRecipe, base: ChannelRecipe, step_s: float) -> ChannelRecipe:
-    """Return a dialled recipe without its gate where the dialled filter is slower than the one that was found."""
+    """Remove the gate of a recipe if its filter is now slower than the identified one."""
     if dialled.gate is None or dialled.motion is None or base.motion is None:
         return dialled
     if may_judge(in_steps(dialled.motion, step_s), in_steps(base.motion, step_s)):
@@ -220,7 +220,7 @@ def _with_fair_gate(dialled: ChannelRecipe, base: ChannelRecipe, step_s: float) 
 
 
 def _without_alarms(recipe: ChannelRecipe) -> ChannelRecipe:
-    """Return a recipe that tells no drift and no death: their thresholds are of the filter that was found."""
+    """Remove the drift and dead-sensor alarms of a recipe: their thresholds hold for the identified filter only."""
     if recipe.limits is None:
         return recipe
     limits = recipe.limits.model_copy(update={"drift_threshold": None, "dead_variance": None})

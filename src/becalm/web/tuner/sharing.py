@@ -1,4 +1,4 @@
-"""What all pages of a tuner have in common: the folder, what is open, and the threads that compute."""
+"""The state that all pages of a tuner share: the folder, the open recording and the threads."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ _HALVES, _WORKERS = 2, 6
 
 T = TypeVar("T")
 Telling = Callable[[Any], Coroutine[Any, Any, None]]
-"""Tells a page something."""
+"""A function that sends something to a page."""
 
 
 class Hearer(Protocol):
-    """A page that is open."""
+    """An open page."""
 
     def tell(self, what: Telling) -> None:
-        """Tell it something beside all else."""
+        """Send the page something, without waiting for it."""
         ...
 
 
 class Shared:
-    """What pages have in common.
+    """The state that all pages share.
 
     Parameters
     ----------
     folder : Path
-        Whose files may be opened.
+        Folder whose files may be opened.
     file : Path or None
-        What is opened first.
+        File to open first.
     upload_limit : int
-        Bytes of a file that a page may bring.
+        Size limit of a file that a page uploads, in bytes.
     options : ReadOptions
-        What was said of the time of the file that is opened first.
+        Options for the time base of the first file.
     """
 
     def __init__(self, folder: Path, file: Path | None, upload_limit: int, options: ReadOptions = AS_IT_IS) -> None:
@@ -63,11 +63,11 @@ class Shared:
 
     @property
     def first(self) -> str | None:
-        """The file that is opened first, as pages call it."""
+        """Return the id of the file that is opened first."""
         return self.folder.first
 
     def welcome(self) -> dict[str, Any]:
-        """Tell a page where it is."""
+        """Return the first message to a page."""
         return {
             "kind": "welcome",
             "version": version(),
@@ -78,7 +78,7 @@ class Shared:
         }
 
     def files(self) -> dict[str, Any]:
-        """Tell a page what it may open now."""
+        """Return the part of a message that lists the files to open."""
         return {
             "folder": self.folder.name,
             "files": [one.as_dict() for one in self.folder.known()],
@@ -87,54 +87,54 @@ class Shared:
         }
 
     def is_open(self, file: str, group: str | None, rate_hz: float | None) -> bool:
-        """Whether a file is the one that is open, unchanged since it was read, or deleted since."""
+        """Return whether a file is open already, and unchanged or deleted since it was read."""
         if self.desk is None or self.desk.opened.id != file or group not in (None, self.desk.opened.group):
             return False
         if rate_hz not in (None, self.desk.opened.said.rate_hz):
             return False
         try:
             path = self.folder.path_of(file)
-        except InputError:  # it is gone, but was read
+        except InputError:  # deleted, but it is in memory
             return True
         return self.desk.opened.is_unchanged(path)
 
     async def open(self, file: str, group: str | None, rate_hz: float | None = None) -> None:
-        """Open a file in the place of what is open; what is open stays where it cannot be read.
+        """Open a file in place of the open one, which stays open after an error.
 
         Raises
         ------
         BecalmError
-            If it cannot be read.
+            If the file cannot be read.
         """
         opening = asyncio.create_task(self._open(file, group, rate_hz))
-        self._openings.add(opening)  # which goes on where the page that asked is reloaded: it will ask again
+        self._openings.add(opening)  # goes on if the page is reloaded, because it will then request the file again
         opening.add_done_callback(self._opened)
         await asyncio.shield(opening)
 
     def _opened(self, opening: asyncio.Task[None]) -> None:
         self._openings.discard(opening)
         if not opening.cancelled():
-            opening.exception()  # whoever asks again is told; asyncio need not complain that nobody looked
+            opening.exception()  # marks the exception as seen, or asyncio would log it; the next request gets its own
 
     async def _open(self, file: str, group: str | None, rate_hz: float | None) -> None:
         async with self._opening:
             if self.is_open(file, group, rate_hz):
-                return  # another page asked for it as well
+                return  # another page has opened it meanwhile
             options = self._options if file == self.first else AS_IT_IS
             if rate_hz is not None:
                 options = ReadOptions(rate_hz=rate_hz)
             path, loop = self.folder.path_of(file), asyncio.get_running_loop()
 
-            def tell(says: str) -> None:
+            def report(says: str) -> None:
                 asyncio.run_coroutine_threadsafe(self.working(says), loop)
 
             def begin() -> ViewModel:
                 try:
-                    desk = ViewModel(Opened(file, path, group, tell, options))
+                    desk = ViewModel(Opened(file, path, group, report, options))
                     desk.begin()
-                except BecalmError as cause:  # a page knows files by name, and has a field for their rate
-                    said = str(cause).replace(str(path), path.name).replace("--rate HZ", "the rate (Hz) below")
-                    raise type(cause)(said) from cause
+                except BecalmError as cause:  # a page shows names without paths, and has a field for the rate
+                    message = str(cause).replace(str(path), path.name).replace("--rate HZ", "the rate (Hz) below")
+                    raise type(cause)(message) from cause
                 return desk
 
             try:
@@ -144,7 +144,7 @@ class Shared:
                 raise
 
     async def tell_all(self, what: Telling, asker: Hearer | None) -> None:
-        """Tell every page something; only the one that asked for it is waited for."""
+        """Send every page something, and wait only for the page that requested it."""
         for page in tuple(self.pages):
             if page is not asker:
                 page.tell(what)
@@ -152,12 +152,12 @@ class Shared:
             await what(asker)
 
     async def in_thread(self, work: Callable[[], T]) -> T:
-        """Do some work in a thread."""
+        """Run some work in a thread."""
         return await asyncio.get_running_loop().run_in_executor(self.workers, work)
 
     @property
     def open_desk(self) -> ViewModel:
-        """What is worked on.
+        """Return the view model of the open recording.
 
         Raises
         ------
@@ -169,11 +169,11 @@ class Shared:
         return self.desk
 
     def close(self) -> None:
-        """End the threads, and remove what was brought."""
+        """Stop the threads, and remove uploaded files."""
         for pool in (self.workers, self.halves):
             pool.shutdown(wait=False, cancel_futures=True)
         self.uploads.close()
 
     async def working(self, says: str) -> None:
-        """Tell every page what is being done; "" of nothing any more."""
+        """Send every page a sentence about the work in progress; "" if it is finished."""
         await self.tell_all(lambda page: page.working(says), None)

@@ -1,4 +1,4 @@
-"""What a person is working on: the settings of every channel, with undo."""
+"""The view model of the tuner: the open recording and the settings of its channels, with undo."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from becalm.web.tuner.naming import command
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.settings import GIVEN, Options, Setting, components
 
-_MOST_STEPS = 1000  # that can be taken back
-_MOST_WAITED = 10_000_000_000  # rows, times those that each waits for: some ten seconds of a picture
+_MOST_STEPS = 1000  # changes that can be undone
+_MOST_WAITED = 10_000_000_000  # rows times lag in rows; a picture takes about ten seconds then
 
 
 class Doing(NamedTuple):
-    """All that was set."""
+    """The settings of all channels."""
 
     mode: Mode
     lag_s: float | None
@@ -26,14 +26,14 @@ class Doing(NamedTuple):
 
 
 class ViewModel:
-    """A recording and what is set of its filters.
+    """A recording and the settings of its filters.
 
     Parameters
     ----------
     opened : Opened
-        The recording.
-    mode : str
-        As recipes have it.
+        Open recording.
+    mode : {"causal", "smoothed", "lagged"}
+        Mode at the start.
     """
 
     def __init__(self, opened: Opened, mode: Mode = "smoothed") -> None:
@@ -43,12 +43,12 @@ class ViewModel:
 
     @property
     def now(self) -> Doing:
-        """What is set now, or being dragged."""
+        """Return the present settings, which may be those of an unfinished drag."""
         return self._dragged
 
     @property
     def lag(self) -> int | None:
-        """Later rows that each row waits for: 0 filters, None waits for all."""
+        """Return the lag in rows: 0 for a filter, None for a smoother of the whole record."""
         mode, lag_s, _ = self.now
         if mode == "lagged" and lag_s is not None:
             return lag_in_rows(lag_s, self.opened.step_s)
@@ -56,30 +56,30 @@ class ViewModel:
 
     @property
     def options(self) -> tuple[Options, ...]:
-        """What may be set of each channel in the mode that is on."""
+        """Return the possible settings of each channel in the present mode."""
         return self._options_in(self.now)
 
     @property
     def can_undo(self) -> bool:
-        """Whether something can be taken back."""
+        """Return whether a change can be undone."""
         return self._at > 0
 
     @property
     def can_redo(self) -> bool:
-        """Whether something was taken back."""
+        """Return whether a change was undone."""
         return self._at + 1 < len(self._steps)
 
     @property
     def classics(self) -> list[str]:
-        """Classic filters that are fair beside the mode that is on."""
+        """Return the classic filters that can be compared in the present mode."""
         return classics_of(self.now.mode)
 
     def begin(self) -> None:
-        """Find the filters; takes a while."""
+        """Identify the filters, which takes a while."""
         self.opened.options(self.opened.as_filter(self.now.mode, self.now.lag_s))
 
     def turn(self, channel: int, turned: Turned, *, final: bool) -> None:
-        """Change the settings of a channel; what is not final is no step that can be taken back."""
+        """Change the settings of a channel; a change that is not final cannot be undone."""
         options = self._options_of(channel)
         setting = options.changed(self.now.settings[channel], turned)
         settings = list(self.now.settings)
@@ -87,34 +87,34 @@ class ViewModel:
         self._do(self.now._replace(settings=tuple(settings)), final=final)
 
     def put_in_mode(self, mode: Mode, lag_s: float | None) -> None:
-        """Smooth, filter, or wait for a lag; may take a while, the first time.
+        """Set the mode: smoother, filter, or fixed lag. The first call may take a while.
 
         Raises
         ------
         UsageError
-            If no reading comes within the lag, or so many that a picture would take minutes.
+            If the lag is shorter than a row, or so long that a picture would take minutes.
         """
         self._refuse_endless(mode, lag_s)
         self.opened.options(self.opened.as_filter(mode, lag_s))
         self._do(self.now._replace(mode=mode, lag_s=lag_s))
 
     def undo(self) -> None:
-        """Take the last step back."""
+        """Undo the last change."""
         self._at = max(self._at - 1, 0)
         self._dragged = self._steps[self._at]
 
     def redo(self) -> None:
-        """Do again what was taken back."""
+        """Redo the change that was undone last."""
         self._at = min(self._at + 1, len(self._steps) - 1)
         self._dragged = self._steps[self._at]
 
     def restore(self, text: str) -> None:
-        """Do as a recipe says.
+        """Set all filters as in a recipe.
 
         Raises
         ------
         RecipeError
-            If it is none, or not one of this recording.
+            If the text is not a recipe, or the recipe does not fit this recording.
         """
         recipe = Recipe.from_toml(text)
         self._refuse_endless(recipe.mode, recipe.lag_s)
@@ -134,11 +134,11 @@ class ViewModel:
         self._do(Doing(recipe.mode, recipe.lag_s, settings))
 
     def channel(self, channel: int) -> ChannelRecipe:
-        """Return the recipe of a channel as it is now."""
+        """Return the present recipe of a channel."""
         return self._options_of(channel).recipe(self.now.settings[channel])
 
     def setting_told(self, channel: int) -> list[object]:
-        """Tell a page what is set of a channel, as `state_told` does: the mode, its lag, the settings."""
+        """Return the settings of a channel as a message for a page: the mode, its lag, the settings."""
         mode, lag_s, settings = self.now
         return [mode, lag_s, self._options_of(channel).told(settings[channel])]
 
@@ -148,22 +148,22 @@ class ViewModel:
         Raises
         ------
         UsageError
-            If none is.
+            If all channels pass unchanged.
         """
         now = self.now
         recipe = self._recipe_of(now)
-        told = zip(recipe.channel, now.settings, strict=True)
-        kept = tuple(channel for channel, setting in told if not setting.unchanged)
+        pairs = zip(recipe.channel, now.settings, strict=True)
+        kept = tuple(channel for channel, setting in pairs if not setting.unchanged)
         if not kept:
-            raise UsageError("No channel is left to clean; let one be cleaned before you save.")
+            raise UsageError("No channel is left to clean; switch the filter of one on before you save.")
         return recipe.model_copy(update={"channel": kept})
 
     def recipe_of_all(self) -> Recipe:
-        """Return the recipe of all channels, also of those that pass unchanged."""
+        """Return the recipe of all channels, including those that pass unchanged."""
         return self._recipe_of(self.now)
 
     def recording_told(self) -> dict[str, object]:
-        """Tell a page of the recording."""
+        """Return the message that describes the recording."""
         opened, now = self.opened, self.now
         mode, lag_s, settings = now
         names = zip(opened.recording.names, opened.recording.units, self._options_in(now), settings, strict=True)
@@ -179,14 +179,14 @@ class ViewModel:
             "lasts_s": opened.lasts_s,
             "mode": mode,
             "lag_s": lag_s,
-            "channels": [_told(name, unit, option, setting) for name, unit, option, setting in names],
+            "channels": [_description(name, unit, option, setting) for name, unit, option, setting in names],
             "classics": self.classics,
             "remarks": opened.remarks,
             "command": command(opened.path, opened.group if opened.several else None),
         }
 
     def state_told(self) -> dict[str, object]:
-        """Tell a page what is set."""
+        """Return the message with all settings."""
         now = self.now
         mode, lag_s, settings = now
         try:
@@ -212,16 +212,17 @@ class ViewModel:
         if lag_in_rows(lag_s, step_s) * rows > _MOST_WAITED:
             most_s = max(_MOST_WAITED // rows, 1) * step_s
             raise UsageError(
-                f"A lag of {lag_s:g} s is too long to be drawn here, for {rows} rows; give at most {most_s:.3g} s, or"
+                f"A lag of {lag_s:g} s is too long to be drawn for {rows} rows; give at most {most_s:.3g} s, or"
                 f" type becalm clean FILE -o OUT --lag {lag_s:g}s."
             )
 
     def _recipe_of(self, now: Doing) -> Recipe:
         mode, lag_s, settings = now
-        told = tuple(option.recipe(setting) for option, setting in zip(self._options_in(now), settings, strict=True))
+        pairs = zip(self._options_in(now), settings, strict=True)
+        channels = tuple(option.recipe(setting) for option, setting in pairs)
         origin = self.opened.origin(self.opened.as_filter(mode, lag_s))
-        said = self.opened.said
-        return Recipe(mode=mode, lag_s=lag_s, time=said.time, rate_hz=said.rate_hz, tuned_on=origin, channel=told)
+        time, rate_hz = self.opened.said.time, self.opened.said.rate_hz
+        return Recipe(mode=mode, lag_s=lag_s, time=time, rate_hz=rate_hz, tuned_on=origin, channel=channels)
 
     def _options_in(self, now: Doing) -> tuple[Options, ...]:
         return self.opened.options(self.opened.as_filter(now.mode, now.lag_s))
@@ -238,15 +239,15 @@ class ViewModel:
 
 
 def classics_of(mode: Mode) -> list[str]:
-    """Return the classic filters that are fair beside a mode; beside one that waits for a lag, none is."""
+    """Return the classic filters that can be compared with a mode; a fixed lag has none."""
     if mode == "lagged":
         return []
     return [classic.name for classic in (CAUSAL if mode == "causal" else ZERO_PHASE)]
 
 
-def _told(name: str, unit: str, options: Options, setting: Setting) -> dict[str, object]:
+def _description(name: str, unit: str, options: Options, setting: Setting) -> dict[str, object]:
     given = setting.given
-    also = [] if given is None else [{"key": GIVEN, "name": "as the recipe says", "evidence": "", "order": given.order}]
+    also = [] if given is None else [{"key": GIVEN, "name": "as in the recipe", "evidence": "", "order": given.order}]
     shown = components(options.channel) | ({} if given is None else components(given))
     return {
         "name": name,

@@ -1,4 +1,4 @@
-// A fleet's page: its sensors in a table and in strips, those that are asked for, in the order that is asked for.
+// The page of a fleet: a table of its sensors, which the reader filters and sorts, and strips of their noise.
 
 import { onTheme, readColours } from "../colours.js";
 import { COLUMNS, amount, haystack, matching, ordered, share, spaced, traitsOf, unpack } from "./rows.js";
@@ -8,15 +8,15 @@ import { Table, cell, make } from "./table.js";
 /** @typedef {Parameters<typeof haystack>[0]} Fleet */
 
 const MOST_STRIPS = 6;
-const HINT = "Point at a dot to see its sensor; press it to find its row.";
+const HINT = "Point at a dot to see its sensor; click it to find its row.";
 
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
-/** The style of the first of some traits that is true of a row. @param {Fleet} fleet @param {number} row @param {string[]} names */
+/** Return the style of the first of some traits that a row has. @param {Fleet} fleet @param {number} row @param {string[]} names */
 const toneOf = (fleet, row, names) => traitsOf(fleet, row).find(({ name }) => names.includes(name))?.tone ?? "";
 
-/** The cells of a row. @param {Fleet} fleet @param {typeof COLUMNS} columns @param {number} row */
+/** Make the cells of a row. @param {Fleet} fleet @param {typeof COLUMNS} columns @param {number} row */
 function cellsOf(fleet, columns, row) {
   return columns.map(({ kind, told }) => {
     const words = make("bdi", kind === "judged" ? traitsOf(fleet, row)[0].tone : "", told(fleet, row));
@@ -26,21 +26,21 @@ function cellsOf(fleet, columns, row) {
   });
 }
 
-/** What was found, in sentences. @param {Fleet} fleet @param {number} row */
+/** Return the sentences on a row as paragraphs. @param {Fleet} fleet @param {number} row */
 function sentences(fleet, row) {
   const { reason, says, outlying } = fleet.columns;
-  const told = [
+  const texts = [
     [reason[row], toneOf(fleet, row, ["refused"])],
     [says[row], toneOf(fleet, row, ["does not fit", "fits except", "fits"])],
     [outlying[row], toneOf(fleet, row, ["outlying"])],
   ];
-  return told.filter(([words]) => words).map(([words, tone]) => make("p", tone, words));
+  return texts.filter(([words]) => words).map(([words, tone]) => make("p", tone, words));
 }
 
-/** All that is known of a row. @param {Fleet} fleet @param {number} row */
+/** Return all details of a row as elements. @param {Fleet} fleet @param {number} row */
 function all(fleet, row) {
   const { columns } = fleet;
-  const told = [
+  const details = [
     ["channel", columns.channel[row]],
     ["noise of a reading", amount(columns.noise_std[row], columns.unit[row])],
     ["mean NIS, 1 is right", amount(columns.health[row])],
@@ -50,12 +50,12 @@ function all(fleet, row) {
     ["rate", amount(columns.rate_hz[row], "Hz")],
     ["recipe", columns.recipe[row]],
   ];
-  const known = told.filter(([, words]) => words && words !== "–");
-  const list = make("dl", "", ...known.map(([term, words]) => make("div", "", make("dt", "", term), make("dd", "", words))));
+  const shown = details.filter(([, words]) => words && words !== "–");
+  const list = make("dl", "", ...shown.map(([term, words]) => make("div", "", make("dt", "", term), make("dd", "", words))));
   return [make("h3", "", columns.sensor[row]), ...sentences(fleet, row), list];
 }
 
-/** The rows of each channel and unit that have noise, most first. @param {Fleet} fleet */
+/** Return the rows with known noise for each channel and unit, the channel with most rows first. @param {Fleet} fleet */
 function channelsOf({ columns }) {
   /** @type {Map<string, number[]>} */
   const found = new Map();
@@ -100,7 +100,7 @@ function start(fleet) {
   const filters = /** @type {HTMLElement[]} */ ([...document.querySelectorAll("[data-bit]")]);
   const texts = haystack(fleet);
   const columns = COLUMNS.filter(({ kind }) => kind !== "channel" || new Set(fleet.columns.channel).size > 1);
-  const asked = { bit: -1, column: 0, down: false };
+  const query = { bit: -1, column: 0, down: false };
 
   const table = new Table(/** @type {HTMLTableElement} */ (find("table")), {
     columns,
@@ -108,30 +108,30 @@ function start(fleet) {
     opened: (row) => all(fleet, row),
     printed: (row) => (traitsOf(fleet, row)[0].name === "fits" ? [] : sentences(fleet, row)),
     pressed: (column) => {
-      asked.down = column === asked.column ? !asked.down : columns[column].down ?? false;
-      asked.column = column;
+      query.down = column === query.column ? !query.down : columns[column].down ?? false;
+      query.column = column;
       show();
     },
   });
 
   function show() {
-    const found = matching(fleet, texts, asked.bit, search.value);
-    table.mark(asked.column, asked.down);
-    table.show(ordered(fleet, found, columns[asked.column], asked.down));
-    find("shown").textContent = `${spaced(found.length)} of ${spaced(texts.length)}`;
+    const matches = matching(fleet, texts, query.bit, search.value);
+    table.mark(query.column, query.down);
+    table.show(ordered(fleet, matches, columns[query.column], query.down));
+    find("shown").textContent = `${spaced(matches.length)} of ${spaced(texts.length)}`;
     const shown = new Uint8Array(texts.length);
-    for (const row of found) shown[row] = 1;
+    for (const row of matches) shown[row] = 1;
     for (const strip of strips) strip.show((row) => shown[row] === 1);
   }
 
-  /** @param {number} bit which trait, -1 for any */
+  /** Show only the rows with one trait. @param {number} bit number of the trait; -1 for all rows */
   function only(bit) {
-    asked.bit = bit;
+    query.bit = bit;
     for (const one of filters) one.setAttribute("aria-pressed", String(Number(one.dataset.bit) === bit));
     show();
   }
 
-  /** Find a row in the table and open it, whatever else was asked for. @param {number} row */
+  /** Find a row in the table and open it; a filter that hides it is removed. @param {number} row */
   function reveal(row) {
     if (!table.rows.includes(row)) {
       search.value = "";
@@ -147,8 +147,8 @@ function start(fleet) {
   const channels = channelsOf(fleet);
   const strips = channels.slice(0, MOST_STRIPS).map(([title, rows]) => stripOf(fleet, title, rows, reveal));
   const left = channels.length - MOST_STRIPS;
-  if (left > 0) find("strips").append(make("p", "", `The noise of ${MOST_STRIPS} channels is drawn, those of most sensors; of ${left} more only the table tells.`));
-  for (const one of filters) one.addEventListener("click", () => only(asked.bit === Number(one.dataset.bit) ? -1 : Number(one.dataset.bit)));
+  if (left > 0) find("strips").append(make("p", "", `Only the ${MOST_STRIPS} channels with most sensors are drawn; the table lists the noise of ${left} more.`));
+  for (const one of filters) one.addEventListener("click", () => only(query.bit === Number(one.dataset.bit) ? -1 : Number(one.dataset.bit)));
   search.addEventListener("input", show);
   onTheme(() => strips.forEach((strip) => strip.paint()));
   show();
@@ -157,5 +157,5 @@ function start(fleet) {
 
 readColours();
 unpack(find("rows").textContent).then((fleet) => {
-  Object.assign(window, { becalmFleet: start(fleet) }); // for whoever looks at the page by a script, as its tests do
+  Object.assign(window, { becalmFleet: start(fleet) }); // for scripts that inspect the page, such as its tests
 });

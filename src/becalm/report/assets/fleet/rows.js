@@ -1,10 +1,10 @@
-// The rows of a fleet: unpacked, told, searched, put in order. They come worst first.
+// Unpacks, formats, searches and sorts the rows of a fleet. The page contains them worst first.
 
 import { short } from "../numbers.js";
 
 /** @typedef {(number | null)[]} Numbers */
 /**
- * @typedef {object} Columns what `fleet_page` packs, one value a row
+ * @typedef {object} Columns the data packed by `fleet_page`, one value for each row
  * @property {string[]} sensor
  * @property {string[]} channel
  * @property {string[]} unit
@@ -18,17 +18,17 @@ import { short } from "../numbers.js";
  * @property {Numbers} rate_hz
  * @property {Numbers} usable in percent
  * @property {number[]} rows
- * @property {number[]} traits a bit for each that is true
+ * @property {number[]} traits one bit for each trait of the row
  * @typedef {{ traits: { name: string, tone: string }[], columns: Columns }} Fleet
  */
 /**
  * @typedef {object} Column of the table
  * @property {string} name
- * @property {string} kind by which its style goes
+ * @property {string} kind its CSS class
  * @property {string} [says] what it means
- * @property {boolean} [down] whether it is first ordered from the greatest down
- * @property {(fleet: Fleet, row: number) => string} told
- * @property {(fleet: Fleet, row: number) => number | string | null} key what it is ordered by
+ * @property {boolean} [down] whether the first sort is in descending order
+ * @property {(fleet: Fleet, row: number) => string} told text of a cell
+ * @property {(fleet: Fleet, row: number) => number | string | null} key sort key
  */
 
 /** Unpack rows. @param {string} base64 @returns {Promise<Fleet>} */
@@ -40,21 +40,21 @@ export async function unpack(base64) {
   return new Response(stream).json();
 }
 
-/** A number in three digits, with its unit; a dash where there is none. @param {number | null} value @param {string} [unit] */
+/** Write a number with three digits and its unit; a dash for null. @param {number | null} value @param {string} [unit] */
 export function amount(value, unit = "") {
   return value === null ? "–" : `${short(Number(value.toPrecision(3)))} ${unit}`.trim();
 }
 
-/** A count with its thousands apart. @param {number} count */
+/** Write a count with its thousands separated. @param {number} count */
 export const spaced = (count) => String(count).replace(/\B(?=(\d{3})+$)/g, "\u202f");
 
 /** @param {number | null} percent */
 export const share = (percent) => (percent === null ? "–" : `${percent} %`);
 
-/** Names in the order of the numbers in them. @param {string} name */
+/** Return a sort key for a name, in which digits count as numbers. @param {string} name */
 const natural = (name) => name.replace(/\d+/g, (digits) => digits.padStart(12, "0"));
 
-/** What is true of a row. @param {Fleet} fleet @param {number} row */
+/** Return the traits of a row. @param {Fleet} fleet @param {number} row */
 export const traitsOf = ({ traits, columns }, row) => traits.filter((_, bit) => columns.traits[row] & (1 << bit));
 
 /** @param {Fleet} fleet @param {number} row */
@@ -62,18 +62,18 @@ const judged = (fleet, row) => traitsOf(fleet, row).map(({ name }) => name).join
 
 /** @type {Column[]} */
 export const COLUMNS = [
-  { name: "#", kind: "rank", says: "Place among all, the worst first", told: (_, i) => spaced(i + 1), key: (_, i) => i },
+  { name: "#", kind: "rank", says: "Rank among all rows, the worst first", told: (_, i) => spaced(i + 1), key: (_, i) => i },
   { name: "sensor", kind: "sensor", told: ({ columns }, i) => columns.sensor[i], key: ({ columns }, i) => natural(columns.sensor[i]) },
   { name: "channel", kind: "channel", told: ({ columns }, i) => columns.channel[i], key: ({ columns }, i) => columns.channel[i] || null },
   { name: "judged", kind: "judged", told: judged, key: judged },
   { name: "noise", kind: "noise", says: "Standard deviation of one reading's noise", down: true, told: ({ columns }, i) => amount(columns.noise_std[i], columns.unit[i]), key: ({ columns }, i) => columns.noise_std[i] },
   { name: "NIS", kind: "nis", says: "Mean squared normalised innovation; 1 is right", down: true, told: ({ columns }, i) => amount(columns.health[i]), key: ({ columns }, i) => columns.health[i] },
-  { name: "usable", kind: "usable", says: "Share of the readings that tell of the signal", told: ({ columns }, i) => share(columns.usable[i]), key: ({ columns }, i) => columns.usable[i] },
+  { name: "usable", kind: "usable", says: "Share of the readings that show the signal", told: ({ columns }, i) => share(columns.usable[i]), key: ({ columns }, i) => columns.usable[i] },
   { name: "faults", kind: "faults", told: ({ columns }, i) => columns.faults[i], key: ({ columns }, i) => columns.faults[i] || null },
   { name: "rows", kind: "rows", down: true, told: ({ columns }, i) => spaced(columns.rows[i]), key: ({ columns }, i) => columns.rows[i] },
 ];
 
-/** What a search looks at, a text for each row. @param {Fleet} fleet */
+/** Return the text that a search looks at, for each row. @param {Fleet} fleet */
 export function haystack({ columns }) {
   const { sensor, channel, recipe, faults, outlying, reason, says } = columns;
   const texts = [channel, recipe, faults, outlying, reason, says];
@@ -81,20 +81,20 @@ export function haystack({ columns }) {
 }
 
 /**
- * Find the rows that have a trait (any, if it is negative) and every word.
+ * Find the rows that have a trait and contain every word.
  * @param {Fleet} fleet
- * @param {string[]} texts of `haystack`
- * @param {number} bit
- * @param {string} asked
+ * @param {string[]} texts from `haystack`
+ * @param {number} bit number of the trait; negative for any
+ * @param {string} query words to search for
  */
-export function matching({ columns }, texts, bit, asked) {
-  const words = asked.toLowerCase().split(/\s+/).filter(Boolean);
+export function matching({ columns }, texts, bit, query) {
+  const words = query.toLowerCase().split(/\s+/).filter(Boolean);
   const has = (/** @type {number} */ i) => bit < 0 || columns.traits[i] & (1 << bit);
   return [...texts.keys()].filter((i) => has(i) && words.every((word) => texts[i].includes(word)));
 }
 
 /**
- * Put rows in the order of a column; equal ones stay worst first, unknown ones come last.
+ * Sort rows by a column; equal rows stay worst first, rows without a value come last.
  * @param {Fleet} fleet
  * @param {number[]} rows worst first
  * @param {Column} column

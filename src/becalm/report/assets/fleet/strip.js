@@ -1,20 +1,20 @@
-// The noise of every sensor as a dot on a logarithmic axis, one strip for each channel; dots of the same place stack.
+// Draws the noise of every sensor as a dot on a logarithmic axis, one strip for each channel; equal dots are stacked.
 
 import { colour } from "../colours.js";
 import { decade, logarithmic } from "../numbers.js";
 
 const [STACK, AXIS] = [72, 22]; // pixels of height
-const [PLACE, DOT, MARK] = [4, 3, 7]; // pixels: between places on the axis; of a dot; of a marked one
-const EDGE = 12; // pixels left and right of the outermost
-const NEAR = 12; // pixels from which a hand means a dot
+const [PLACE, DOT, MARK] = [4, 3, 7]; // pixels: between places on the axis; size of a dot; size of a marked dot
+const EDGE = 12; // pixels left and right of the outermost dots
+const NEAR = 12; // pixels, the largest distance at which the pointer selects a dot
 
 /** @typedef {{ row: number, value: number, marked: boolean }} Dot */
 
 export class Strip {
   /**
    * @param {HTMLCanvasElement} canvas
-   * @param {Dot[]} dots of values above 0
-   * @param {{ pointed: (row: number | null) => void, pressed: (row: number) => void }} told
+   * @param {Dot[]} dots with values above 0
+   * @param {{ pointed: (row: number | null) => void, pressed: (row: number) => void }} handlers
    */
   constructor(canvas, dots, { pointed, pressed }) {
     this.canvas = canvas;
@@ -23,7 +23,7 @@ export class Strip {
     this.y = new Float32Array(dots.length);
     const values = dots.map(({ value }) => Math.log(value)).sort((a, b) => a - b);
     const [least, most] = [values[0], values[values.length - 1]];
-    const room = most > least ? 0 : Math.LN2; // so that one value has an axis
+    const room = most > least ? 0 : Math.LN2; // equal values need an axis of some length
     this.range = [least - room, most + room];
     this.width = 0;
     /** @type {number | null} */
@@ -47,13 +47,13 @@ export class Strip {
     new ResizeObserver(() => this.#lay()).observe(canvas);
   }
 
-  /** Where a value is along the axis. @param {number} value */
+  /** Return the position of a value on the axis, in pixels. @param {number} value */
   #along(value) {
     const [least, most] = this.range;
     return EDGE + ((Math.log(value) - least) / (most - least)) * (this.width - 2 * EDGE);
   }
 
-  /** Find the places of all dots: those of the same place above each other, as near as the fullest place needs. */
+  /** Place all dots; those at the same place are stacked, close enough that the highest stack fits. */
   #lay() {
     const width = this.canvas.clientWidth;
     if (width === this.width || !width) return;
@@ -71,7 +71,7 @@ export class Strip {
     this.paint();
   }
 
-  /** Show some rows' dots in colour, the others faint. @param {(row: number) => boolean} shows */
+  /** Draw the dots of some rows in colour, the others faint. @param {(row: number) => boolean} shows */
   show(shows) {
     this.shows = shows;
     this.paint();
@@ -117,13 +117,13 @@ export class Strip {
     pen.stroke();
   }
 
-  /** Which dot a hand means. @param {number} x @param {number} y */
+  /** Return the dot nearest to the pointer, or null if none is near. @param {number} x @param {number} y */
   #near(x, y) {
-    let [found, least] = [/** @type {number | null} */ (null), NEAR ** 2];
+    let [nearest, least] = [/** @type {number | null} */ (null), NEAR ** 2];
     for (let i = 0; i < this.dots.length; i += 1) {
       const distance = (this.x[i] - x) ** 2 + (this.y[i] - y) ** 2;
-      if (distance < least) [found, least] = [i, distance];
+      if (distance < least) [nearest, least] = [i, distance];
     }
-    return found;
+    return nearest;
   }
 }

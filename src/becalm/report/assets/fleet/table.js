@@ -1,9 +1,9 @@
-// A table of any length, of which only the rows in sight are in the page; one of them may be open. It is laid out as
-// boxes, so that columns may go where there is no room for them: therefore each part says what it is.
+// A table of any length, of which the page contains only the rows in sight; one row may be open. The style lays the
+// table out as boxes, so that it can drop columns on a narrow screen. Therefore each part needs an explicit role.
 
-const BEYOND = 12; // rows beyond those in sight, so that a quick hand meets no gap
+const BEYOND = 12; // rows drawn beyond those in sight, so that fast scrolling shows no gap
 const MOST_PRINTED = 300;
-const PAGE = 10; // rows that a key goes on
+const PAGE = 10; // rows that Page Up and Page Down move
 
 /**
  * Make an element with children.
@@ -35,12 +35,12 @@ export function cell(kind, ...children) {
 }
 
 /**
- * @typedef {object} Shown what a table shows
+ * @typedef {object} Shown contents of a table
  * @property {{ name: string, kind: string, says?: string }[]} columns
  * @property {(row: number) => HTMLTableCellElement[]} cells
- * @property {(row: number) => Node[]} opened what stands below a row that is open
- * @property {(row: number) => Node[]} printed what stands below a row on paper
- * @property {(column: number) => void} pressed hears of headings
+ * @property {(row: number) => Node[]} opened details below an open row
+ * @property {(row: number) => Node[]} printed details below a row on paper
+ * @property {(column: number) => void} pressed called after a click on a heading
  */
 
 export class Table {
@@ -49,16 +49,16 @@ export class Table {
     this.place = place;
     this.shown = shown;
     this.body = place.tBodies[0];
-    /** @type {number[]} which rows there are, in their order */
+    /** @type {number[]} the rows of the table, in order */
     this.rows = [];
-    this.current = 0; // place of the row that keys go to
+    this.current = 0; // place of the row that has the keyboard
     this.open = Infinity; // place of the row that is open
-    this.height = 0; // pixels of a row, as the style has it
-    this.room = 0; // pixels of what stands below the open one
+    this.height = 0; // height of a row in pixels, from the style
+    this.room = 0; // height of the details below the open row, in pixels
     this.panel = row("opened");
     this.above = make("tr", "space");
     this.below = make("tr", "space");
-    this.drawn = ""; // from where to where
+    this.drawn = ""; // first and last place in the page
     this.headings = shown.columns.map(({ name, kind, says }, i) => {
       const button = make("button", "", name);
       button.type = "button";
@@ -77,13 +77,13 @@ export class Table {
     addEventListener("afterprint", () => this.#draw(true));
   }
 
-  /** Tell by which column rows are ordered. @param {number} column @param {boolean} down */
+  /** Mark the column that the rows are sorted by. @param {number} column @param {boolean} down */
   mark(column, down) {
     this.headings.forEach((one) => one.removeAttribute("aria-sort"));
     this.headings[column].setAttribute("aria-sort", down ? "descending" : "ascending");
   }
 
-  /** Show other rows, or others first. @param {number[]} rows */
+  /** Replace the rows of the table. @param {number[]} rows */
   show(rows) {
     this.rows = rows;
     this.current = 0;
@@ -93,7 +93,7 @@ export class Table {
     this.#draw(true);
   }
 
-  /** Open a row, or close it, if it is open. @param {number} at its place */
+  /** Open a row, or close it if it is open. @param {number} at its place */
   toggle(at) {
     this.current = at;
     this.open = this.open === at ? Infinity : at;
@@ -101,28 +101,28 @@ export class Table {
     this.#draw(true);
   }
 
-  /** Bring a row into sight, with what is open below it, and keys to it. @param {number} at its place */
+  /** Make a row current, and scroll it into sight with its details. @param {number} at its place */
   go(at) {
     this.current = Math.max(0, Math.min(this.rows.length - 1, at));
     const { top } = this.body.getBoundingClientRect();
     const [first, last] = [top + this.#top(this.current), top + this.#top(this.current + 1)];
-    const least = /** @type {HTMLElement} */ (this.place.tHead).offsetHeight; // which stays in sight
+    const least = /** @type {HTMLElement} */ (this.place.tHead).offsetHeight; // the head stays in sight
     if (first < least) scrollBy(0, first - least);
     else if (last > innerHeight) scrollBy(0, Math.min(last - innerHeight, first - least));
     this.#draw(true);
   }
 
-  /** How far below the first row another begins. @param {number} at */
+  /** Return the distance from the first row to the row at a place, in pixels. @param {number} at */
   #top(at) {
     return at * this.height + (at > this.open ? this.room : 0);
   }
 
-  /** Which row is so far below. @param {number} y */
+  /** Return the place of the row at a distance from the first, in pixels. @param {number} y */
   #at(y) {
     return y < (this.open + 1) * this.height ? Math.floor(y / this.height) : Math.max(this.open, Math.floor((y - this.room) / this.height));
   }
 
-  /** Put the rows in sight into the page. @param {boolean} [anew] even if the same are in sight */
+  /** Put the rows in sight into the page. @param {boolean} [anew] also if the same rows are in sight as before */
   #draw(anew = false) {
     this.height = parseFloat(getComputedStyle(this.place).getPropertyValue("--row"));
     const hidden = Math.max(0, -this.body.getBoundingClientRect().top);
@@ -140,20 +140,20 @@ export class Table {
     else this.place.removeAttribute("aria-activedescendant");
   }
 
-  /** @param {number} number which row @param {number} at its place */
+  /** Make a row. @param {number} number of the row @param {number} at its place */
   #line(number, at) {
     const line = row(at === this.current ? "current" : "", this.shown.cells(number));
     line.id = `row-${at}`;
-    line.setAttribute("aria-rowindex", String(at + 2)); // that of the headings is 1
+    line.setAttribute("aria-rowindex", String(at + 2)); // the headings have index 1
     line.setAttribute("aria-expanded", String(at === this.open));
     return line;
   }
 
-  /** Put the first rows into the page, wherever the reader looks, with what is told of them. */
+  /** Put the first rows into the page with their details, for print. */
   #print() {
     const lines = this.rows.slice(0, MOST_PRINTED).flatMap((number, at) => {
-      const told = this.shown.printed(number);
-      return [this.#line(number, at), ...(told.length ? [row("opened", [cell("", ...told)])] : [])];
+      const details = this.shown.printed(number);
+      return [this.#line(number, at), ...(details.length ? [row("opened", [cell("", ...details)])] : [])];
     });
     const left = this.rows.length - MOST_PRINTED;
     const more = left > 0 ? [row("opened", [cell("", `And ${left} more, which the page shows on a screen.`)])] : [];
@@ -164,7 +164,7 @@ export class Table {
   #click(target) {
     const line = target.closest("tr");
     const at = Number(line?.ariaRowIndex) - 2;
-    if (at >= 0 && !String(getSelection())) this.toggle(at); // who marks words wants to copy them
+    if (at >= 0 && !String(getSelection())) this.toggle(at); // a reader who selects text wants to copy it
   }
 
   /** @param {KeyboardEvent} event */

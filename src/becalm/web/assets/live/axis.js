@@ -1,4 +1,4 @@
-// When things were: ticks at even times, and words for them.
+// Finds and formats the times on the axis of the live page.
 
 import { colour } from "../colours.js";
 import { HELD } from "./store.js";
@@ -7,12 +7,12 @@ const STEPS_S = [1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10,
 const APART = 95; // CSS pixels, at least
 const EPOCH_S = 1e8; // stamps beyond are seconds since 1970
 
-const LATE = 1.5; // times what a bin lasts, until the next begins: then nothing came between them
+const LATE = 1.5; // a bin that begins later than this many durations after the one before follows a gap
 
 /** @typedef {import("./store.js").Store} Store */
 
 /**
- * The stamp of a row, by that of the last bin before it that is held; null where there is none near.
+ * Return the stamp of a row from that of the last stored bin before it; null if there is none near.
  * @param {Store} store @param {number} each @param {number} row @param {number} rate
  */
 export function timeOf(store, each, row, rate) {
@@ -22,7 +22,8 @@ export function timeOf(store, each, row, rate) {
 }
 
 /**
- * Even times in view, as device pixels from the left and words: by the stamps of bins, for time may leap between them.
+ * Return round times in view, as device pixels from the left and text. They follow the stamps of bins, because time may
+ * jump between bins.
  * @param {Store} store @param {number} each @param {number} rate
  * @param {number} left row @param {number} right row @param {number} width device pixels
  * @returns {[number, string][]}
@@ -47,7 +48,7 @@ export function ticksOf(store, each, rate, left, right, width) {
   return ticks;
 }
 
-/** Say when something was, in digits that tell a step. @param {number} t seconds @param {number} step */
+/** Write a time with as many digits as a step needs. @param {number} t seconds @param {number} step */
 export function clock(t, step) {
   const digits = Math.max(0, Math.min(6, Math.ceil(-Math.log10(step) - 1e-9)));
   if (t < EPOCH_S) return `${Number(t.toFixed(digits)).toFixed(digits).replace("-", "−")} s`;

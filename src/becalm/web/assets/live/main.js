@@ -1,4 +1,4 @@
-// The live page: what becalm tells of a stream, as it comes.
+// The live page: shows a stream while it runs.
 
 import { onTheme, readColours } from "../colours.js";
 import { amount, find, say, tell } from "../dom.js";
@@ -10,9 +10,9 @@ import { HELD, Store } from "./store.js";
 import { GUTTER, Strip } from "./strip.js";
 import { View } from "./view.js";
 
-const MOST_ASKED = 4000; // bins at once
-const SAID_MS = 250; // between numbers, so that they can be read
-const QUIET_S = 5; // becalm says each second how the stream fares
+const MOST_ASKED = 4000; // bins in one request
+const SAID_MS = 250; // time between two updates of numbers, so that they can be read
+const QUIET_S = 5; // becalm sends a status every second; after this time without one it counts as silent
 /** @type {Record<string, string>} */
 const OVER = { ended: "The stream has ended, and becalm with it;", stopping: "becalm was stopped;", failed: "becalm has ended;" };
 
@@ -26,21 +26,21 @@ let welcome = null;
 let view;
 /** @type {Strip[]} */
 let strips = [];
-/** @type {Store} what comes */
+/** @type {Store} the newest bins */
 let live;
-/** @type {Store | null} what is looked at while the view stands still */
+/** @type {Store | null} the bins in view while the view is paused */
 let held = null;
-let level = -1; // that is followed
-let next = 0; // the bin that comes next
+let level = -1; // level of the newest bins
+let next = 0; // number of the next new bin
 let state = "";
-let chosen = 0; // the channel whose dial keys turn
-let asked = ""; // of the past, and not answered yet, or answered with less
+let chosen = 0; // channel whose dial the keys turn
+let requested = ""; // last request for past bins
 let saidMs = 0;
 const counts = { bytes: 0, frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
-let fresh = false; // bins came since the last frame
-let holds = false; // the wire
-let begun = false; // becalm has told of the stream, and answers what is asked of it
-let quiet_s = 0; // since something came
+let fresh = false; // whether bins arrived since the last frame
+let holds = false; // whether the connection is open
+let begun = false; // whether becalm has described the stream, and so answers requests
+let quiet_s = 0; // time since the last message
 
 const send = connect({
   text: (message) => {
@@ -55,29 +55,29 @@ const send = connect({
     holds = up;
     begun = false;
     quiet_s = 0;
-    for (const strip of strips) strip.forsake(); // nobody will answer
+    for (const strip of strips) strip.forsake(); // open requests get no answer
     if (up) say(links.trouble, "");
     else if (state in OVER && state !== "failed") say(links.working, "");
-    tied(up ? "" : `${OVER[state] ?? (reason || "becalm does not answer;")} what came before stays here. Trying again in ${Math.ceil(again_s)} s.${hint}`);
+    tied(up ? "" : `${OVER[state] ?? (reason || "becalm does not answer;")} earlier data stay visible. Trying again in ${Math.ceil(again_s)} s.${hint}`);
   },
 });
 
-/** Say whether becalm answers. @param {string} says why it does not; nothing where it does */
+/** Show whether becalm answers. @param {string} says why it does not; empty if it does */
 function tied(says) {
   document.body.dataset.state = says ? "disconnected" : "live";
   say(links.link, says);
 }
 
-/** Hear that becalm is there. */
+/** Note a message from becalm. */
 function listen() {
   if (quiet_s >= QUIET_S) tied("");
   quiet_s = 0;
 }
 
-/** A wire may hold while nobody speaks any more: becalm hangs, or a cable is out. */
+// The connection may stay open without messages, if becalm hangs or a cable is unplugged.
 setInterval(() => {
   quiet_s += 1;
-  if (holds && quiet_s >= QUIET_S) tied(`becalm has said nothing for more than ${QUIET_S - 1} s; what came before stays here.`);
+  if (holds && quiet_s >= QUIET_S) tied(`becalm has sent nothing for more than ${QUIET_S - 1} s; earlier data stay visible.`);
 }, 1000);
 
 /** @type {Record<string, (message: any) => void>} */
@@ -90,13 +90,13 @@ const heard = {
   trouble: ({ says, answers }) => answered(answers, says),
 };
 
-/** @param {number | null} number @param {string} says what is wrong */
+/** Handle the answer to a request. @param {number | null} number of the request @param {string} says an error, or "" */
 function answered(number, says) {
   say(links.trouble, says);
   for (const strip of strips) strip.answered(number, !says);
 }
 
-/** Hear what the stream is. @param {any} message */
+/** Start with the description of a stream. @param {any} message */
 function begin(message) {
   const again = welcome?.run === message.run;
   const before = welcome;
@@ -104,7 +104,7 @@ function begin(message) {
   begun = true;
   say(links.working, "");
   if (!again) {
-    if (before) say(links.link, "becalm was started again; what it showed before is no longer here.");
+    if (before) say(links.link, "becalm was restarted; earlier data are gone.");
     view = new View(message);
     let place = 0;
     strips = message.names.map((/** @type {string} */ name, /** @type {number} */ c) => {
@@ -120,7 +120,7 @@ function begin(message) {
     level = -1;
     showButtons();
   }
-  asked = ""; // what was asked of the past is not answered any more
+  requested = ""; // an open request for past bins gets no answer
   const was = view.level;
   view.fit();
   if (held && view.level !== was) held = new Store(strips.length, modesOf());
@@ -129,7 +129,7 @@ function begin(message) {
   lookBack();
 }
 
-/** Ask for what comes, of the level in view. @param {boolean} [goesOn] from where it was left */
+/** Request the new bins of the level in view. @param {boolean} [goesOn] whether to continue after the last bin */
 function follow(goesOn = false) {
   if (!goesOn || level !== view.level) {
     level = view.level;
@@ -141,7 +141,7 @@ function follow(goesOn = false) {
 }
 
 const modesOf = () => strips.reduce((count, { modes }) => count + modes.length, 0);
-/** What is looked at. */
+/** Return the store in view. */
 const shown = () => held ?? live;
 
 /** @param {import("../frames.js").Frame} frame */
@@ -156,7 +156,7 @@ function take(frame) {
     }
     return;
   }
-  if (header.level !== level || header.first - header.gap !== next) return; // of what was followed before
+  if (header.level !== level || header.first - header.gap !== next) return; // an answer to an earlier request
   if (live.has(next - 1)) counts.gaps += header.gap;
   next = header.first + header.count;
   counts.bytes += frame.arrays.t.buffer.byteLength;
@@ -165,10 +165,10 @@ function take(frame) {
   counts.bins += header.count;
   fresh = true;
   view.heard((header.first + header.count) * each, performance.now());
-  lookBack(); // where the view stands still, its last bins may have closed only now
+  lookBack(); // the last bins of a paused view may have closed only now
 }
 
-/** Ask for the bins in view that are not here. */
+/** Request the bins in view that are missing. */
 function lookBack() {
   if (!held) return;
   const each = welcome.rows_each[view.level];
@@ -176,16 +176,16 @@ function lookBack() {
   const first = held.missing(begin, stop);
   if (first === null) return;
   const wanted = `${view.level} ${first} ${stop}`;
-  if (wanted === asked) return; // they have left, or never were
-  if (send({ do: "past", level: view.level, first, count: Math.min(MOST_ASKED, HELD, stop - first) }) !== null) asked = wanted;
+  if (wanted === requested) return; // requested before: the bins do not exist
+  if (send({ do: "past", level: view.level, first, count: Math.min(MOST_ASKED, HELD, stop - first) }) !== null) requested = wanted;
 }
 
-/** What is in view has changed by somebody's hand. @param {() => void} change */
+/** Change the view by a person's action. @param {() => void} change */
 function change(change) {
   if (!welcome) return;
   const [before, paused] = [view.level, view.paused];
   change();
-  if (!begun) view.level = view.paused ? before : level; // others would come from nobody
+  if (!begun) view.level = view.paused ? before : level; // without a connection no other level can be loaded
   if (view.paused) {
     if (!paused && view.level === level) held = new Store(strips.length, modesOf(), live);
     else if (!held || before !== view.level) held = new Store(strips.length, modesOf());
@@ -200,7 +200,7 @@ function change(change) {
 }
 
 function showButtons() {
-  buttons.pause.textContent = view.paused ? "Go on" : "Pause";
+  buttons.pause.textContent = view.paused ? "Continue" : "Pause";
   buttons.now.disabled = !view.paused;
 }
 
@@ -210,7 +210,7 @@ const zoom = (by, share) => change(() => view.zoom(by, share));
 /** @param {number} windows */
 const pan = (windows) => change(() => view.pan(windows));
 
-/** Hear the hand on a strip. @param {Strip} strip */
+/** Handle pointer and wheel on a strip. @param {Strip} strip */
 function hearStrip(strip) {
   const { canvas } = strip;
   /** @type {number | null} */
@@ -245,12 +245,12 @@ function hearStrip(strip) {
   }, { passive: false });
 }
 
-/** Hear how the stream fares. @param {any} health */
+/** Show the status of the stream. @param {any} health */
 function fare(health) {
   state = health.state;
-  const source = health.source.replace(/^(\w+:)\S*\//, "$1"); // of a path its last name
+  const source = health.source.replace(/^(\w+:)\S*\//, "$1"); // only the last part of a path
   const says = state === "silent" ? ` since ${clock(Date.parse(health.since) / 1000, 1)}` : health.says ? `: ${health.says}` : "";
-  const learns = state === "learning"; // how far is told where nobody reads it aloud each second
+  const learns = state === "learning"; // the row count goes where screen readers do not repeat it every second
   const known = learns ? [`${health.rows_taken.toLocaleString("en")} rows so far`] : welcome ? [amount(welcome.rate_hz, "Hz")] : [];
   find("facts", HTMLElement).textContent = [source, ...known, state + says].join(" · ");
   if (learns || (!welcome && !(state in OVER)))
@@ -268,19 +268,19 @@ function fare(health) {
     ["rows", health.rows.toLocaleString("en")],
     ["rows a second", amount(health.rows_per_s, "")],
     ["latency, p50 / p99", `${latency(p50)} / ${latency(p99)}`],
-    ["blocks that wait", String(health.queue.blocks)],
+    ["blocks in the queue", String(health.queue.blocks)],
     ["kept", health.commits.last_age_s === null ? "not yet" : `${amount(health.commits.last_age_s, "s")} ago`],
     ["losses", losses.length ? losses.map(([kind, { events, rows }]) => `${kind} ${events}${rows ? ` (${rows} rows)` : ""}`).join(", ") : "none"],
   ]);
 }
 
-/** Hear what the filters are. @param {any} message */
+/** Show the filters. @param {any} message */
 function tune({ filters, dials, can_undo }) {
   buttons.undo.disabled = !can_undo;
   for (const strip of strips) strip.tune(filters?.[strip.number], dials?.[strip.number]);
 }
 
-/** Draw what is in view. @param {number} now ms */
+/** Draw the view. @param {number} now ms */
 function frame(now) {
   requestAnimationFrame(frame);
   if (!welcome || !live) return;
@@ -308,7 +308,7 @@ function frame(now) {
   if (speaks) speak(now, each, perRow);
 }
 
-/** Say the numbers at the right edge, or where somebody points. @param {number} nowMs @param {number} each @param {number} perRow */
+/** Show the numbers at the right edge, or at the pointer. @param {number} nowMs @param {number} each @param {number} perRow */
 function speak(nowMs, each, perRow) {
   saidMs = nowMs;
   const pointed = strips[0]?.pointed;
@@ -320,7 +320,7 @@ function speak(nowMs, each, perRow) {
   const t = timeOf(shown(), each, row, view.rate);
   const at = t === null ? "" : clock(t, Math.min(1, each / view.rate));
   const now = document.body.dataset.state === "live" && state === "running" ? "now" : "until";
-  find("when", HTMLElement).textContent = `${view.paused ? "standing still, at" : now} ${at}`;
+  find("when", HTMLElement).textContent = `${view.paused ? "paused at" : now} ${at}`;
 }
 
 let drawnMs = performance.now();
@@ -351,7 +351,7 @@ hearKeys(
   (number) => strips[number]?.canvas.focus(),
 );
 addEventListener("keydown", (event) => {
-  if (event.key !== " " || /** @type {Element} */ (event.target).closest?.("button, a, input, summary")) return; // theirs
+  if (event.key !== " " || /** @type {Element} */ (event.target).closest?.("button, a, input, summary")) return; // these elements handle the key
   toggle();
   event.preventDefault();
 });

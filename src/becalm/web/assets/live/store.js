@@ -1,4 +1,4 @@
-// Bins of one level in rings of typed arrays: the newest of each place are held.
+// Stores the newest bins of one level in ring buffers.
 
 /** @typedef {"raw_low" | "raw_high" | "clean_low" | "clean_high" | "sigma"} Field */
 
@@ -7,11 +7,11 @@ const FIELDS = ["raw_low", "raw_high", "clean_low", "clean_high", "sigma"];
 export const HELD = 8192;
 
 export class Store {
-  /** @param {number} channels @param {number} modes of all channels @param {Store} [like] is copied */
+  /** @param {number} channels @param {number} modes of all channels @param {Store} [like] a store to copy */
   constructor(channels, modes, like) {
     this.channels = channels;
     this.modes = modes;
-    /** The number of the bin in each place; -1 where there is none. @type {Float64Array} */
+    /** Number of the bin in each place; -1 if it is empty. @type {Float64Array} */
     this.number = like ? like.number.slice() : new Float64Array(HELD).fill(-1);
     /** @type {Float64Array} */
     this.t = like ? like.t.slice() : new Float64Array(HELD);
@@ -24,12 +24,12 @@ export class Store {
     this.probability = like ? like.probability.slice() : new Float32Array(HELD * modes);
   }
 
-  /** Whether a bin is here. @param {number} bin */
+  /** Return whether a bin is stored. @param {number} bin */
   has(bin) {
     return bin >= 0 && this.number[bin % HELD] === bin;
   }
 
-  /** Take the bins of a frame. @param {import("../frames.js").Frame} frame */
+  /** Store the bins of a frame. @param {import("../frames.js").Frame} frame */
   put({ header, arrays }) {
     const m = this.channels;
     for (let k = 0; k < header.count; k += 1) {
@@ -46,13 +46,13 @@ export class Store {
     }
   }
 
-  /** The first bin of some that is not here, or null. @param {number} first @param {number} stop */
+  /** Return the first bin of a range that is not stored, or null. @param {number} first @param {number} stop */
   missing(first, stop) {
     for (let bin = first; bin < stop; bin += 1) if (!this.has(bin)) return bin;
     return null;
   }
 
-  /** The least and greatest of a channel in some bins, and the least sigma; null where nothing is. @param {number} channel @param {number} first @param {number} stop */
+  /** Return the minimum and maximum of a channel over some bins, and the minimum of sigma; null without bins. @param {number} channel @param {number} first @param {number} stop */
   range(channel, first, stop) {
     let [low, high, sigma] = [Infinity, -Infinity, Infinity];
     for (let bin = Math.max(0, first); bin < stop; bin += 1) {

@@ -1,4 +1,4 @@
-// A channel: its tape, its figures, its dial.
+// The strip of a channel: its plot, its figures, its dial.
 
 import { colour, other } from "../colours.js";
 import { make, tell } from "../dom.js";
@@ -11,19 +11,19 @@ import { Tape } from "./tape.js";
 export const GUTTER = 54; // CSS pixels left of a tape, for numbers
 
 /**
- * A number in the digits that its uncertainty leaves, and the uncertainty in two.
+ * Write a number with the digits that its uncertainty allows, and the uncertainty with two.
  * @param {number} value @param {number} spread
  */
 export function about(value, spread) {
   const [size, fine] = [Math.abs(value), spread > 0 && Number.isFinite(spread)];
   const places = fine ? 1 - Math.floor(Math.log10(spread)) : size >= 1e-3 ? 4 : 4 - Math.floor(Math.log10(size || 1));
   const far = places > 9 || Math.max(size, fine ? spread : 0) >= 1e12;
-  const told = (/** @type {number} */ one) => {
+  const written = (/** @type {number} */ one) => {
     const digits = far ? Math.floor(Math.log10(Math.abs(one) || 1)) + places : places;
     const words = far && one ? one.toExponential(Math.max(0, Math.min(20, digits))).replace("e+", "e") : one.toFixed(far ? 0 : Math.max(0, places));
     return words.replaceAll("-", "−");
   };
-  return [Number.isFinite(value) ? told(value) : "–", Number.isFinite(spread) ? ` ± ${told(spread)}` : ""];
+  return [Number.isFinite(value) ? written(value) : "–", Number.isFinite(spread) ? ` ± ${written(spread)}` : ""];
 }
 
 /** @typedef {import("./store.js").Store} Store */
@@ -32,49 +32,49 @@ export function about(value, spread) {
 export class Strip {
   /**
    * @param {number} number @param {string} name @param {string} unit
-   * @param {[string, number][]} modes their names, and the places of their probabilities
-   * @param {(density: number) => number | null} turned asks for it; returns the number of the question
+   * @param {[string, number][]} modes names of the modes, and the places of their probabilities
+   * @param {(density: number) => number | null} turned requests a density; returns the number of the request
    */
   constructor(number, name, unit, modes, turned) {
     this.number = number;
     this.unit = unit;
     this.name = unit && name.endsWith(` (${unit})`) ? name.slice(0, -unit.length - 3) : name;
     this.modes = modes;
-    const [value, met] = [`value-${number}`, `met-${number}`]; // a label that changes would be read aloud without end
+    const [value, met] = [`value-${number}`, `met-${number}`]; // screen readers would repeat a changing label without end
     this.canvas = make("canvas", { tabindex: 0, role: "img", "aria-label": this.name, "aria-describedby": `${value} ${met}`, "aria-keyshortcuts": String(number + 1) });
     this.pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
     this.tape = new Tape(number, modes.map(([, place]) => place));
     this.value = make("output", { id: value, "aria-live": "off" });
     this.figures = make("dl");
     this.met = make("p", { id: met, class: "met" });
-    const range = make("input", { type: "range", min: 0, step: "any", "aria-label": `${this.name}: between quicker and calmer`, disabled: true });
-    /** The last turn, until it is answered: what is told meanwhile was before it. @type {number | null} */
-    this.asked = null;
+    const range = make("input", { type: "range", min: 0, step: "any", "aria-label": `${this.name}: from faster to smoother`, disabled: true });
+    /** Number of the last change until it is answered; messages before the answer are older. @type {number | null} */
+    this.pending = null;
     /** @type {[any, any]} */
-    this.told = [null, null];
+    this.known = [null, null];
     const turn = (/** @type {number} */ density, /** @type {boolean} */ final) => {
       if (!final) return;
-      this.asked = turned(density);
-      if (this.asked === null) this.forsake();
+      this.pending = turned(density);
+      if (this.pending === null) this.forsake();
     };
     this.dial = new Dial(turn, range, this.figures);
-    this.ends = make("div", { class: "ends" }, make("span", {}, "quicker"), make("span", {}, "calmer"));
+    this.ends = make("div", { class: "ends" }, make("span", {}, "faster"), make("span", {}, "smoother"));
     const title = make("h2", { id: `name-${number}`, title: this.name }, this.name);
-    const beside = make("div", {}, make("header", {}, title, this.value), this.figures, range, this.ends, this.met);
-    this.element = make("section", { class: "strip", "aria-labelledby": title.id }, this.canvas, beside);
+    const side = make("div", {}, make("header", {}, title, this.value), this.figures, range, this.ends, this.met);
+    this.element = make("section", { class: "strip", "aria-labelledby": title.id }, this.canvas, side);
     /** @type {{ low: number, high: number } | null} */
     this.scale = null;
-    /** CSS pixels from the left, where somebody points. @type {number | null} */
+    /** Position of the pointer in CSS pixels from the left. @type {number | null} */
     this.pointed = null;
   }
 
-  /** Fit the canvas to its place. */
+  /** Fit the canvas to its element. */
   fit() {
     const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((one) => Math.max(1, Math.round(one * devicePixelRatio)));
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
   }
 
-  /** Choose what is low and high of what is in view: widened at once, narrowed where much is empty. @param {Scene} scene */
+  /** Choose the limits of the y axis: widen them at once, narrow them only if much is empty. @param {Scene} scene */
   rescale({ store, each, perRow, right, newest }) {
     const rows = (this.canvas.width - GUTTER * devicePixelRatio) / perRow;
     const found = store.range(this.number, Math.floor((right - rows) / each), Math.min(newest, Math.ceil(right / each)));
@@ -102,7 +102,7 @@ export class Strip {
     pen.fillRect(Math.round(this.pointed * devicePixelRatio), 0, 1, canvas.height);
   }
 
-  /** Lines and numbers at even values. @param {number} left */
+  /** Draw lines and numbers at round values. @param {number} left */
   #values(left) {
     const { low, high } = /** @type {{ low: number, high: number }} */ (this.scale);
     const { pen, canvas } = this;
@@ -119,11 +119,11 @@ export class Strip {
       pen.fillRect(left, Math.round(y), canvas.width - left, 1);
       pen.fillStyle = colour("faint")();
       if (y > 7 * devicePixelRatio && y < canvas.height - 7 * devicePixelRatio)
-        pen.fillText(even(k * step, step).replaceAll("-", "−"), left - 6 * devicePixelRatio, y, left - 8 * devicePixelRatio); // narrowed, not cut
+        pen.fillText(even(k * step, step).replaceAll("-", "−"), left - 6 * devicePixelRatio, y, left - 8 * devicePixelRatio); // long numbers are narrowed, not cut
     }
   }
 
-  /** Say what is at a bin. @param {Store} store @param {number} bin */
+  /** Show the numbers of a bin. @param {Store} store @param {number} bin */
   say(store, bin) {
     if (!store.has(bin)) {
       if (this.pointed !== null) this.value.textContent = "–";
@@ -137,7 +137,7 @@ export class Strip {
     for (const [k, place] of this.met.querySelectorAll("[data-mode]").entries()) place.textContent = shares[k];
   }
 
-  /** Say how the channel fares. @param {{ verdicts: Record<string, number>, nis: number | null, alarms: string[] }} health */
+  /** Show the status of the channel. @param {{ verdicts: Record<string, number>, nis: number | null, alarms: string[] }} health */
   fare({ verdicts, nis, alarms }) {
     /** @param {string} role @param {string} words @param {boolean} [mode] */
     const swatch = (role, words, mode = false) => {
@@ -146,32 +146,32 @@ export class Strip {
       return make("span", {}, mark, make("span", mode ? { "data-mode": true } : {}, words));
     };
     const met = VERDICTS.map((name, bit) => ({ name, bit, count: verdicts[name] ?? 0 })).filter(({ bit, count }) => bit && count);
-    const told = [
+    const parts = [
       ...this.modes.map(([name], k) => swatch(other(k), name, true)),
       ...alarms.map((words) => make("span", { class: "bad" }, words)),
       make("span", { title: "normalised innovation squared; 1 is right" }, `NIS ${nis === null ? "–" : nis.toFixed(2)}`),
       ...met.map(({ name, bit, count }) => swatch(other(bit), `${count.toLocaleString("en")} ${name}`)),
     ];
-    this.met.replaceChildren(...told);
+    this.met.replaceChildren(...parts);
   }
 
-  /** Nobody heard, or will answer, the last turn: all is as it was told. */
+  /** Drop the last change, which gets no answer, and show the last known filter. */
   forsake() {
-    this.asked = null;
-    this.tune(...this.told);
+    this.pending = null;
+    this.tune(...this.known);
   }
 
-  /** A question is answered. @param {number | null} number @param {boolean} taken else all is as it was */
+  /** Handle the answer to a change. @param {number | null} number @param {boolean} taken false if it was refused */
   answered(number, taken) {
-    if (this.asked === null || number === null || number < this.asked) return;
-    if (taken) this.asked = null;
+    if (this.pending === null || number === null || number < this.pending) return;
+    if (taken) this.pending = null;
     else this.forsake();
   }
 
-  /** Say what the filter is, and lay its dial. @param {any} filter @param {any} dial */
+  /** Show the filter and its dial. @param {any} filter @param {any} dial */
   tune(filter, dial) {
-    this.told = [filter, dial];
-    if (this.asked !== null) return;
+    this.known = [filter, dial];
+    if (this.pending !== null) return;
     this.dial.lay(dial ?? null, this.unit);
     this.dial.input.hidden = this.ends.hidden = !dial;
     if (dial) this.dial.point(dial.at);

@@ -1,11 +1,11 @@
-// A strip of paper that is drawn on once and then only moved: a ring of columns, of which each frame shows a window.
+// The plot of a strip: a ring of pixel columns, each drawn once, of which every frame shows a window.
 
 import { colour, other, translucent } from "../colours.js";
 import { HELD } from "./store.js";
 
 /** @typedef {import("./store.js").Store} Store */
 /**
- * @typedef {object} Look what decides every pixel; where it changes all is drawn anew
+ * @typedef {object} Look everything that decides the pixels; after a change all is drawn again
  * @property {Store} store
  * @property {number} each rows of a bin
  * @property {number} perRow device pixels
@@ -14,10 +14,10 @@ import { HELD } from "./store.js";
  */
 
 const LANE = 9; // CSS pixels of the lanes of modes and verdicts
-const NARROW = 1.6; // device pixels of a bin: wider ones are joined by lines
+const NARROW = 1.6; // device pixels; wider bins are joined by lines
 
 export class Tape {
-  /** @param {number} channel @param {number[]} modes the places of its modes' probabilities */
+  /** @param {number} channel @param {number[]} modes places of the probabilities of its modes */
   constructor(channel, modes) {
     this.channel = channel;
     this.modes = modes;
@@ -25,18 +25,18 @@ export class Tape {
     this.pen = /** @type {CanvasRenderingContext2D} */ (this.paper.getContext("2d"));
     /** @type {Look | null} */
     this.look = null;
-    this.first = this.stop = 0; // bins that are drawn
+    this.first = this.stop = 0; // range of bins that are drawn
   }
 
-  /** Draw all anew at the next frame. */
+  /** Draw everything again at the next frame. */
   forget() {
     this.look = null;
   }
 
   /**
-   * Show the columns up to `right` (absolute device pixels) on a canvas, having drawn what is new.
+   * Draw new bins, and copy the columns up to `right` (absolute device pixels) onto a canvas.
    * @param {CanvasRenderingContext2D} onto @param {{ left: number, width: number, height: number }} box device pixels
-   * @param {Look} look @param {number} right @param {number} newest bin after the last that may be drawn
+   * @param {Look} look @param {number} right @param {number} newest end of the bins that may be drawn
    */
   show(onto, box, look, right, newest) {
     const span = look.each * look.perRow; // of a bin
@@ -70,7 +70,7 @@ export class Tape {
     this.first = this.stop = first;
   }
 
-  /** Draw a bin, and what joins it to the one before; bins may share a column. @param {number} bin @param {number} span */
+  /** Draw a bin, joined to the one before; bins may share a column. @param {number} bin @param {number} span */
   #draw(bin, span) {
     const { store } = /** @type {Look} */ (this.look);
     const begin = Math.floor(bin * span);
@@ -98,12 +98,12 @@ export class Tape {
     return this.plain(this.paper.height) * (1 - (value - low) / (high - low));
   }
 
-  /** How much of a height has no lanes. @param {number} height device pixels */
+  /** Return the part of a height above the lanes. @param {number} height device pixels */
   plain(height) {
     return height - LANE * devicePixelRatio * (this.modes.length ? 2 : 1);
   }
 
-  /** Two standard deviations about what is clean. @param {number} now @param {number} x @param {number} width */
+  /** Draw two standard deviations around the clean values. @param {number} now @param {number} x @param {number} width */
   #band(now, x, width) {
     const { values, channels } = /** @type {Look} */ (this.look).store;
     const at = now * channels + this.channel;
@@ -114,7 +114,7 @@ export class Tape {
     this.pen.fillRect(x, top, width, Math.max(1, height));
   }
 
-  /** From least to greatest, and on to those of the bin before. @param {"raw" | "clean"} kind @param {number} now @param {number} before @param {number} x @param {number} width */
+  /** Draw from minimum to maximum, extended to the range of the bin before. @param {"raw" | "clean"} kind @param {number} now @param {number} before @param {number} x @param {number} width */
   #column(kind, now, before, x, width) {
     const { values, channels } = /** @type {Look} */ (this.look).store;
     const at = now * channels + this.channel;
@@ -150,7 +150,7 @@ export class Tape {
     }
   }
 
-  /** The mode that is most probable, and verdicts. @param {number} now @param {number} x @param {number} width */
+  /** Draw the most probable mode, and the verdicts. @param {number} now @param {number} x @param {number} width */
   #lanes(now, x, width) {
     const { store } = /** @type {Look} */ (this.look);
     const [lane, bits] = [LANE * devicePixelRatio, store.verdicts[now * store.channels + this.channel]];
@@ -170,5 +170,5 @@ export class Tape {
 
 /** @param {number} a @param {number} b */
 const mod = (a, b) => ((a % b) + b) % b;
-/** Room for what is in view, and bins that stick out on either side. @param {number} width @param {Look} look */
+/** Return the width for the view and for bins that extend beyond it on both sides. @param {number} width @param {Look} look */
 const roomFor = (width, look) => width + 4 * Math.ceil(look.each * look.perRow) + 8;

@@ -1,10 +1,10 @@
-// Which part of a stream is in view: it follows what comes at the screen's pace, or stands still.
+// The part of a stream that is in view: it moves smoothly with the newest rows, or is paused.
 
 const WINDOWS_S = [0.5, 1, 2, 5, 10, 20, 60, 120, 300, 600, 1800, 3600, 4 * 3600, 12 * 3600, 48 * 3600];
 const USUAL_S = 10;
-const BEHIND_S = 0.1; // the screen is so much behind the newest bin, so that it need not wait for each
+const BEHIND_S = 0.1; // delay of the screen behind the newest bin, so that it moves without stops
 const FEWEST_ROWS = 100; // in the usual window
-const MOST_BINS = 2500; // in view, before a coarser level is shown
+const MOST_BINS = 2500; // with more bins in view, a coarser level is shown
 
 export class View {
   /** @param {{ rate_hz: number, rows_each: number[], kept: number[], newest: number[] }} stream */
@@ -14,10 +14,10 @@ export class View {
     this.kept = kept;
     const usual = WINDOWS_S.findIndex((window_s) => window_s >= Math.max(USUAL_S, FEWEST_ROWS / rate_hz));
     this.place = usual < 0 ? WINDOWS_S.length - 1 : usual;
-    /** The row after the newest that is known, and when it came (ms). */
+    /** The row after the newest known one; `came` is the time of its arrival in ms. */
     this.newest = newest[0] * rows_each[0];
     this.right = this.newest; // the row at the right edge
-    this.speed = rate_hz; // rows a second that come
+    this.speed = rate_hz; // rows per second that arrive
     this.paused = false;
     this.came = 0;
     this.level = this.#fitting();
@@ -27,17 +27,17 @@ export class View {
     return WINDOWS_S[this.place];
   }
 
-  /** Rows in view. */
+  /** Return the number of rows in view. */
   get rows() {
     return Math.max(1, this.window_s * this.rate);
   }
 
-  /** Choose the level anew. */
+  /** Choose the level again. */
   fit() {
     this.level = this.#fitting();
   }
 
-  /** Hear that rows up to one are there. @param {number} row @param {number} now ms */
+  /** Note that rows up to `row` have arrived. @param {number} row @param {number} now ms */
   heard(row, now) {
     const [passed_s, rows] = [(now - this.came) / 1000, row - this.newest];
     if (this.came && passed_s > 0 && passed_s < 1) this.speed += (rows / passed_s - this.speed) * Math.min(1, passed_s);
@@ -45,7 +45,7 @@ export class View {
     this.came = now;
   }
 
-  /** Move on by the time that passed. @param {number} passed_s @param {number} now ms */
+  /** Move the view by the time that has passed. @param {number} passed_s @param {number} now ms */
   move(passed_s, now) {
     if (this.paused) return;
     const silent = now - this.came > 500;
@@ -55,21 +55,21 @@ export class View {
     else this.right = Math.max(this.right, Math.min(this.newest, this.right + (silent ? 0 : this.speed * passed_s) + apart * Math.min(1, 4 * passed_s)));
   }
 
-  /** Stand still, or follow again. @param {boolean} paused */
+  /** Pause the view, or follow the stream again. @param {boolean} paused */
   pause(paused) {
     this.paused = paused;
     if (!paused) this.right = this.newest;
     this.fit();
   }
 
-  /** Look back (less than 0) or forth by so many windows; it stands still then. @param {number} windows */
+  /** Move back (negative) or forward by some windows, and pause. @param {number} windows */
   pan(windows) {
     this.paused = true;
     this.right = this.#within(this.right + windows * this.rows);
     this.fit();
   }
 
-  /** Show more time (1) or less (-1), about a share of the view. @param {number} by @param {number} [share] */
+  /** Show more time (1) or less (-1); the point at a share of the view's width stays in place. @param {number} by @param {number} [share] */
   zoom(by, share = 1) {
     const before = this.rows;
     this.place = Math.max(0, Math.min(WINDOWS_S.length - 1, this.place + by));
@@ -77,12 +77,12 @@ export class View {
     this.fit();
   }
 
-  /** A right edge that leaves something in view. @param {number} right */
+  /** Limit the right edge so that the view contains data. @param {number} right */
   #within(right) {
     return Math.max(Math.min(this.rows / 2, this.newest), Math.min(this.newest, right));
   }
 
-  /** The finest level that does not fill the view with too many bins, and is still held where the view begins. */
+  /** Return the finest level with few enough bins in view that is still stored at the left edge. */
   #fitting() {
     const first = Math.max(0, this.right - this.rows);
     const fits = this.rowsEach.findIndex((each, level) => this.rows / each <= MOST_BINS && first >= this.newest - (this.kept[level] - 1) * each);

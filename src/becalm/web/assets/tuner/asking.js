@@ -1,4 +1,4 @@
-// What is asked while something is dragged: one question at a time, and only the newest waits.
+// Sends requests during a drag: one at a time, of which only the newest is queued.
 
 /** @typedef {{ do: string, channel: number, [more: string]: unknown }} Question */
 
@@ -7,40 +7,40 @@ export class Asking {
   constructor(send) {
     this.send = send;
     /** @type {number | null} */
-    this.asked = null;
+    this.pending = null;
     /** @type {Map<string, Question>} */
     this.waiting = new Map();
   }
 
-  /** Ask once the last question is answered; what waits of the same kind is forgotten. @param {Question} question */
+  /** Send a request after the answer to the last one; it replaces a queued one of the same kind. @param {Question} question */
   ask(question) {
     this.waiting.set(question.do, question);
     this.#next();
   }
 
-  /** Ask at once what must not be lost. @param {Question} question @returns {number | null} which message it is */
+  /** Send a request at once. @param {Question} question @returns {number | null} number of the message */
   tell(question) {
     this.waiting.delete(question.do);
     return this.send(question);
   }
 
-  /** An answer has come. @param {number | null} number */
+  /** Handle an answer. @param {number | null} number */
   heard(number) {
-    if (number === null || this.asked === null || number < this.asked) return;
-    this.asked = null;
+    if (number === null || this.pending === null || number < this.pending) return;
+    this.pending = null;
     this.#next();
   }
 
-  /** Nobody will answer what was asked. */
+  /** Drop all requests, which get no answer. */
   forget() {
-    this.asked = null;
+    this.pending = null;
     this.waiting.clear();
   }
 
   #next() {
     const [first] = this.waiting.values();
-    if (!first || this.asked !== null) return;
+    if (!first || this.pending !== null) return;
     this.waiting.delete(first.do);
-    this.asked = this.send(first);
+    this.pending = this.send(first);
   }
 }

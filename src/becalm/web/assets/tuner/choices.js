@@ -1,4 +1,4 @@
-// What a filter is made of: the model with its evidence, its parts, what each estimate knows.
+// The controls for the model of a filter, its parts, and the readings that each estimate uses.
 
 import { find, make } from "../dom.js";
 
@@ -24,20 +24,20 @@ export class Choices {
     this.mode = find("mode", HTMLSelectElement);
     this.lag = find("lag", HTMLInputElement);
     this.lagAsked = find("lag-asked", HTMLElement);
-    this.likely = 1; // seconds of a lag that nobody said yet
-    const told = () => moded(this.mode.value, this.mode.value === "lagged" ? Number(this.lag.value) : null);
+    this.likely = 1; // proposed lag in seconds
+    const send = () => moded(this.mode.value, this.mode.value === "lagged" ? Number(this.lag.value) : null);
     this.mode.addEventListener("change", () => {
       if (this.mode.value === "lagged" && !(Number(this.lag.value) > 0)) this.lag.value = String(Number(this.likely.toPrecision(2)));
-      told();
+      send();
     });
-    this.inForce = ""; // which lag
+    this.inForce = ""; // the lag in force
     this.lag.addEventListener("change", () => {
-      if (Number(this.lag.value) > 0) told();
+      if (Number(this.lag.value) > 0) send();
       else this.lag.value = this.inForce;
     });
   }
 
-  /** Lay out what a channel may be. @param {Channel} channel */
+  /** Show the models and parts of a channel. @param {Channel} channel */
   open({ choices, components }) {
     this.models.replaceChildren(...choices.map(({ key, name, evidence }) => {
       const input = make("input", { type: "radio", name: "choice", value: key });
@@ -49,10 +49,10 @@ export class Choices {
       input.addEventListener("change", () => this.turned({ on: this.#on() }));
       return make("label", { class: "choice" }, input, make("span", {}, name));
     }));
-    this.cleaned.disabled = !choices.some(({ order }) => order); // what is constant, or hardly there, has no filter
+    this.cleaned.disabled = !choices.some(({ order }) => order); // a constant or nearly empty channel has no filter
   }
 
-  /** Show what is in force. @param {Settings} settings */
+  /** Show the settings in force. @param {Settings} settings */
   point({ choice, on, unchanged }) {
     this.cleaned.checked = !unchanged;
     for (const input of this.models.querySelectorAll("input")) input.checked = input.value === choice;
@@ -66,7 +66,7 @@ export class Choices {
     if (lag_s) this.lag.value = this.inForce = String(lag_s);
   }
 
-  /** Propose a lag anew: the one that was said may be none here. */
+  /** Propose a lag again: the last one may be impossible for this recording. */
   forgetLag() {
     if (this.lagAsked.hidden) this.lag.value = "";
   }

@@ -1,4 +1,4 @@
-// The dial between quicker and calmer: a density of the motion's noise, told as what it does.
+// The dial from faster to smoother: it sets the process noise density, and shows the bandwidth, lag and noise.
 
 import { amount, find, tell } from "../dom.js";
 
@@ -10,19 +10,19 @@ import { amount, find, tell } from "../dom.js";
 export class Dial {
   /**
    * @param {(density: number, final: boolean) => void} turned
-   * @param {HTMLInputElement} input @param {HTMLElement} told what it does, in words
+   * @param {HTMLInputElement} input @param {HTMLElement} figures element for the figures
    */
-  constructor(turned, input = find("dial", HTMLInputElement), told = find("dial-says", HTMLElement)) {
+  constructor(turned, input = find("dial", HTMLInputElement), figures = find("dial-says", HTMLElement)) {
     this.input = input;
-    this.told = told;
+    this.figures = figures;
     this.turned = turned;
     this.unit = "";
     this.held = false;
-    this.beside = 0; // variance that tones and the like let through, which the positions know nothing of
+    this.otherNoise = 0; // noise variance that passes through tones and other parts, which the positions do not include
     this.noise = 0; // standard deviation of a reading
     /** @type {Positions | null} */
     this.positions = null;
-    let repeats = false; // a key is held: each repeat of it is a change
+    let repeats = false; // whether a key is held down, which repeats the change
     this.release = (/** @type {Event} */ event) => {
       if (event instanceof KeyboardEvent && event.repeat) return;
       repeats = false;
@@ -37,7 +37,7 @@ export class Dial {
   }
 
   /**
-   * Lay other positions under the dial; none where a channel has no motion.
+   * Set the positions of the dial; null for a channel without a kinematic model.
    * @param {Positions | null} positions
    * @param {string} unit
    */
@@ -47,22 +47,22 @@ export class Dial {
     this.input.disabled = !positions;
     this.input.max = String(positions ? positions.process_noise_density.length - 1 : 1);
     if (positions) return;
-    this.beside = 0;
+    this.otherNoise = 0;
     this.say({});
   }
 
-  /** Show where a tuning is, unless the dial is held. @param {number | null} density */
+  /** Show the position of a tuning, unless the person holds the dial. @param {number | null} density */
   point(density) {
     if (this.held || !this.positions || !density) return;
     const all = Array.from(this.positions.process_noise_density, Math.log);
     const wanted = Math.log(density);
-    const after = all.findIndex((one) => one <= wanted); // from quick to calm they fall
+    const after = all.findIndex((one) => one <= wanted); // densities fall from fast to smooth
     const place = after > 0 ? after - 1 + (all[after - 1] - wanted) / (all[after - 1] - all[after]) : after === 0 ? 0 : all.length - 1;
     this.input.value = String(place);
     this.#sayHere();
   }
 
-  /** Turn by some positions, as keys do: dragged while one is held. @param {number} by */
+  /** Turn by some positions, for a key; while the key is held, this is a drag. @param {number} by */
   step(by) {
     if (this.input.matches(":disabled")) return;
     this.input.value = String(Number(this.input.value) + by);
@@ -70,13 +70,13 @@ export class Dial {
     this.#hold();
   }
 
-  /** Turn in earnest once the key is let go, before another one does anything. */
+  /** Make the change final when the key is released, before another key acts. */
   #hold() {
     for (const event of ["keydown", "keyup", "blur"]) addEventListener(event, this.release, { once: true, capture: true });
   }
 
   /**
-   * Say what the filter is that a picture shows; of the bandwidth, what the dial turns.
+   * Show the figures of the filter in the picture; the bandwidth is that of the dial's position.
    * @param {Filter} filter
    */
   tell(filter) {
@@ -84,7 +84,7 @@ export class Dial {
     const { noise_left, noise_std } = filter;
     this.noise = noise_std ?? 0;
     if (this.positions) {
-      this.beside = Math.max(0, (noise_left ?? 0) ** 2 - this.#at(this.positions.noise_left) ** 2);
+      this.otherNoise = Math.max(0, (noise_left ?? 0) ** 2 - this.#at(this.positions.noise_left) ** 2);
       this.say({ ...filter, bandwidth_hz: this.#at(this.positions.bandwidth_hz) });
     } else this.say(filter);
   }
@@ -93,7 +93,7 @@ export class Dial {
   say({ bandwidth_hz, lag_s, noise_left }) {
     const down = noise_left && this.noise ? -20 * Math.log10(noise_left / this.noise) : null;
     const words = { bandwidth: amount(bandwidth_hz, "Hz"), lag: lag_s === 0 ? "none" : amount(lag_s, "s"), "noise left": amount(noise_left, this.unit), "noise down": amount(down, "dB") };
-    tell(this.told, Object.entries(words));
+    tell(this.figures, Object.entries(words));
     this.input.setAttribute("aria-valuetext", Object.entries(words).map(([term, value]) => `${term} ${value}`).join(", "));
   }
 
@@ -108,10 +108,10 @@ export class Dial {
   #sayHere() {
     if (!this.positions) return;
     const { bandwidth_hz, lag_s, noise_left } = this.positions;
-    this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: Math.hypot(this.#at(noise_left), Math.sqrt(this.beside)) });
+    this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: Math.hypot(this.#at(noise_left), Math.sqrt(this.otherNoise)) });
   }
 
-  /** Between positions, by even ratios. @param {ArrayLike<number>} values */
+  /** Interpolate between positions, in the logarithm. @param {ArrayLike<number>} values */
   #at(values) {
     const place = Math.max(0, Math.min(values.length - 1, Number(this.input.value)));
     const before = Math.min(Math.floor(place), Math.max(0, values.length - 2));

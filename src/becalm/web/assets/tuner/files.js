@@ -1,4 +1,4 @@
-// Files: those of the folder, those that are dropped, and what is saved.
+// Lists the files of the folder, uploads dropped files, and saves results.
 
 import { amount, find, make } from "../dom.js";
 
@@ -6,15 +6,15 @@ import { amount, find, make } from "../dom.js";
 
 export class Files {
   /**
-   * @param {(file: string) => void} opened told the id of what is to be opened
-   * @param {(file: File) => void} brought told what a person dropped or chose
-   * @param {() => void} wanted called where the list is looked at: it may be old
+   * @param {(file: string) => void} opened called with the id of the file to open
+   * @param {(file: File) => void} brought called with a file that a person dropped or chose
+   * @param {() => void} wanted called when the list is shown, because it may be old
    */
   constructor(opened, brought, wanted) {
     this.opened = opened;
     this.wanted = wanted;
-    this.told = ""; // which files are listed
-    this.held = false; // a person has opened it
+    this.listed = ""; // the listed files, as JSON
+    this.held = false; // whether a person has opened the list
     this.place = find("files", HTMLElement);
     this.button = find("show-files", HTMLButtonElement);
     this.chosen = find("chosen", HTMLInputElement);
@@ -39,21 +39,21 @@ export class Files {
     });
   }
 
-  /** Readings a second, of a file that does not tell its times. @returns {number | null} */
+  /** Return the rate in Hz for a file without times. @returns {number | null} */
   get rate_hz() {
     return Number(this.rate.value) || null;
   }
 
-  /** Open or close unless a person has opened it: theirs stays until they choose. @param {boolean} on */
+  /** Open or close the list, unless a person has opened it. @param {boolean} on */
   suggest(on) {
     if (!this.held) this.show(on);
   }
 
-  /** @param {boolean} on @param {boolean} [held] until a person closes it, or chooses */
+  /** Open or close the list. @param {boolean} on @param {boolean} [held] whether it stays until the person chooses */
   show(on, held = false) {
     this.held = on && held;
     if (on && this.place.hidden) this.wanted();
-    if (!on && this.place.contains(document.activeElement)) this.button.focus({ preventScroll: true }); // what goes keeps no focus
+    if (!on && this.place.contains(document.activeElement)) this.button.focus({ preventScroll: true }); // a hidden element cannot keep the focus
     this.place.hidden = !on;
     this.button.setAttribute("aria-expanded", String(on));
     const first = /** @type {HTMLElement | null} */ (this.place.querySelector("li button"));
@@ -64,11 +64,11 @@ export class Files {
   list({ folder, files, formats, upload_limit }) {
     find("files-says", HTMLElement).textContent = files.length
       ? `Choose one of ${folder}, or drop a file anywhere on this page (up to ${amount(upload_limit, "B")}).`
-      : `Drop a file anywhere on this page, or choose one; ${folder} has none that becalm reads.`;
+      : `Drop a file anywhere on this page, or choose one; ${folder} has no file that becalm can read.`;
     this.chosen.accept = formats.join(",");
-    const told = JSON.stringify(files);
-    if (told === this.told) return; // whoever stands on a name stays there
-    this.told = told;
+    const listed = JSON.stringify(files);
+    if (listed === this.listed) return; // keeps the focus on a name
+    this.listed = listed;
     find("folder", HTMLElement).replaceChildren(...files.map(({ id, name, bytes }) => {
       const button = make("button", { type: "button", class: "plain" }, name);
       button.addEventListener("click", () => this.opened(id));
@@ -77,7 +77,7 @@ export class Files {
   }
 }
 
-/** Say why a request came to nothing. @param {unknown} error */
+/** Return a sentence on why a request failed. @param {unknown} error */
 export const whyNot = (error) => (error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
 
 /** Send a file to becalm; returns its id. @param {File} file */
@@ -87,12 +87,12 @@ export async function upload(file) {
   return /** @type {string} */ ((await answer.json()).file);
 }
 
-/** Let becalm make a file, and leave it with the browser. @param {string} address */
+/** Request a file from becalm, and save it as a download. @param {string} address */
 export async function save(address) {
   const answer = await fetch(address);
   if (!answer.ok) throw new Error(await answer.text());
-  const said = answer.headers.get("content-disposition") ?? "";
-  const [, name] = /filename\*=utf-8''([^;]+)/i.exec(said) ?? [];
+  const disposition = answer.headers.get("content-disposition") ?? "";
+  const [, name] = /filename\*=utf-8''([^;]+)/i.exec(disposition) ?? [];
   const link = make("a", { href: URL.createObjectURL(await answer.blob()), download: decodeURIComponent(name ?? "becalm") });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);

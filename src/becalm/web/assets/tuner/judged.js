@@ -1,4 +1,4 @@
-// What the whole record says about a filter: a verdict in words, numbers, and figures.
+// Shows the verdict on a filter over the whole record: a sentence, numbers and figures.
 
 import { find, make, say, tell, write } from "../dom.js";
 import { decode, draw } from "../figures.js";
@@ -24,7 +24,7 @@ export class Verdict {
     this.tone = this.says = "";
   }
 
-  /** Say whether it is known yet; figures of before stay meanwhile, faint. @param {boolean} waiting */
+  /** Show whether the verdict is still being computed; the old figures stay, but faint. @param {boolean} waiting */
   wait(waiting) {
     this.figures.classList.toggle("stale", waiting);
     this.place.className = `verdict ${waiting ? "" : this.tone}`;
@@ -43,7 +43,7 @@ export class Verdict {
     const arrays = payload.arrays.map(decode);
     const map = find("map", HTMLElement);
     for (const figure of payload.figures) {
-      if (figure.layers.some(({ kind }) => kind === "lane")) continue; // the strip under the signal has them
+      if (figure.layers.some(({ kind }) => kind === "lane")) continue; // the strip below the signal shows them
       const place = frameOf(figure.title, `${figure.title}, ${figure.y.label} over ${figure.x.label}`, captions[figure.name]);
       map.before(place);
       this.plots.push(draw(figure, arrays, place));
@@ -60,7 +60,7 @@ export class Verdict {
   }
 }
 
-/** A figure's frame, as `draw` wants it. @param {string} title @param {string} label @param {string} caption */
+/** Make the element that `draw` needs for a figure. @param {string} title @param {string} label @param {string} caption */
 function frameOf(title, label, caption) {
   const reset = make("button", { type: "button", class: "reset", hidden: true }, "Whole");
   const header = make("header", {}, make("h3", {}, title), make("div", { class: "legend" }), reset);

@@ -1,12 +1,12 @@
-// What keys do, wherever the focus is, unless it is where they mean something else.
+// Handles the keys of a page, unless the focused element uses them itself.
 
-const OWN = "input[type=number], select, [contenteditable]"; // every key is its own
-const ARROWED = "input, [role=tab], [role=application]"; // arrows are
+const OWN = "input[type=number], select, [contenteditable]"; // elements that use all keys
+const ARROWED = "input, [role=tab], [role=application]"; // elements that use the arrow keys
 
 /**
- * Hear the keys of a page.
- * @param {Record<string, () => void>} actions by key; those that need Shift begin with "Shift+"
- * @param {(number: number) => void} channel told which one, from 0
+ * Handle the keys of a page.
+ * @param {Record<string, () => void>} actions by key; with Shift, the name begins with "Shift+"
+ * @param {(number: number) => void} channel called with the number of a channel, from 0
  */
 export function hearKeys(actions, channel) {
   addEventListener("keydown", (event) => {

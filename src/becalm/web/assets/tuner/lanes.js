@@ -1,20 +1,20 @@
-// The strip of verdicts under the signal: a lane for each that comes up, by name and by colour.
+// Draws the verdicts below the signal: a lane with a name and a colour for each one that occurs.
 
 import { colour, other } from "../colours.js";
 
-/** As `becalm.core.verdict.Verdict` counts them; the first is no verdict that is drawn. */
+/** Names in the order of `becalm.core.verdict.Verdict`; the first one is not drawn. */
 export const VERDICTS = ["used", "missing", "nonfinite", "overrange", "spike", "step", "clipped", "stuck", "dead", "drift", "late", "repeated", "gap", "outlier", "hole", "runaway"];
 const ROW = 18;
 
 /**
- * Draw verdicts in line with the signal above.
+ * Draw verdicts, aligned with the signal above.
  * @param {HTMLCanvasElement} canvas
  * @param {uPlot} u
  * @param {ArrayLike<number>} verdicts bits of each stretch of the plot's data
  */
 export function drawLanes(canvas, u, verdicts) {
   const found = VERDICTS.map((name, bit) => ({ name, bit })).filter(({ bit }) => bit && some(verdicts, 1 << bit));
-  const rows = Math.max(found.length, Number(canvas.dataset.rows ?? 0)); // the room stays, so that nothing jumps
+  const rows = Math.max(found.length, Number(canvas.dataset.rows ?? 0)); // the height never shrinks, so that the page does not jump
   canvas.dataset.rows = String(rows);
   canvas.hidden = !rows;
   const ratio = devicePixelRatio;
@@ -26,7 +26,7 @@ export function drawLanes(canvas, u, verdicts) {
   pen.font = `${12 * ratio}px system-ui, sans-serif`;
   pen.textAlign = "right";
   pen.textBaseline = "middle";
-  const told = found.map(({ name, bit }, row) => {
+  const counts = found.map(({ name, bit }, row) => {
     const runs = runsOf(verdicts, 1 << bit);
     pen.fillStyle = colour("ink")();
     pen.fillText(name, left - 8 * ratio, (row + 0.5) * ROW * ratio);
@@ -41,7 +41,7 @@ export function drawLanes(canvas, u, verdicts) {
     }
     return `${name} in ${runs.length} ${runs.length > 1 ? "places" : "place"}`;
   });
-  canvas.setAttribute("aria-label", `Verdicts in view: ${told.join(", ") || "none but used"}.`);
+  canvas.setAttribute("aria-label", `Verdicts in view: ${counts.join(", ") || "none but used"}.`);
 }
 
 /** @param {ArrayLike<number>} verdicts @param {number} mask */
@@ -50,7 +50,7 @@ function some(verdicts, mask) {
   return false;
 }
 
-/** Where a verdict holds, as first stretches and those after the last. @param {ArrayLike<number>} verdicts @param {number} mask */
+/** Return the runs of a verdict: the first stretch of each, and the one after its last. @param {ArrayLike<number>} verdicts @param {number} mask */
 function runsOf(verdicts, mask) {
   /** @type {[number, number][]} */
   const runs = [];
@@ -63,7 +63,7 @@ function runsOf(verdicts, mask) {
   return runs;
 }
 
-/** Where a stretch begins on the canvas. @param {uPlot} u @param {number} stretch */
+/** Return the position of a stretch's begin on the canvas. @param {uPlot} u @param {number} stretch */
 function placeOf(u, stretch) {
   const t = u.data[0];
   const last = t.length - 1;

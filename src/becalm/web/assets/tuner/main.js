@@ -1,4 +1,4 @@
-// The tuner: what becalm says is shown, and what a person does is asked of it.
+// The tuner: shows the messages of becalm, and sends the actions of a person.
 
 import { onTheme, readColours } from "../colours.js";
 import { amount, find, make, say } from "../dom.js";
@@ -23,7 +23,7 @@ import { Tabs } from "./tabs.js";
  *   classics?: string[] }} State
  */
 
-/** What is open; what of it becalm forgets with a new start is given back from here. */
+/** The open recording and its settings; after a restart of becalm the page restores them from here. */
 const desk = {
   /** @type {Recording | null} */ recording: null,
   /** @type {State | null} */ state: null,
@@ -32,14 +32,14 @@ const desk = {
   /** @type {Map<number, import("./dial.js").Positions>} */ dials: new Map(),
   /** @type {Map<number, import("./judged.js").Judged & { of: string | null }>} */ judged: new Map(),
   channel: 0,
-  opening: false, // a file that somebody chose on this page
+  opening: false, // whether a file that the person chose is being opened
   saving: false,
-  /** @type {number | null} */ turned: null, // by which message, until it is answered: what is told meanwhile was before it
-  mapped: "", // of what the map was asked
-  /** @type {number | null} */ mapAsked: null, // by which message
-  run: "", // of becalm
-  /** @type {import("./dial.js").Filter} */ filter: {}, // that is drawn
-  pictures: 0, // that have come
+  /** @type {number | null} */ turned: null, // number of the last change until it is answered; until then states are older
+  mapped: "", // the setting that the map was requested for
+  /** @type {number | null} */ mapAsked: null, // number of that request
+  run: "", // identifier of this run of becalm
+  /** @type {import("./dial.js").Filter} */ filter: {}, // the filter of the last picture
+  pictures: 0, // number of pictures received
 };
 const lanes = find("lanes", HTMLCanvasElement);
 const words = { link: find("link", HTMLElement), trouble: find("trouble", HTMLElement), working: find("working", HTMLElement), remarks: find("remarks", HTMLElement) };
@@ -64,7 +64,7 @@ const tabs = new Tabs((channel, focus) => choose(channel, focus));
 const files = new Files(open, (file) => bring(file), () => send({ do: "files" }));
 const [classic, group, format] = ["classic", "group", "format"].map((id) => find(id, HTMLSelectElement));
 
-/** Ask for what a person wants; what went wrong before is over then. @param {object} message */
+/** Send a person's request, and clear an older error. @param {object} message */
 function want(message) {
   say(words.trouble, "");
   send(message);
@@ -93,7 +93,7 @@ async function bring(file, group, rate_hz = files.rate_hz) {
   });
 }
 
-/** Say what is going on while it is, and what went wrong. @param {string} says @param {() => Promise<unknown>} does */
+/** Show a sentence during some work, and an error after it. @param {string} says @param {() => Promise<unknown>} does */
 async function during(says, does) {
   say(words.trouble, "");
   say(words.working, says);
@@ -112,7 +112,7 @@ function tied({ up, again_s, reason, hint }) {
   for (const one of document.querySelectorAll("fieldset")) one.disabled = !up;
   asking.forget();
   desk.turned = null;
-  const kept = desk.recording ? " What you did is kept here." : "";
+  const kept = desk.recording ? " This page keeps your settings." : "";
   say(words.link, up ? "" : `${reason ? `${reason} Trying` : "becalm does not answer; trying"} again in ${Math.ceil(again_s)} s.${kept}${hint}`);
   if (!up) say(words.working, "");
 }
@@ -124,9 +124,9 @@ function hear(message) {
   else if (message.kind === "working") say(words.working, message.says);
   else if (message.kind === "trouble") {
     say(words.working, "");
-    if (message.answers !== null && message.answers === desk.mapAsked) map.refuse(message.says); // nobody asked for it
+    if (message.answers !== null && message.answers === desk.mapAsked) map.refuse(message.says); // the person did not request the map
     else say(words.trouble, message.says);
-    if (!desk.recording) files.suggest(true); // to choose another one, or give a rate
+    if (!desk.recording) files.suggest(true); // the person may choose another file, or give a rate
     desk.opening = false;
     choices.forgetLag();
     asking.heard(message.answers);
@@ -150,7 +150,7 @@ function welcomed(welcome) {
   desk.run = welcome.run;
   desk.restoring = again && !here ? desk.state?.recipe ?? null : null;
   if (!open) files.suggest(!welcome.file);
-  else if (here) return; // only the wire broke: what is open is told
+  else if (here) return; // only the connection failed: becalm sends the open recording
   else if (welcome.file === open && desk.recording?.groups.length === 1 && !desk.recording.rate_said_hz) return;
   else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought, desk.recording?.group, desk.recording?.rate_said_hz);
   else send({ do: "open", file: open, group: desk.recording?.group, rate_hz: desk.recording?.rate_said_hz });
@@ -170,7 +170,7 @@ function opened(recording) {
   document.title = `${recording.name} - becalm`;
   find("facts", HTMLElement).textContent = `${recording.name}: ${recording.rows.toLocaleString("en")} rows at ${amount(recording.rate_hz, "Hz")}, ${amount(recording.lasts_s, "s")}`;
   find("command", HTMLElement).textContent = recording.command;
-  find("typed", HTMLElement).hidden = !recording.command; // of a name that cannot be typed
+  find("typed", HTMLElement).hidden = !recording.command; // empty if a name cannot be typed
   find("desk", HTMLElement).hidden = false;
   find("actions", HTMLElement).hidden = false;
   if (desk.opening) files.show(false);
@@ -186,7 +186,7 @@ function opened(recording) {
   choose(again ? desk.channel : 0, false, again);
 }
 
-/** Offer what may be chosen. @param {HTMLSelectElement} place @param {string[]} names @param {string} chosen */
+/** Fill a list of choices. @param {HTMLSelectElement} place @param {string[]} names @param {string} chosen */
 function fill(place, names, chosen) {
   place.replaceChildren(...names.map((name) => make("option", { value: name }, name)));
   place.value = names.includes(chosen) ? chosen : names[0];
@@ -195,10 +195,10 @@ function fill(place, names, chosen) {
 /** Offer classic filters to compare with. @param {string[]} names */
 function offer(names) {
   fill(classic, ["", ...names], classic.value);
-  classic.options[0].text = names.length ? "no classic filter" : "no classic filter waits";
+  classic.options[0].text = names.length ? "no classic filter" : "no classic filter has a delay";
 }
 
-/** Look at a channel. @param {number} channel @param {boolean} [focus] @param {boolean} [stay] where the last one was seen */
+/** Show a channel. @param {number} channel @param {boolean} [focus] @param {boolean} [stay] whether to keep the view */
 function choose(channel, focus = false, stay = true) {
   const { recording } = desk;
   const chosen = recording?.channels[channel];
@@ -223,7 +223,7 @@ function choose(channel, focus = false, stay = true) {
   if (classic.value) send({ do: "compare", channel, classic: classic.value });
 }
 
-/** What is set has come; after a new start of becalm it is not yet what was set before. @param {State} state */
+/** Handle new settings; after a restart of becalm, first restore those of before. @param {State} state */
 function settled(state) {
   const { restoring } = desk;
   desk.restoring = null;
@@ -234,12 +234,12 @@ function settled(state) {
   else settle();
 }
 
-/** A turn is answered. @param {number} number */
+/** Handle the answer to a change. @param {number} number */
 function turned(number) {
   if (desk.turned !== null && number >= desk.turned) desk.turned = null;
 }
 
-/** Show what is set. */
+/** Show the settings. */
 function settle() {
   const { state } = desk;
   const settings = state?.channels[desk.channel];
@@ -254,13 +254,13 @@ function settle() {
   askMap(settings);
 }
 
-/** What figures are of. @param {number} channel */
+/** Return the setting that figures must belong to, as JSON. @param {number} channel */
 function settingOf(channel) {
   const { state } = desk;
   return state && JSON.stringify([state.mode, state.lag_s, state.channels[channel]]);
 }
 
-/** Ask for the map where another model makes another one. @param {Settings} settings */
+/** Request a new map after a change of the model. @param {Settings} settings */
 function askMap({ choice, on, noise_std, process_noise_density }) {
   const wanted = JSON.stringify([desk.state?.mode, desk.state?.lag_s, desk.channel, choice, on]);
   if (noise_std && process_noise_density) map.point({ noise_std, process_noise_density });
@@ -291,8 +291,8 @@ function draw(frame) {
     plot.show(frame);
     desk.filter = header.filter;
     dial.tell(header.filter);
-    const each = header.rows_each > 1 ? `Each stretch is ${header.rows_each.toLocaleString("en")} rows, drawn from the least to the greatest.` : "";
-    const hurried = header.hurried ? "The spikes of before are left out until the gate has judged anew." : "";
+    const each = header.rows_each > 1 ? `Each stretch is ${header.rows_each.toLocaleString("en")} rows, drawn from minimum to maximum.` : "";
+    const hurried = header.hurried ? "The earlier spikes are left out until the gate has judged again." : "";
     find("plot-says", HTMLElement).textContent = [`Drawn: ${header.filter.says}.`, each, hurried].join(" ");
   }
 }
@@ -333,4 +333,4 @@ onTheme(() => {
   map.redraw();
   verdict.plots.forEach((u) => u.redraw(false, true));
 });
-Object.assign(window, { becalm: { plot, dial, map, desk, asking } }); // for whoever looks at the page by a script, as its tests do
+Object.assign(window, { becalm: { plot, dial, map, desk, asking } }); // for scripts that inspect the page, such as its tests

@@ -1,4 +1,4 @@
-// The map of what every noise and density would cost: look, click, drag, or walk by arrow keys.
+// The map of the prediction cost of each noise and density; click, drag or use the arrow keys to tune.
 
 import { axisOf, roomFor } from "../axes.js";
 import { colour } from "../colours.js";
@@ -11,14 +11,14 @@ import { clipped } from "../figures.js";
  * @typedef {{ noise_std: number, process_noise_density: number }} Tuning
  */
 
-const LEVELS = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3]; // nats a reading
+const LEVELS = [0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3]; // nats per reading
 const SHADES = [1, 0.86, 0.72, 0.58, 0.45, 0.33, 0.22, 0.12, 0.04];
 
 export class CostMap {
   /** @param {(tuning: Tuning, final: boolean) => void} turned */
   constructor(turned) {
     this.canvas = /** @type {HTMLElement} */ (find("map", HTMLElement).querySelector(".canvas"));
-    this.told = find("map-says", HTMLElement);
+    this.caption = find("map-says", HTMLElement);
     this.turned = turned;
     /** @type {{ grid: Grid, cost: ArrayLike<number>, unit: string, image: HTMLCanvasElement } | null} */
     this.map = null;
@@ -34,13 +34,13 @@ export class CostMap {
   clear() {
     this.u?.destroy();
     this.u = this.map = null;
-    this.told.textContent = "";
+    this.caption.textContent = "";
   }
 
-  /** Say why there is none. @param {string} why */
+  /** Show why there is no map. @param {string} why */
   refuse(why) {
     this.clear();
-    this.told.textContent = why;
+    this.caption.textContent = why;
   }
 
   /** @param {Grid} grid @param {ArrayLike<number>} cost row by row @param {string} unit */
@@ -66,14 +66,14 @@ export class CostMap {
     this.point({ noise_std: grid.here[0], process_noise_density: grid.here[1] });
   }
 
-  /** Mark where the tuning is. @param {Tuning} tuning */
+  /** Mark the present tuning. @param {Tuning} tuning */
   point(tuning) {
     this.here = tuning;
     this.u?.redraw(false, false);
     if (this.map) this.#say(tuning);
   }
 
-  /** Draw anew in the colours of now. */
+  /** Draw again in the colours of the current theme. */
   redraw() {
     this.#paint();
     this.u?.redraw(false, true);
@@ -85,12 +85,12 @@ export class CostMap {
     const { grid, cost, unit } = this.map;
     const [i, j] = [nearest(grid.noise_std, noise_std), nearest(grid.process_noise_density, process_noise_density)];
     const worse = cost[i * grid.process_noise_density.length + j];
-    const told = worse < 0.001 ? "as well as at best" : `${amount(worse, "nats")} worse than at best`;
-    write(this.told, `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, grid.density_unit)}; each reading is foretold ${told} (cross). The stronger the colour, the better.`);
-    this.canvas.setAttribute("aria-label", `Cost of every noise and density; arrow keys tune. ${this.told.textContent}`);
+    const quality = worse < 0.001 ? "as well as at best" : `${amount(worse, "nats")} worse than at best`;
+    write(this.caption, `Here (ring): noise ${amount(noise_std, unit)}, density ${amount(process_noise_density, grid.density_unit)}; each reading is predicted ${quality} (cross). The stronger the colour, the better.`);
+    this.canvas.setAttribute("aria-label", `Cost of every noise and density; arrow keys tune. ${this.caption.textContent}`);
   }
 
-  /** Paint one pixel a cell: the darker, the better it foretells. */
+  /** Paint one pixel for each cell: the darker, the better it predicts. */
   #paint() {
     if (!this.map) return;
     const { grid: { noise_std, process_noise_density }, cost, image } = this.map;
@@ -157,7 +157,7 @@ export class CostMap {
     over.addEventListener("pointercancel", () => this.#release());
   }
 
-  /** What was dragged stays where it is. */
+  /** Make the dragged tuning final. */
   #release() {
     if (this.here) this.turned(this.here, true);
   }
@@ -175,10 +175,10 @@ export class CostMap {
   }
 }
 
-/** How far the even ratio of a grid is from one to the next. @param {number[]} values */
+/** Return the ratio of neighbouring values of a grid. @param {number[]} values */
 const ratioOf = (values) => (values.length > 1 ? (values[values.length - 1] / values[0]) ** (1 / (values.length - 1)) : 2);
 
-/** Where cells end, whose middles these are. @param {number[]} values @returns {[number, number]} */
+/** Return the outer edges of cells from their middles. @param {number[]} values @returns {[number, number]} */
 const edgesOf = (values) => [values[0] / Math.sqrt(ratioOf(values)), values[values.length - 1] * Math.sqrt(ratioOf(values))];
 
 /** @param {number[]} values @param {number} from @param {number} by */

@@ -1,4 +1,4 @@
-// Raw and clean over time: one picture at a time, stretched while the next is on its way.
+// The plot of raw and clean values over time; the old picture is stretched until a new one arrives.
 
 import { axisOf, roomFor, roomy } from "../axes.js";
 import { colour, translucent } from "../colours.js";
@@ -10,14 +10,14 @@ import { gapped } from "../frames.js";
  * @typedef {import("../frames.js").Frame} Frame
  */
 
-const FEW = 150; // values beside each other that are drawn as points too
-const NEAREST = 3; // rows that a view has at least
+const FEW = 150; // up to this number, values are drawn as points too
+const NEAREST = 3; // minimum number of rows in view
 const COLUMNS = ["raw_low", "raw_high", "band_low", "band_high", "clean_low", "clean_high", "classic_low", "classic_high"];
 
 export class SignalPlot {
   /**
    * @param {HTMLElement} place a figure with a .canvas and a .legend
-   * @param {(view: View) => void} looked told whenever another part is looked at
+   * @param {(view: View) => void} looked called after each change of the view
    */
   constructor(place, looked) {
     this.canvas = /** @type {HTMLElement} */ (place.querySelector(".canvas"));
@@ -34,13 +34,13 @@ export class SignalPlot {
     new ResizeObserver(() => this.#resize()).observe(this.canvas);
   }
 
-  /** How many stretches a picture may have. */
+  /** Return the maximum number of stretches of a picture. */
   get width() {
     return Math.min(4000, Math.max(100, Math.round((this.canvas.clientWidth - 90) * Math.min(devicePixelRatio, 2))));
   }
 
   /**
-   * Begin with a channel; it is seen as the last one was.
+   * Start with a channel; the view stays.
    * @param {{ name: string, unit: string }} channel
    * @param {{ rate_hz: number, lasts_s: number }} recording
    */
@@ -49,20 +49,20 @@ export class SignalPlot {
     this.all = { from: 0, to: Math.max(lasts_s, NEAREST * this.step) };
     this.u?.destroy();
     this.names.replaceChildren();
-    this.canvas.setAttribute("aria-label", `${name} over time. Left and right move along, plus and minus zoom, 0 shows the whole.`);
+    this.canvas.setAttribute("aria-label", `${name} over time. Left and right move in time, plus and minus zoom, 0 shows all.`);
     const label = unit && !name.endsWith(`(${unit})`) ? `${name} (${unit})` : name;
     this.u = new uPlot(this.#options(label), [[], ...COLUMNS.map(() => [])], this.canvas);
-    const told = legend(this.u, [
+    const update = legend(this.u, [
       { name: "readings", role: "readings", columns: [1, 2] },
       { name: "±2 sigma", role: "clean-band", columns: [3, 4] },
       { name: "clean", role: "clean", columns: [5, 6] },
       { name: "", role: "other-0", columns: [7, 8] },
     ], this.names);
-    this.u.hooks.setCursor = [told];
+    this.u.hooks.setCursor = [update];
     this.#gestures(this.u.over);
   }
 
-  /** Draw what has come. @param {Frame} frame */
+  /** Draw a picture. @param {Frame} frame */
   show({ header, arrays }) {
     const { u } = this;
     if (!u) return;
@@ -76,7 +76,7 @@ export class SignalPlot {
     });
   }
 
-  /** Look at a part; what is beyond the record is not. @param {number} from @param {number} to */
+  /** Show a part of the record, limited to the record. @param {number} from @param {number} to */
   look(from, to) {
     const span = Math.min(this.all.to - this.all.from, Math.max(to - from, NEAREST * this.step));
     const middle = (from + to) / 2;
@@ -86,14 +86,14 @@ export class SignalPlot {
     this.looked(this.view);
   }
 
-  /** Zoom about a place, by default the middle. @param {number} times @param {number} [share] of the width */
+  /** Zoom around a point, by default the middle. @param {number} times @param {number} [share] of the width */
   zoom(times, share = 0.5) {
     const { from, to } = this.view;
     const [about, span] = [from + share * (to - from), (to - from) * times];
     this.look(about - share * span, about + (1 - share) * span);
   }
 
-  /** Move along, by a share of what is seen. @param {number} share */
+  /** Move in time by a share of the view. @param {number} share */
   pan(share) {
     const by = share * (this.view.to - this.view.from);
     this.look(this.view.from + by, this.view.to + by);
@@ -103,7 +103,7 @@ export class SignalPlot {
     this.look(this.all.from, this.all.to);
   }
 
-  /** Whether the whole record is seen. */
+  /** Return whether the whole record is in view. */
   get isWhole() {
     return this.view.to - this.view.from >= this.all.to - this.all.from;
   }
@@ -151,7 +151,7 @@ export class SignalPlot {
     this.looked(this.view);
   }
 
-  /** Wheel, shift-drag and two fingers. @param {HTMLElement} over */
+  /** Handle the wheel, shift-drag and two fingers. @param {HTMLElement} over */
   #gestures(over) {
     const share = (/** @type {number} */ x) => (x - over.getBoundingClientRect().left) / over.clientWidth;
     over.addEventListener("wheel", (event) => {
@@ -161,7 +161,7 @@ export class SignalPlot {
       else this.zoom(Math.exp(Math.max(-0.7, Math.min(0.7, event.deltaY * (event.deltaMode ? 0.1 : 0.003)))), share(event.clientX));
     }, { passive: false });
     /** @type {Map<number, number>} */
-    const down = new Map(); // x of what is held down
+    const down = new Map(); // x of each pointer that is down
     over.addEventListener("pointerdown", (event) => {
       if (event.pointerType !== "touch" && !event.shiftKey) return;
       down.set(event.pointerId, event.clientX);

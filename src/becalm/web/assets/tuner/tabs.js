@@ -1,4 +1,4 @@
-// The channels of a recording, one of which is looked at.
+// The tabs of a recording's channels.
 
 import { find, make } from "../dom.js";
 
@@ -22,7 +22,7 @@ export class Tabs {
     }));
   }
 
-  /** Mark the one that is looked at. @param {number} channel @param {boolean} focus */
+  /** Mark the selected channel. @param {number} channel @param {boolean} focus */
   point(channel, focus) {
     for (const [i, tab] of [...this.place.children].entries()) {
       tab.setAttribute("aria-selected", String(i === channel));
