@@ -84,14 +84,14 @@ def test_rest_may_lie_in_another_recording(coloured: Recording) -> None:
 def test_coloured_noise_of_another_rate_is_refused(coloured: Recording) -> None:
     told = tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),)))
     slower = Recording(coloured.samples, names=["force"], units=["N"], rate_hz=500.0)
-    with pytest.raises(RecipeError, match=r"coloured noise was told at 1000 Hz, and means nothing at 500 Hz; tune"):
+    with pytest.raises(RecipeError, match=r"coloured noise was identified at 1000 Hz and is not valid at 500 Hz; tune"):
         clean(slower, told)
 
 
 def test_coloured_noise_that_grows_is_refused(coloured: Recording) -> None:
     text = tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),))).to_toml()
     (line,) = [line for line in text.splitlines() if line.startswith("coefficients")]
-    with pytest.raises(RecipeError, match="coloured noise makes no filter: coefficients"):
+    with pytest.raises(RecipeError, match="coloured noise does not make a valid filter: coefficients"):
         clean(coloured, Recipe.from_toml(text.replace(line, "coefficients = [1.5]")))
 
 
@@ -145,7 +145,7 @@ def test_too_short_a_rest_names_the_channel(coloured: Recording) -> None:
 
 
 TONES = {
-    "twins": ((20.0, 0.01), (20.00001, 0.01), "two tones at 20 and 20.00001 Hz, which cannot be told apart"),
+    "twins": ((20.0, 0.01), (20.00001, 0.01), "two tones at 20 and 20.00001 Hz, which cannot be distinguished"),
     "too slow": ((1e-9, 0.01), (20.0, 0.01), "a tone at 1e-09 Hz"),
     "too wide": ((20.0, 1500.0), (30.0, 0.01), "a tone at 20 Hz, 1500 Hz wide"),
 }
