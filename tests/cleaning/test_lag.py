@@ -105,7 +105,7 @@ def test_a_lag_counts_the_readings_that_come_within_it() -> None:
 
 def test_a_causal_filter_has_no_lag_to_wait(recording: Recording, recipe: Recipe) -> None:
     for given in (None, recipe):
-        with pytest.raises(UsageError, match="waits for no later reading"):
+        with pytest.raises(UsageError, match="uses no later reading"):
             clean(recording, given, causal=True, lag_s=LAG_S)
 
 

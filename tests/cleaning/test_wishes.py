@@ -97,8 +97,8 @@ def test_coloured_noise_that_grows_is_refused(coloured: Recording) -> None:
 
 WRONG = {
     "a dial beside it": (Wishes(Dial("bandwidth_hz", 5.0), removed_hz=(50.0,)), "ask for one at a time"),
-    "beyond half of the rate": (Wishes(removed_hz=(600.0,)), "Tones to take off lie between 0 and 500 Hz"),
-    "too many": (Wishes(removed_hz=tuple(range(10, 70, 10))), "6 tones to take off are too many; name up to 5"),
+    "beyond half of the rate": (Wishes(removed_hz=(600.0,)), "Tones to remove must be between 0 and 500 Hz"),
+    "too many": (Wishes(removed_hz=tuple(range(10, 70, 10))), "6 tones to remove are too many; give up to 5"),
 }
 
 
@@ -121,12 +121,12 @@ def test_a_channel_that_does_not_move_at_rest_is_tuned_as_ever(coloured: Recordi
 
 def test_hum_in_uneven_time_is_not_looked_for(humming: Recording) -> None:
     times = TIME_S + np.random.default_rng(3).uniform(0, 0.3, ROWS) / RATE_HZ
-    with pytest.raises(UsageError, match="256 rows in even time without a gap are needed; no stretch is so even"):
+    with pytest.raises(UsageError, match="256 rows at an even rate without a gap are needed; no stretch is so even"):
         tune(Recording(humming.samples, times_s=times), wishes=Wishes(removed_hz=(50.0,)))
 
 
 def test_a_short_record_cannot_lose_its_hum(humming: Recording) -> None:
-    with pytest.raises(UsageError, match="256 rows in even time without a gap are needed; 200 rows came"):
+    with pytest.raises(UsageError, match="256 rows at an even rate without a gap are needed; 200 rows came"):
         tune(Recording(humming.samples[:200], rate_hz=RATE_HZ), wishes=Wishes(removed_hz=(50.0,)))
 
 

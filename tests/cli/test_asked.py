@@ -54,7 +54,7 @@ def test_the_noise_is_told_at_rest(humming: Path, run: Run) -> None:
 
 MISTAKES = {
     "no unit": (["--remove", "50"], "--remove 50 is no frequency; write a positive number and then Hz or kHz"),
-    "too quick": (["--remove", "700Hz"], "Tones to take off lie between 0 and 500 Hz"),
+    "too quick": (["--remove", "700Hz"], "Tones to remove must be between 0 and 500 Hz"),
     "beside a dial": (["--remove", "50Hz", "--bandwidth", "5Hz"], "ask for one at a time"),
     "no rest there": (["--still", "40:50"], "there are 0 samples; 32 are needed"),
     "a recipe": (["--recipe", "r.toml", "--remove", "50Hz"], "A recipe has its filters already"),
