@@ -84,7 +84,7 @@ def test_a_lag_is_kept_and_said(drive: Path, run: Run, tmp_path: Path) -> None:
     assert ran.returncode in (0, 4), ran.stderr
     told = json.loads(ran.stdout)
     assert (told["mode"], told["channels"][0]["delay_s"]) == ("lagged", pytest.approx(0.05))
-    assert "told 0.05 s later" in ran.stderr
+    assert "delayed 0.05 s" in ran.stderr
     assert 'mode = "lagged"\nlag_s = 0.05' in (tmp_path / "out.csv.recipe.toml").read_text(encoding="utf-8")
 
 
