@@ -92,9 +92,9 @@ def test_gravity_that_was_not_said_is_uncertain(laid_down: Path, run: Run) -> No
 
 MISTAKES = {
     "too many": ("a,b,c,d", ["--channels", "a,b,c,d"], "4 channels came (a, b, c, d); an accelerometer has three axes"),
-    "a unit": ("a,b,c,d", ["--channels", "a,b,c", "--unit", "ft/s^2"], "--unit ft/s^2 is no unit to calibrate in"),
+    "a unit": ("a,b,c,d", ["--channels", "a,b,c", "--unit", "ft/s^2"], "--unit ft/s^2 is not a unit for a calibration"),
     "gravity": ("a,b,c,d", ["--channels", "a,b,c", "--gravity", "-9.81"], "--gravity"),
-    "no rest": ("a,b,c,d", ["--channels", "a,b,d"], "rests were found, of 10 that are needed"),
+    "no rest": ("a,b,c,d", ["--channels", "a,b,d"], "rests were found, but 10 are needed"),
     "mixed": ("a (V),b (mV),c (mV),d", ["--channels", "a,b,c"], "The channels are in V, mV; all three must be in one"),
     "itself": ("a,b,c,d", ["-o", "poses.csv"], "is the input itself"),
 }
