@@ -62,7 +62,7 @@ def test_the_truth_is_found_and_read_back_to_the_same_numbers(laid_down: Path, r
     assert np.array(record.relative_stds) == pytest.approx(np.array(told["scale_uncertainty_percent"]) / 200)
     assert record.offset_std == pytest.approx(told["zero_uncertainty"] / 2)
     assert record.sheet.calibrated is not None
-    for said in ("18 rests found.", "before (one factor for all axes, and its best zero)", "--sensors s.toml"):
+    for said in ("18 rests found.", "before (with one factor for all axes, and the best zero)", "--sensors s.toml"):
         assert said in ran.stderr
     shown = run("inspect", laid_down, "--sensors", "s.toml", "--json")
     assert [column["unit"] for column in json.loads(shown.stdout)["columns"]] == ["s", "m/s^2", "m/s^2", "m/s^2"]

@@ -1,4 +1,4 @@
-"""becalm beside the classic filters: a table for a person, or JSON, on stdout."""
+"""Compare becalm with classic filters; print a table or JSON on stdout."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
-_WORDS = 3  # columns
+_WORDS = 3  # columns of text, left-aligned
 
 
 class CompareOptions(NamedTuple):
-    """What is asked of a comparison."""
+    """The options of a comparison."""
 
     truth: Path | None
     causal: bool
@@ -36,25 +36,25 @@ class CompareOptions(NamedTuple):
 
 
 def run(source: OpenSource, said: Said, asking: CompareOptions, *, as_json: bool) -> None:
-    """Compare on a file, or on the beginning of a long one, and show what came out."""
+    """Compare on a file, or on the beginning of a long one, and print the result."""
     truth, causal, folder = asking
     page = None if folder is None else _page_in(folder)
     tell_notes(source)
     recording = beginning(source)
-    true = None if truth is None else _truth(truth, source, said)
-    found = compare(recording, said.recipe, truth=true, causal=causal or None, channels=source.names)
+    true_signal = None if truth is None else _truth(truth, source, said)
+    comparison = compare(recording, said.recipe, truth=true_signal, causal=causal or None, channels=source.names)
     if as_json:
-        print(json.dumps(_summary(source, recording, found), indent=2, allow_nan=False))  # noqa: T201
+        print(json.dumps(_summary(source, recording, comparison), indent=2, allow_nan=False))  # noqa: T201
     else:
-        _show(found, true is not None)
+        _show(comparison, true_signal is not None)
     if page is not None:
-        _write(page, source, (recording, true), found)
+        _write(page, source, (recording, true_signal), comparison)
     if cut := cut_short(source, recording):
         stderr.print(cut.strip())
 
 
 def _page_in(folder: Path) -> Path:
-    """Return where the page goes; what hinders it is said before the work."""
+    """Return the path of the page; raise an error before the work if it cannot be written."""
     from becalm.report.vendor import uplot
 
     uplot()
@@ -77,7 +77,7 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
 
 
 def _truth(path: Path, source: OpenSource, said: Said) -> Recording:
-    """Read the same channels of the truth; what was said of time holds for both files."""
+    """Read the same channels of the truth; the time options hold for both files."""
     asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
     fitting = Fitting(asker, dict(zip(source.names, source.units, strict=True)))
     kept = said.stamps == AS_WRITTEN
@@ -107,7 +107,7 @@ def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dic
 
 
 def _show(found: Comparison, with_truth: bool) -> None:
-    out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no figure
+    out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # wide, so that no number is broken
     for channel in found.channels:
         out.print(f"{channel.name}: {channel.says}")
         out.print(_table(channel, with_truth))
