@@ -111,7 +111,7 @@ def test_a_file_without_rest_is_no_error(run: Run, tmp_path: Path) -> None:
         (["--still", "0:0.1"], "there are 10 samples"),
         (["--cutoff", "1"], "--cutoff 1 is not a frequency"),
         (["--cutoff", "0Hz"], "--cutoff 0Hz is not a frequency"),
-        (["--cutoff", "50Hz"], "--cutoff 50Hz cannot be had at 100 rows a second"),
+        (["--cutoff", "50Hz"], "--cutoff 50Hz is too high for a rate of 100 Hz"),
         (["--channels", "nothing"], "nothing"),
     ],
 )
