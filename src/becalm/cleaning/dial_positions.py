@@ -145,7 +145,7 @@ def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSum
     )
 
 
-_NO_STEADY_STATE = "a filter that never forgets its start"
+_NO_STEADY_STATE = "a filter without a steady state"
 
 
 def _gain_of_lagged(tuning: Tuning, lag: int) -> float | None:

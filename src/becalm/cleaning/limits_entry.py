@@ -78,16 +78,16 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
     )
 
 
-def _far_from_0(told: LimitsRecipe) -> float:
+def _far_from_0(limits: LimitsRecipe) -> float:
     """Return the distance of its neighbours from which a 0 counts as missing; 0.0 if every 0 is a reading.
 
     Recipes without this value get it from the plausible range, if equal readings in a row count as one and gross
     outliers are found.
     """
-    if told.far_from_0 is not None or told.plausible_low is None or told.plausible_high is None:
-        return told.far_from_0 or 0.0
-    judged = told.repeats_are_one and (told.outlier_distance or told.causal_outlier_distance)
-    return (told.plausible_high - told.plausible_low) / _PARTS if judged else 0.0
+    if limits.far_from_0 is not None or limits.plausible_low is None or limits.plausible_high is None:
+        return limits.far_from_0 or 0.0
+    judged = limits.repeats_are_one and (limits.outlier_distance or limits.causal_outlier_distance)
+    return (limits.plausible_high - limits.plausible_low) / _PARTS if judged else 0.0
 
 
 def rows_that_judge(told: LimitsRecipe | None, lag: int | None) -> int:

@@ -219,7 +219,9 @@ class StreamCleaner:
         if not self._rows and len(elapsed):
             elapsed = np.append(1.0, elapsed[1:])  # the first row is on time
         if not (elapsed >= 0.0).all():
-            raise ModelError(f"elapsed has {elapsed[~(elapsed >= 0.0)][0]:.6g} steps; time only goes on: 0 or more.")
+            raise ModelError(
+                f"elapsed has {elapsed[~(elapsed >= 0.0)][0]:.6g} steps; time cannot go back: give 0 or more."
+            )
         return values, np.minimum(elapsed, _LONGEST)
 
     def _ready_rows(self, causal: Mapping[int, EstimatedRows]) -> Streamed:

@@ -57,14 +57,14 @@ class Uncertainty:
             seen = np.abs(signal[np.isfinite(signal)])
             self._magnitudes, self._rows = self._magnitudes + float(seen.sum()), self._rows + len(seen)
 
-    def _widened(self, told: EstimatedRows) -> EstimatedRows:
-        sigma = self._factor * told.sigma
-        self.see(told.signal)
+    def _widened(self, rows: EstimatedRows) -> EstimatedRows:
+        sigma = self._factor * rows.sigma
+        self.see(rows.signal)
         if self._systematic is not None:
             relative_std, offset_std = self._systematic
-            sensitivity = np.hypot(told.signal * relative_std, offset_std)
+            sensitivity = np.hypot(rows.signal * relative_std, offset_std)
             sigma = np.where(np.isfinite(sensitivity), np.hypot(sigma, sensitivity), sigma)
-        return told._replace(sigma=sigma)
+        return rows._replace(sigma=sigma)
 
 
 def lasting_std(calibration: CalibrationRecipe | None, limits: LimitsRecipe | None) -> tuple[float, float] | None:

@@ -124,10 +124,10 @@ def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_js
     return describes
 
 
-def _recipe_for(source: OpenSource, said: Said, asking: CleanOptions, given: Recipe | None) -> Recipe:
+def _recipe_for(source: OpenSource, file_options: Said, options: CleanOptions, given: Recipe | None) -> Recipe:
     """Return the recipe for a file: the given one, or one that is tuned on the file."""
-    recipe = tuned(source, asking.causal, asking.asked, asking.lag_s) if given is None else given
-    wanted = in_mode(recipe, asking.causal or None, asking.lag_s)
-    names = source.names if said.channels or source.group else None
+    recipe = tuned(source, options.causal, options.asked, options.lag_s) if given is None else given
+    wanted = in_mode(recipe, options.causal or None, options.lag_s)
+    names = source.names if file_options.channels or source.group else None
     chosen = fitted(wanted, source.names, source.units, channels=names)
-    return said.kept_in(chosen.model_copy(update={"channel": tared_anew(chosen.channel, source.calibrations)}))
+    return file_options.kept_in(chosen.model_copy(update={"channel": tared_anew(chosen.channel, source.calibrations)}))

@@ -64,36 +64,38 @@ def _page_in(folder: Path) -> Path:
     return page
 
 
-def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | None], found: Comparison) -> None:
+def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | None], comparison: Comparison) -> None:
     from becalm.report.classic_figures import beside
     from becalm.report.page import Facts, page_of
     from becalm.report.running import pictures_of
 
     recording, truth = read
     facts = Facts(shown_name(source.path), source.sha256())
-    recipe = found.cleaned.recipe
-    write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(found, recording, truth)))
+    recipe = comparison.cleaned.recipe
+    write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(comparison, recording, truth)))
     stderr.print(f"Wrote {page}.")
 
 
-def _truth(path: Path, source: OpenSource, said: Said) -> Recording:
+def _truth(path: Path, source: OpenSource, file_options: Said) -> Recording:
     """Read the same channels of the truth; the time options hold for both files."""
     asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
     fitting = Fitting(asker, dict(zip(source.names, source.units, strict=True)))
-    kept = said.stamps == AS_WRITTEN
-    options = ReadOptions(said.time, said.rate_hz, tuple(source.names), asker, fitting=fitting, as_written=kept)
+    kept = file_options.stamps == AS_WRITTEN
+    options = ReadOptions(
+        file_options.time, file_options.rate_hz, tuple(source.names), asker, fitting=fitting, as_written=kept
+    )
     with open_source(path, options) as other:
         tell_notes(other)
         return beginning(other)
 
 
-def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dict[str, object]:
+def _summary(source: OpenSource, recording: Recording, comparison: Comparison) -> dict[str, object]:
     return {
         "file": str(source.path),
         "rows": source.rows,
         "rows_looked_at": len(recording),
         "rate_hz": source.rate_hz,
-        "mode": found.cleaned.recipe.mode,
+        "mode": comparison.cleaned.recipe.mode,
         "channels": [
             {
                 "name": channel.name,
@@ -101,14 +103,14 @@ def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dic
                 "says": channel.says,
                 "filters": [contender._asdict() for contender in channel.contenders],
             }
-            for channel in found.channels
+            for channel in comparison.channels
         ],
     }
 
 
-def _show(found: Comparison, with_truth: bool) -> None:
+def _show(comparison: Comparison, with_truth: bool) -> None:
     out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # wide, so that no number is broken
-    for channel in found.channels:
+    for channel in comparison.channels:
         out.print(f"{channel.name}: {channel.says}")
         out.print(_table(channel, with_truth))
 

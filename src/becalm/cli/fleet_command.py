@@ -54,7 +54,7 @@ def clean(  # noqa: PLR0913  (one argument for each option)
     conf: Settings = None,
     as_json: o.Json = False,
 ) -> None:
-    """Clean every sensor of a lake; finished sensors are skipped, and a failure stops no other sensor."""
+    """Clean every sensor of a lake; finished sensors are skipped, and a failure does not stop the other sensors."""
     from becalm.cli.fleet import FleetOptions, SparkAddress, clean_lake
 
     asking = FleetOptions(recipe, recipes, by, causal, stretch)

@@ -37,18 +37,18 @@ def tune_lake(lake: Path, output: Path, asked: LakeTuningOptions, where: SparkAd
         raise typer.Exit(NOT_DESCRIBED)
 
 
-def _print_results(lake: Path, output: Path, asked: LakeTuningOptions, tuned: TunedLake) -> None:
+def _print_results(lake: Path, output: Path, options: LakeTuningOptions, tuned: TunedLake) -> None:
     for klass in tuned.classes:
         typer.echo(klass.says, err=True)
     say_some([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])
     outlying = [row for row in tuned.rows if row.outlying]
     say_some([f"{row.sensor}, {row.channel}: {row.outlying}" for row in outlying])
-    if outlying and not asked.own:
+    if outlying and not options.own:
         typer.echo("Write separate recipes for sensors that differ from their class with --own.", err=True)
     if not tuned.recipes:
         typer.echo(f"No recipe was written; the report is {tuned.report}.", err=True)
         return
-    by = " --by file" if asked.by == FILE else ""
+    by = " --by file" if options.by == FILE else ""
     typer.echo(
         f"Wrote {counted(len(tuned.recipes), 'recipe', 'recipes')} into {output} and a report, {tuned.report}. Use them"
         f" with: becalm fleet clean {quote(str(lake))} -o OUT --recipes {quote(str(output))}{by}",

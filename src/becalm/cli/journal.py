@@ -126,11 +126,11 @@ def _verify(folder: Path, as_json: bool) -> bool:
     return not damage
 
 
-def _export(folder: Path, asked: JournalOptions) -> bool:
-    if asked.output is None:
+def _export(folder: Path, options: JournalOptions) -> bool:
+    if options.output is None:
         raise UsageError("becalm journal DIR export needs an output: -o rows.parquet.")
-    format_to_write(asked.output)
-    from_s, to_s = moment_of("--from", asked.start, -inf), moment_of("--to", asked.stop, inf)
+    format_to_write(options.output)
+    from_s, to_s = moment_of("--from", options.start, -inf), moment_of("--to", options.stop, inf)
     rows = 0
     with open_journal(folder) as journal:
         head = journal.head()
@@ -138,12 +138,12 @@ def _export(folder: Path, asked: JournalOptions) -> bool:
             raise UsageError(f"The journal in {folder} has no rows yet; there is nothing to export.")
         schema = table_schema(head)
         metadata = {key.decode(): value.decode() for key, value in (schema.metadata or {}).items()}
-        with open_output(asked.output, metadata) as output:
+        with open_output(options.output, metadata) as output:
             output.write(schema.empty_table())
             for table in journal.tables(from_s=from_s, to_s=to_s):
                 output.write(table.replace_schema_metadata(schema.metadata))
                 rows += table.num_rows
-    stderr.print(f"Wrote {rows:,} rows to {asked.output}.")
+    stderr.print(f"Wrote {rows:,} rows to {options.output}.")
     return True
 
 

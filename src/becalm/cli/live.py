@@ -122,14 +122,14 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
     _print_message(f"Filtered {runner.rows} rows of {address}.")
 
 
-def _page(asked: PageAsked, meter: Meter, retune: Retune, log: Log, opened: ExitStack) -> Sink:
+def _page(options: PageAsked, meter: Meter, retune: Retune, log: Log, opened: ExitStack) -> Sink:
     """Serve the live page; return its sink."""
     from becalm.web.extra import need_app
 
     need_app()
     from becalm.cli.live_page import serve
 
-    served = serve(asked, meter, retune, log.warning, opened)
+    served = serve(options, meter, retune, log.warning, opened)
     for line in served.says:
         _print_message(line)
     return served.feed

@@ -60,7 +60,7 @@ def inspect(  # noqa: PLR0913  (one argument for each option)
     sensors: o.Sensors = None,
     as_json: o.Json = False,
 ) -> None:
-    """Show how a file is understood: columns, units, time."""
+    """Show how becalm reads a file: columns, units, time."""
     from becalm.cli.layouts import show, summary
     from becalm.cli.messages import tell_bands
 
@@ -101,7 +101,7 @@ def clean(  # noqa: PLR0913  (one argument for each option)
     figures: o.Figures = None,
     as_json: o.Json = False,
 ) -> None:
-    """Remove the noise from a recording; nothing needs to be chosen."""
+    """Remove the noise from a recording; no option is required."""
     from becalm.cli.clean import CleanOptions, Outputs, run
 
     wanted = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
@@ -134,7 +134,7 @@ def tune(  # noqa: PLR0913  (one argument for each option)
     fill: o.Fill = False,
     as_json: o.Json = False,
 ) -> None:
-    """Identify the filter of each channel and write it as a recipe; list what a delay would gain."""
+    """Identify the filter of each channel and write it as a recipe; list the remaining noise for each delay."""
     from becalm.cleaning.delays import delays
     from becalm.cleaning.pipeline import joined
     from becalm.cli.messages import tell_delays, tell_notes
@@ -249,7 +249,7 @@ def study(
 def demo(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")] = Path("demo"),
 ) -> None:
-    """Simulate a test drive, clean it, and print what was gained."""
+    """Simulate a test drive, clean it, and print the errors before and after."""
     from becalm.cli.demo import run
 
     run(output)
