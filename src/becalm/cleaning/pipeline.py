@@ -1,4 +1,4 @@
-"""clean(recording, recipe) -> Cleaned: the main job."""
+"""Clean a recording with a recipe, and adapt recipes to recordings."""
 
 from __future__ import annotations
 

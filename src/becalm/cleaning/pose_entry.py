@@ -133,7 +133,7 @@ def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | Non
     Raises
     ------
     SensorError
-        If there are not three channels, too few rests, rests too alike, or a unit or gravity is impossible.
+        If there are not three channels, too few or too similar rests, or a unit or gravity is impossible.
     """
     if unit not in ACCELERATIONS:
         raise SensorError(f"--unit {unit} is not a unit for a calibration; write --unit m/s^2 or --unit g.")

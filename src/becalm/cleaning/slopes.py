@@ -104,4 +104,4 @@ def said_of_times(timing: TimingRecipe | None, share: float) -> list[str]:
     """Return a sentence on what uncertain times add to sigma, if it is noticeable."""
     if timing is None or share < _NOTICEABLE:
         return []
-    return [f"Times uncertain by {1e6 * timing.std_s:.3g} us add up to {share:.1%} to sigma."]
+    return [f"An uncertainty of {1e6 * timing.std_s:.3g} us in time increases sigma by up to {share:.1%}."]

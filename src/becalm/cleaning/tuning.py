@@ -1,4 +1,4 @@
-"""tune(recording) -> Recipe: the noise of each channel identified, its filter chosen."""
+"""Tune a recipe on a recording: identify the noise of each channel and choose its filter."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def _noise_table(noises: tuple[ChannelNoise, ...]) -> Table:
 
 
 def _allan_table(with_allan: list[tuple[str, AllanNoise]]) -> Table:
-    table = _table("channel", "Allan figure", "value", "std error", "unit", "as a data sheet has it")
+    table = _table("channel", "Allan figure", "value", "std error", "unit", "in data-sheet units")
     for name, allan in with_allan:
         for row, cells in enumerate(_allan_rows(allan)):
             table.add_row("" if row else name, *cells)
@@ -136,7 +136,7 @@ def _quotes(one: Coefficient) -> str:
 
 def _table(*headings: str) -> Table:
     table = Table(box=None, pad_edge=False)
-    left = ("channel", "unit", "Allan figure", "as a data sheet has it")
+    left = ("channel", "unit", "Allan figure", "in data-sheet units")
     for heading in headings:
         table.add_column(heading, justify="left" if heading in left else "right")
     return table
