@@ -27,19 +27,20 @@ from becalm.errors import RecipeError
 
 VERSION: Literal[5] = 5  # added: 2 tones, 3 disturbances, 4 gates, lags, spread, 5 damping, outliers; all are read
 
-_HEADER = """A recipe of becalm: the filter of each channel.
+# Journals and fleets compare the whole text of recipes: with another header a kept stream does not continue.
+_HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
 Motion slower than damped_below_hz is damped: without readings the signal returns to its own level and spread.
-In a hole, r is sigma divided by sigma at the edge of the hole. The departure of a smoother from a straight line is
-divided by r^model_fading, and sigma is multiplied by r^sigma_growth, for holes of so many missing readings.
-Where no reading came and sigma is nearly as large as spread_std, no estimate is written, except with fill = true.
-A tone with disturbance = true, and coloured_noise, are removed from the signal.
-A gate rejects spikes and follows steps; without a gate every reading is used.
-Readings at or beyond low and high are clipped; stuck_readings equal ones in a row are stuck; those farther than
-outlier_distance from their neighbours are gross outliers: all these count as missing.
-sigma is larger by the share tuning_spread; relative_std and offset_std of [channel.calibration] add an error that
-averaging does not reduce; std_s of [channel.timing] adds noise where the signal moves, beyond its included_std."""
+In a hole the departure of a smoother from a line across it fades, and sigma grows, by powers of sigma over that beside
+the hole: model_fading and sigma_growth, for holes of so many readings.
+Where sigma is nearly as wide as spread_std and no reading came, nothing is told, but with fill = true.
+A tone with disturbance = true, and coloured_noise, are taken off the signal.
+A gate leaves spikes out and follows steps; without one every reading is believed.
+Readings at low or high, or beyond, are clipped, and stuck from so many equal ones on; those farther than
+outlier_distance from their neighbours are gross outliers: they count as missing.
+sigma is widened by the share tuning_spread; [channel.calibration] with relative_std, offset_std adds what averaging
+does not lower; [channel.timing] with std_s adds to the noise where the signal moves, beyond its included_std."""
 
 
 _KNOWS_NOTHING = 0.95  # of the standard deviation of the readings: nine tenths of their variance are unexplained

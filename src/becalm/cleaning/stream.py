@@ -94,10 +94,10 @@ class StreamCleaner:
         self._mark = _mark_of(recipe)
         channels = dict(enumerate(recipe.channel))
         self._causal = {c: CausalChannel(one, step_s) for c, one in channels.items() if is_causal(one, self.lag_rows)}
-        self._lagged = {
+        self._others = {
             c: open_live(one, step_s, self.lag_rows) for c, one in channels.items() if c not in self._causal
         }
-        self._ready = {c: ReadyRows() for c in self._lagged}
+        self._ready = {c: ReadyRows() for c in self._others}
         self._modes = [modes_in(one) for one in recipe.channel]
 
     def push(self, values: Floats, elapsed: Floats) -> Streamed:
@@ -125,7 +125,7 @@ class StreamCleaner:
             return self._no_rows()
         columns = np.ascontiguousarray(values.T)
         found = {c: channel.process(columns[c], elapsed).told() for c, channel in self._causal.items()}
-        for c, channel in self._lagged.items():
+        for c, channel in self._others.items():
             self._ready[c].add(channel.push(columns[c], elapsed))
         self._rows += len(values)
         return self._ready_rows(found)
@@ -135,7 +135,7 @@ class StreamCleaner:
         if not self.lag_rows:
             return self.push(np.empty((0, len(self._recipe.channel))), np.empty(0))
         other = type(self).resume(self.snapshot(), self._recipe)
-        for c, channel in other._lagged.items():
+        for c, channel in other._others.items():
             other._ready[c].add(channel.finish())
         return other._ready_rows({})
 
@@ -147,7 +147,7 @@ class StreamCleaner:
             now = causal.filter
             nis = mean_power(now.powers)
             found[c] = ChannelHealth(names[c], _by_name(now.counts), nis, now.drift_since, now.is_silent)
-        for c, channel in self._lagged.items():
+        for c, channel in self._others.items():
             monitor, counts = channel.sensor.monitor, _by_name(channel.counts)
             nis = mean_power(monitor.powers)
             found[c] = ChannelHealth(names[c], counts, nis, monitor.drift_since, monitor.is_silent)
@@ -159,7 +159,7 @@ class StreamCleaner:
         arrays: dict[str, Any] = {"told": head, "recipe": self._mark, "step_s": np.array([self._step_s])}
         for c, causal in self._causal.items():
             arrays |= {f"channel{c}.{name}": array for name, array in causal.state_dict().items()}
-        for c, channel in self._lagged.items():
+        for c, channel in self._others.items():
             arrays |= {f"channel{c}.{name}": array for name, array in channel.saved().items()}
             if self.lag_rows:
                 arrays |= {f"ready{c}.{name}": array for name, array in self._ready[c].held()._asdict().items()}
@@ -201,7 +201,7 @@ class StreamCleaner:
         self._rows = int(arrays["told"][1])
         for c, causal in self._causal.items():
             causal.load_state_dict(_without_prefix(f"channel{c}.", arrays))
-        for c, channel in self._lagged.items():
+        for c, channel in self._others.items():
             channel.restore(_without_prefix(f"channel{c}.", arrays))
             if self.lag_rows:
                 waiting = EstimatedRows(**_without_prefix(f"ready{c}.", arrays))
@@ -227,7 +227,7 @@ class StreamCleaner:
     def _ready_rows(self, causal: Mapping[int, EstimatedRows]) -> Streamed:
         """Return the rows that are ready in all channels; `causal` has those of the channels without a lag."""
         found = dict(causal)
-        if self._lagged:
+        if self._others:
             count = min(ready.count for ready in self._ready.values())
             found |= {c: ready.take(count) for c, ready in self._ready.items()}
         channels = [found[c] for c in range(len(found))]

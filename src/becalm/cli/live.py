@@ -36,10 +36,7 @@ from becalm.web.access import PageAsked
 DEFAULT_SINK = "journal:becalm-journal"
 POLICIES = get_args(Policy)
 _TIMED_BY_RECIPE = ("replay", "stdin", "serial")
-_GATHER_S, _GATHER_SHARE = (
-    0.05,
-    0.05,
-)  # longest gathering of datagrams, and its share of a commit interval
+_GATHER_S, _GATHER_SHARE = 0.05, 0.05  # longest gathering of datagrams, also as a share of the commit interval
 _LEARNED = "learned.recipe.toml"
 
 
