@@ -15,7 +15,7 @@ SENSOR = Resonance(1000.0, 0.02)
     ("passed_hz", "rate_hz", "said"),
     [
         (None, 400.0, ""),
-        (None, 1000.0, "a: its rows, at 1000 Hz, hold up to 500 Hz"),
+        (None, 1000.0, "a: its rows, at 1000 Hz, contain frequencies up to 500 Hz"),
         (100.0, 1000.0, ""),
         (300.0, 1000.0, "a: its filter passes up to 300 Hz"),
         (np.inf, 400.0, ""),

@@ -114,7 +114,7 @@ def test_a_truth_known_only_late_in_a_long_record_finds_the_best_setting_there(m
 
 
 def test_a_truth_at_other_times_or_in_other_units_is_refused() -> None:
-    with pytest.raises(RecordingError, match=r"Row 3 of the truth lies 0.01 s after its first row"):
+    with pytest.raises(RecordingError, match=r"Row 3 of the truth is 0.01 s after its first row"):
         compare(MEASURED, truth=Recording(TRUTH, names=("a",), units=("m/s^2",), rate_hz=2 * RATE_HZ))
     with pytest.raises(RecordingError, match=r"is in cm/s\^2, the recording in m/s\^2"):
         compare(MEASURED, truth=Recording(TRUTH, names=("a",), units=("cm/s^2",), rate_hz=RATE_HZ))

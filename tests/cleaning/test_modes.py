@@ -142,7 +142,7 @@ def test_modes_beyond_reach_are_refused(recording: Recording, recipe: Recipe, de
     assert channel.switching is not None
     assert channel.motion is not None
     wild = channel.switching.mode[0].model_copy(update={"order": 3, "process_noise_density": density})
-    with pytest.raises(RecipeError, match="out of reach"):
+    with pytest.raises(RecipeError, match="out of range"):
         modes_in_steps(channel.switching.model_copy(update={"mode": (wild,)}), in_steps(channel.motion, 0.005), 0.005)
 
 

@@ -144,7 +144,7 @@ def test_coarse_steps_slow_noise_and_spikes_are_said() -> None:
     coarse = np.round(0.35 * NOISE)
     slow = np.convolve(NOISE, np.ones(8) / 8, "same")
     spiked = NOISE + 50 * (np.arange(COUNT) == 777)
-    for z, says in ((coarse, "steps of 1,"), (slow, "slower than the readings"), (spiked, "2 jumps are beyond")):
+    for z, says in ((coarse, "resolution of 1,"), (slow, "slower than the readings"), (spiked, "2 jumps are beyond")):
         assert any(says in sentence for sentence in one(z, still=[(0, 300)]).says), says
     assert not any("jump" in sentence or "slower" in sentence or "steps" in sentence for sentence in one(NOISE).says)
 
@@ -186,13 +186,13 @@ def test_readings_slower_than_the_cutoff_are_said() -> None:
     (found,) = report_noise(Recording(NOISE[:2000], rate_hz=0.1))
     assert found.noise_std == pytest.approx(1, rel=0.1)
     assert found.below_std is None
-    assert "0.1 readings a second do not show what lies above 1 Hz." in found.says
+    assert "A rate of 0.1 Hz does not show the noise above 1 Hz." in found.says
 
 
 def test_mistakes_are_said() -> None:
     recording = Recording(NOISE, rate_hz=RATE_HZ)
     for cutoff_hz in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(UsageError, match="no cut-off"):
+        with pytest.raises(UsageError, match="not a cut-off"):
             report_noise(recording, cutoff_hz=cutoff_hz)
     for span, words in {(30.0, 0.0): "no stretch", (400.0, 500.0): "0 samples", (0.0, 0.1): "20 samples"}.items():
         with pytest.raises(RecordingError, match=words):
@@ -233,7 +233,7 @@ def test_a_sensor_slower_than_its_rows_is_seen_in_a_real_file() -> None:
     if not file.exists():
         pytest.skip("the recordings are not beside the project (fusion/sensor_data.csv)")
     magnetic = report_noise(read(file))[6:]
-    assert all("repeat the one before" in channel.says[0] for channel in magnetic)
+    assert all("repeat the previous one" in channel.says[0] for channel in magnetic)
 
 
 def test_a_car_on_the_road_has_no_rest() -> None:

@@ -62,7 +62,7 @@ def test_errors_are_small_and_told() -> None:
 
 def test_a_record_with_few_rests_says_how_many() -> None:
     noise = np.random.default_rng(0).normal([0.0, 0.0, 9.8], 1.0, (3000, 3))
-    with pytest.raises(SensorError, match="1 rests were found, of 10 that are needed"):
+    with pytest.raises(SensorError, match="1 rests were found, but 10 are needed"):
         find_poses(Recording(noise, rate_hz=100.0))
 
 

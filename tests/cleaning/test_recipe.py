@@ -146,7 +146,7 @@ def test_a_wrong_value_is_refused_by_name(old: str, new: str, says: str) -> None
     with pytest.raises(RecipeError) as caught:
         Recipe.from_toml(GOOD.replace(old, new))
     message = str(caught.value)
-    assert message.startswith("The recipe does not say what a recipe must: ")
+    assert message.startswith("The recipe is not a valid recipe: ")
     assert says in message
     assert "at least 1 item" not in message  # as of a list that counts as empty because of what is in it
     assert message.endswith("Make one with: becalm tune FILE -o R.toml")
@@ -180,7 +180,7 @@ def test_what_is_not_toml_is_refused(wrong: str) -> None:
 
 @pytest.mark.parametrize("wrong", ["", "x = 1", "[tuned_on]\nrate_hz = 5\n", "channel = 3\n[tuned_on]\nrate_hz = 5"])
 def test_toml_that_is_no_recipe_is_refused(wrong: str) -> None:
-    with pytest.raises(RecipeError, match=r"^The recipe does not say what a recipe must"):
+    with pytest.raises(RecipeError, match=r"^The recipe is not a valid recipe"):
         Recipe.from_toml(wrong)
 
 

@@ -153,32 +153,35 @@ MISTAKES = {
     "a truth": (ONE.replace("100", "true"), "sensitivity_mv: Input should be a valid number"),
     "a text": (ONE.replace("100", '"100"'), "sensitivity_mv: Input should be a valid number"),
     "one bit": (ONE.replace('"mV"', '"counts"') + "span_v = 10\nbits = true", "bits: Input should be a valid integer"),
-    "twice": (ONE + ONE, "the channel 'a' is named twice"),
+    "twice": (ONE + ONE, "the channel 'a' has two sensors"),
     "half of a scale": (ONE + "lowest_reading = -5", "give both, or neither"),
-    "a scale upside down": (ONE + "lowest_reading = 5\nhighest_reading = -5", "full scale goes from"),
+    "a scale upside down": (
+        ONE + "lowest_reading = 5\nhighest_reading = -5",
+        "lowest_reading must be less than highest_reading",
+    ),
     "counts of what": (ONE.replace('"mV"', '"counts"'), "span_v and bits"),
-    "counts of volts": (ONE + "bits = 16", "belong to raw_unit"),
-    "volts in g": (ONE.replace('"mV"', '"g"'), "belongs to a triaxial sensor with correction"),
-    "no ratio": (ONE.replace('"mV"', '"mV/V"'), "belongs to bridges and load cells"),
+    "counts of volts": (ONE + "bits = 16", "are only for raw_unit"),
+    "volts in g": (ONE.replace('"mV"', '"g"'), "is only for a triaxial sensor with correction"),
+    "no ratio": (ONE.replace('"mV"', '"mV/V"'), "is only for bridges and load cells"),
     "no supply": (BRIDGE.replace("mV/V", "V"), "needs excitation_v"),
     "no Poisson ratio": (BRIDGE.replace("full I", "full II"), "give poisson_ratio"),
     "half a shunt": (BRIDGE + "shunt_ohm = 1e5", "shunt_ohm and shunt_reading belong together"),
     "a shunt and a gain": (
         BRIDGE + "shunt_ohm = 1e5\nshunt_reading = 0.8\ngain_adjustment = 1.0",
-        "give either it, or shunt_ohm and shunt_reading",
+        "a shunt replaces gain_adjustment",
     ),
     "a shunt the wrong way": (BRIDGE + "shunt_ohm = 1e5\nshunt_reading = -0.8", "no gain explains"),
     "no temperature": (BRIDGE + "gauge_factor_percent_per_100_k = 1.3", "give either temperature_degc"),
     "a temperature for nothing": (BRIDGE + "temperature_degc = 35.0", "a temperature changes nothing without"),
     "its own thermometer": (
         BRIDGE + 'gauge_factor_percent_per_100_k = 1.3\ntemperature_channel = "e"',
-        "is the bridge's own channel",
+        "is the channel of the bridge itself",
     ),
-    "output that cancels": (BRIDGE + "thermal_output_um = [1]\ntemperature_degc = 35", "off each other"),
-    "no stretch": (ONE + 'tare = "20s"', 'tare = "20s" is no stretch of time; write START:STOP'),
-    "a stretch backwards": (ONE + 'tare = "2s:1000ms"', "is no stretch of time"),
-    "two zeros": (ONE + 'tare = "0:1"\nbias_mv = 1', "tare takes the zero that bias_mv tells"),
-    "damping of nothing": (ONE + "[sensor.sheet]\ndamping_ratio = 0.7", "damping_ratio belongs to resonance_hz"),
+    "output that cancels": (BRIDGE + "thermal_output_um = [1]\ntemperature_degc = 35", "compensate thermal output"),
+    "no stretch": (ONE + 'tare = "20s"', 'tare = "20s" is not a stretch of time; write START:STOP'),
+    "a stretch backwards": (ONE + 'tare = "2s:1000ms"', "is not a stretch of time"),
+    "two zeros": (ONE + 'tare = "0:1"\nbias_mv = 1', "tare and bias_mv both give the zero"),
+    "damping of nothing": (ONE + "[sensor.sheet]\ndamping_ratio = 0.7", "damping_ratio needs resonance_hz"),
     "no matrix": (TRIAXIAL, "give either sensitivity_mv, with bias_mv, or correction"),
     "two of them": (
         TRIAXIAL + "sensitivity_mv = [1, 1, 1]\ncorrection = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]",
@@ -195,7 +198,7 @@ def test_a_mistake_is_a_sentence(kind: str, tmp_path: Path) -> None:
     with pytest.raises(SensorError, match=said) as refusal:
         load_sensors(written(tmp_path, text))
     assert str(refusal.value).startswith("The sensor file ")
-    assert str(refusal.value).endswith("says its kind, channel, raw_unit and unit.")
+    assert str(refusal.value).endswith("has kind, channel, raw_unit and unit.")
 
 
 def test_a_file_that_is_not_there_is_a_sentence(tmp_path: Path) -> None:

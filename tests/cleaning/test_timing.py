@@ -72,7 +72,7 @@ def test_the_signal_is_the_same_and_sigma_never_less() -> None:
     assert wider.min() == 1.0
     (report,) = told.reports
     assert report.timing_share == pytest.approx(wider.max() - 1.0)
-    assert f"Times uncertain by 1e+03 us add up to {wider.max() - 1.0:.1%} to sigma." in report.says
+    assert f"An uncertainty of 1e+03 us in time increases sigma by up to {wider.max() - 1.0:.1%}." in report.says
     assert plain.reports[0].timing_share is None
 
 

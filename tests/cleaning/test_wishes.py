@@ -84,21 +84,21 @@ def test_rest_may_lie_in_another_recording(coloured: Recording) -> None:
 def test_coloured_noise_of_another_rate_is_refused(coloured: Recording) -> None:
     told = tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),)))
     slower = Recording(coloured.samples, names=["force"], units=["N"], rate_hz=500.0)
-    with pytest.raises(RecipeError, match=r"coloured noise was told at 1000 Hz, and means nothing at 500 Hz; tune"):
+    with pytest.raises(RecipeError, match=r"coloured noise was identified at 1000 Hz and is not valid at 500 Hz; tune"):
         clean(slower, told)
 
 
 def test_coloured_noise_that_grows_is_refused(coloured: Recording) -> None:
     text = tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),))).to_toml()
     (line,) = [line for line in text.splitlines() if line.startswith("coefficients")]
-    with pytest.raises(RecipeError, match="coloured noise makes no filter: coefficients"):
+    with pytest.raises(RecipeError, match="coloured noise does not make a valid filter: coefficients"):
         clean(coloured, Recipe.from_toml(text.replace(line, "coefficients = [1.5]")))
 
 
 WRONG = {
     "a dial beside it": (Wishes(Dial("bandwidth_hz", 5.0), removed_hz=(50.0,)), "ask for one at a time"),
-    "beyond half of the rate": (Wishes(removed_hz=(600.0,)), "Tones to take off lie between 0 and 500 Hz"),
-    "too many": (Wishes(removed_hz=tuple(range(10, 70, 10))), "6 tones to take off are too many; name up to 5"),
+    "beyond half of the rate": (Wishes(removed_hz=(600.0,)), "Tones to remove must be between 0 and 500 Hz"),
+    "too many": (Wishes(removed_hz=tuple(range(10, 70, 10))), "6 tones to remove are too many; give up to 5"),
 }
 
 
@@ -121,12 +121,12 @@ def test_a_channel_that_does_not_move_at_rest_is_tuned_as_ever(coloured: Recordi
 
 def test_hum_in_uneven_time_is_not_looked_for(humming: Recording) -> None:
     times = TIME_S + np.random.default_rng(3).uniform(0, 0.3, ROWS) / RATE_HZ
-    with pytest.raises(UsageError, match="256 rows in even time without a gap are needed; no stretch is so even"):
+    with pytest.raises(UsageError, match="256 rows at an even rate without a gap are needed; no stretch is so even"):
         tune(Recording(humming.samples, times_s=times), wishes=Wishes(removed_hz=(50.0,)))
 
 
 def test_a_short_record_cannot_lose_its_hum(humming: Recording) -> None:
-    with pytest.raises(UsageError, match="256 rows in even time without a gap are needed; 200 rows came"):
+    with pytest.raises(UsageError, match="256 rows at an even rate without a gap are needed; 200 rows came"):
         tune(Recording(humming.samples[:200], rate_hz=RATE_HZ), wishes=Wishes(removed_hz=(50.0,)))
 
 
@@ -145,7 +145,7 @@ def test_too_short_a_rest_names_the_channel(coloured: Recording) -> None:
 
 
 TONES = {
-    "twins": ((20.0, 0.01), (20.00001, 0.01), "two tones at 20 and 20.00001 Hz, which cannot be told apart"),
+    "twins": ((20.0, 0.01), (20.00001, 0.01), "two tones at 20 and 20.00001 Hz, which cannot be distinguished"),
     "too slow": ((1e-9, 0.01), (20.0, 0.01), "a tone at 1e-09 Hz"),
     "too wide": ((20.0, 1500.0), (30.0, 0.01), "a tone at 20 Hz, 1500 Hz wide"),
 }

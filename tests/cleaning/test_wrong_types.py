@@ -15,7 +15,7 @@ from becalm.errors import BecalmError
 
 ROWS = becalm.Recording(np.random.default_rng(0).normal(size=200), rate_hz=100.0)
 MISTAKES: dict[str, tuple[Callable[..., Any], str]] = {
-    "a lag with its unit": (lambda: becalm.clean(ROWS, lag_s="10ms"), "lag_s = '10ms' is no number; give seconds"),  # type: ignore[arg-type]
+    "a lag with its unit": (lambda: becalm.clean(ROWS, lag_s="10ms"), "lag_s = '10ms' is not a number; give seconds"),  # type: ignore[arg-type]
     "a recipe's file": (lambda: becalm.clean(ROWS, "a.toml"), "A Recipe is needed; 'a.toml' came. Load one"),  # type: ignore[arg-type]
     "a number for wishes": (lambda: becalm.tune(ROWS, wishes=3), "Wishes are needed; 3 came. Make some"),  # type: ignore[arg-type]
     "a list for a recording": (lambda: becalm.clean([1, 2]), "A Recording is needed; list came"),  # type: ignore[arg-type]

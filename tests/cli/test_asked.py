@@ -33,7 +33,7 @@ def test_hum_is_taken_off_and_said(humming: Path, run: Run, tmp_path: Path) -> N
     assert strain["removed_hz"] == [pytest.approx(50, abs=0.1)]
     assert (strain["tones_hz"], force["removed_hz"]) == ([], [])
     assert "without 50" in ran.stderr
-    assert "No tone stands out near 50 Hz in force: nothing was taken off there." in ran.stderr
+    assert "No tone stands out near 50 Hz in force: nothing was removed there." in ran.stderr
     table = pyarrow.parquet.read_table(tmp_path / "out.parquet")
     tone = f"strain (um/m)_tone_{strain['removed_hz'][0]:.6g}Hz"
     assert table.column_names[:5] == ["time_s", *(f"strain (um/m){end}" for end in ("", "_sigma", "_motion")), tone]
@@ -53,11 +53,11 @@ def test_the_noise_is_told_at_rest(humming: Path, run: Run) -> None:
 
 
 MISTAKES = {
-    "no unit": (["--remove", "50"], "--remove 50 is no frequency; write a positive number and then Hz or kHz"),
-    "too quick": (["--remove", "700Hz"], "Tones to take off lie between 0 and 500 Hz"),
+    "no unit": (["--remove", "50"], "--remove 50 is not a frequency; write a positive number and then Hz or kHz"),
+    "too quick": (["--remove", "700Hz"], "Tones to remove must be between 0 and 500 Hz"),
     "beside a dial": (["--remove", "50Hz", "--bandwidth", "5Hz"], "ask for one at a time"),
     "no rest there": (["--still", "40:50"], "there are 0 samples; 32 are needed"),
-    "a recipe": (["--recipe", "r.toml", "--remove", "50Hz"], "A recipe has its filters already"),
+    "a recipe": (["--recipe", "r.toml", "--remove", "50Hz"], "A recipe already has its filters"),
 }
 
 
@@ -84,7 +84,7 @@ def test_a_lag_is_kept_and_said(drive: Path, run: Run, tmp_path: Path) -> None:
     assert ran.returncode in (0, 4), ran.stderr
     told = json.loads(ran.stdout)
     assert (told["mode"], told["channels"][0]["delay_s"]) == ("lagged", pytest.approx(0.05))
-    assert "told 0.05 s later" in ran.stderr
+    assert "delayed 0.05 s" in ran.stderr
     assert 'mode = "lagged"\nlag_s = 0.05' in (tmp_path / "out.csv.recipe.toml").read_text(encoding="utf-8")
 
 
@@ -101,4 +101,4 @@ def test_tuning_says_what_a_delay_buys(drive: Path, run: Run) -> None:
 def test_a_lag_without_its_unit_is_refused(lag: str, drive: Path, run: Run) -> None:
     ran = run("clean", drive, "-o", "out.csv", "--lag", lag)
     assert ran.returncode == 2
-    assert "write a positive number and then s, ms or us, as 10ms" in ran.stderr
+    assert "write a positive number and then s, ms or us: 10ms" in ran.stderr

@@ -62,7 +62,7 @@ def test_the_truth_is_found_and_read_back_to_the_same_numbers(laid_down: Path, r
     assert np.array(record.relative_stds) == pytest.approx(np.array(told["scale_uncertainty_percent"]) / 200)
     assert record.offset_std == pytest.approx(told["zero_uncertainty"] / 2)
     assert record.sheet.calibrated is not None
-    for said in ("18 rests found.", "before (one factor for all axes, and its best zero)", "--sensors s.toml"):
+    for said in ("18 rests found.", "before (with one factor for all axes, and the best zero)", "--sensors s.toml"):
         assert said in ran.stderr
     shown = run("inspect", laid_down, "--sensors", "s.toml", "--json")
     assert [column["unit"] for column in json.loads(shown.stdout)["columns"]] == ["s", "m/s^2", "m/s^2", "m/s^2"]
@@ -92,9 +92,9 @@ def test_gravity_that_was_not_said_is_uncertain(laid_down: Path, run: Run) -> No
 
 MISTAKES = {
     "too many": ("a,b,c,d", ["--channels", "a,b,c,d"], "4 channels came (a, b, c, d); an accelerometer has three axes"),
-    "a unit": ("a,b,c,d", ["--channels", "a,b,c", "--unit", "ft/s^2"], "--unit ft/s^2 is no unit to calibrate in"),
+    "a unit": ("a,b,c,d", ["--channels", "a,b,c", "--unit", "ft/s^2"], "--unit ft/s^2 is not a unit for a calibration"),
     "gravity": ("a,b,c,d", ["--channels", "a,b,c", "--gravity", "-9.81"], "--gravity"),
-    "no rest": ("a,b,c,d", ["--channels", "a,b,d"], "rests were found, of 10 that are needed"),
+    "no rest": ("a,b,c,d", ["--channels", "a,b,d"], "rests were found, but 10 are needed"),
     "mixed": ("a (V),b (mV),c (mV),d", ["--channels", "a,b,c"], "The channels are in V, mV; all three must be in one"),
     "itself": ("a,b,c,d", ["-o", "poses.csv"], "is the input itself"),
 }

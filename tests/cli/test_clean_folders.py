@@ -55,7 +55,7 @@ def test_a_table_is_not_written_into_the_folder_that_is_read(lake: Path, run: Ru
     before = sorted(lake.rglob("*"))
     ran = run("clean", lake, "-o", lake / "date=3" / "calm.Parquet")
     assert ran.returncode == 2
-    assert f"calm.Parquet is in {lake}, and would be read as a part of it. Name another with -o." in ran.stderr
+    assert f"calm.Parquet is in {lake}, and would be read as a part of it. Give another with -o." in ran.stderr
     assert sorted(lake.rglob("*")) == before
 
 

@@ -168,11 +168,11 @@ def test_a_dial_is_turned(run: Run, tmp_path: Path, dial: list[str], kept: Calla
     ("words", "says"),
     [
         (["--bandwidth", "40"], "write a number and then Hz or kHz"),
-        (["--max-lag", "5 parsecs", "--causal"], "--max-lag 5 parsecs is no number with its unit"),
-        (["--bandwidth", "40Hz", "--noise-gain", "-20dB"], "each of them decides the others"),
+        (["--max-lag", "5 parsecs", "--causal"], "--max-lag 5 parsecs is not a number with its unit"),
+        (["--bandwidth", "40Hz", "--noise-gain", "-20dB"], "each determines the others"),
         (["--max-lag", "5ms"], "A smoother has no lag"),
         (["--bandwidth", "1kHz"], "less than 100 Hz, half the rate"),
-        (["--bandwidth", "4Hz", "--recipe", "r.toml"], "leave --recipe out"),
+        (["--bandwidth", "4Hz", "--recipe", "r.toml"], "give either --recipe, or options"),
     ],
 )
 def test_a_dial_that_cannot_be_turned_is_said(run: Run, tmp_path: Path, words: list[str], says: str) -> None:

@@ -113,11 +113,14 @@ REFUSED = {
     "no such precision": (["--precision", "half"], "There is no precision 'half'; write float32, float64 or q31."),
     "no such gain": (["--gain", "some"], "There is no gain 'some'; write auto, settled or full."),
     "no such channel": (["--channels", "az"], "The recipe has no channel 'az'; it has ax, load (kN), flag."),
-    "a range without an end": (["--range", "ax=5"], "write NAME=LOW:HIGH in the channel's unit, as ax=-20:20."),
-    "a range of nothing": (["--range", "ax=5:5"], "--range ax=5:5 is no range"),
-    "two ranges of a channel": (["--range", "ax=0:5", "--range", "ax=0:6"], "ax=0:6 comes after another for ax"),
+    "a range without an end": (["--range", "ax=5"], "write NAME=LOW:HIGH in the channel's unit: ax=-20:20."),
+    "a range of nothing": (["--range", "ax=5:5"], "--range ax=5:5 is not a range"),
+    "two ranges of a channel": (
+        ["--range", "ax=0:5", "--range", "ax=0:6"],
+        "ax=0:6 differs from an earlier one for ax",
+    ),
     "a range of no channel": (["--range", "az=0:5"], "the recipe has no channel 'az'"),
-    "a form with a precision": (["--to", "sos", "--precision", "float32"], "Only --channels goes with --to sos"),
+    "a form with a precision": (["--to", "sos", "--precision", "float32"], "With --to sos only --channels is possible"),
     "unfiltered": (["--channels", "flag"], "No channel of the recipe is filtered, so there is nothing to export."),
     "q31 without a range": (["--precision", "q31", "--channels", "ax"], "give --range"),
 }
@@ -168,7 +171,7 @@ def test_files_that_no_export_wrote_stay_and_an_old_certificate_goes(recipe: Pat
     (tmp_path / "mine" / "main.c").write_text("mine", encoding="utf-8")
     ran = run("export", recipe, "-o", "mine")
     assert ran.returncode == 2
-    assert "holds files that no export wrote" in ran.stderr
+    assert "has files that no export wrote" in ran.stderr
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["main.c"]
     assert run("export", recipe, "-o", "out").returncode == 0
     (tmp_path / "out" / "certificate.md").write_text("of another", encoding="utf-8")

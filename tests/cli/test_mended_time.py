@@ -44,7 +44,7 @@ def test_stamps_as_written_and_jitter_are_kept_in_the_recipe(run: Run, tmp_path:
     ran = run("clean", tmp_path / "log.csv", "-o", "out.csv", *asked, "--json")
     assert ran.returncode in (0, 4), ran.stderr
     assert "jitter by" not in ran.stderr
-    assert "Times uncertain by 500 us add up to" in ran.stderr.replace("\n", " ")
+    assert "An uncertainty of 500 us in time increases sigma by up to" in ran.stderr.replace("\n", " ")
     told = json.loads(ran.stdout)["channels"][0]["timing_share"]
     assert told > 0.01
     recipe = tmp_path / "out.csv.recipe.toml"
@@ -61,9 +61,9 @@ def test_stamps_as_written_and_jitter_are_kept_in_the_recipe(run: Run, tmp_path:
 @pytest.mark.parametrize(
     ("option", "value", "said"),
     [
-        ("--stamps", "raw", "--stamps raw is not known; write --stamps as-written, or mended."),
-        ("--time-jitter", "50", "--time-jitter 50 is no time; write a positive number and then s, ms or us, as 50us."),
-        ("--time-jitter", "0us", "--time-jitter 0us is no time"),
+        ("--stamps", "raw", "--stamps raw is unknown; write --stamps as-written or --stamps mended."),
+        ("--time-jitter", "50", "--time-jitter 50 is not a time; write a positive number and then s, ms or us: 50us."),
+        ("--time-jitter", "0us", "--time-jitter 0us is not a time"),
     ],
 )
 def test_what_cannot_be_read_is_said(option: str, value: str, said: str, run: Run, tmp_path: Path) -> None:

@@ -198,7 +198,7 @@ def test_a_recipe_for_other_channels_is_said_to_be_one(run: Run, drive: Path, tm
     (tmp_path / "r.toml").write_text("channel = []\n" + empty, encoding="utf-8")
     ran = run("clean", "in.csv", "-o", "x.csv", "--recipe", "r.toml")
     assert ran.returncode == 2
-    assert ran.stderr.startswith("becalm: The recipe r.toml does not say what a recipe must: channel: ")
+    assert ran.stderr.startswith("becalm: The recipe r.toml is not a valid recipe: channel: ")
 
 
 @pytest.mark.parametrize("words", [["clean", "in.csv", "-o"], ["tune", "in.csv", "-o"]], ids=["clean", "tune"])

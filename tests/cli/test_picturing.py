@@ -254,6 +254,6 @@ def test_figures_of_an_older_run_are_told(run: Run, drive: Path, recipe: Path, t
     (folder / "9-other-signal.svg").write_text("old", encoding="utf-8")
     asked = ("clean", str(drive), "-o", str(tmp_path / "o.csv"), "--recipe", str(recipe), "--figures", "svg")
     ran = run(*asked)
-    assert f"1 more files in {folder} are not of this run" in ran.stderr
+    assert f"1 more files in {folder} are not from this run" in ran.stderr
     (folder / "9-other-signal.svg").unlink()
-    assert "not of this run" not in run(*asked).stderr, "its own are written anew"
+    assert "not from this run" not in run(*asked).stderr, "its own are written anew"

@@ -152,4 +152,4 @@ def test_a_unit_that_only_the_recipe_tells_is_seen(clean: Path, run: Run, tmp_pa
 def test_without_its_recipe_nobody_knows_how_it_was_cleaned(clean: Path, run: Run, tmp_path: Path) -> None:
     ran = run("recalibrate", clean, "-o", "mended.csv", "--from", "old.toml", "--to", "new.toml")
     assert ran.returncode == 2
-    assert "raw.csv.recipe.toml is not there" in ran.stderr
+    assert "raw.csv.recipe.toml does not exist" in ran.stderr

@@ -93,7 +93,7 @@ def test_the_other_commands_take_units(logs: tuple[Path, Path], run: Run) -> Non
 
 
 MISTAKES = {
-    "no unit": (["--unit", "bridge"], "--unit bridge is not NAME=UNIT; write a channel and the unit"),
+    "no unit": (["--unit", "bridge"], "--unit bridge is not NAME=UNIT; write a channel and its unit"),
     "no name": (["--unit", "=V"], "is not NAME=UNIT"),
     "twice": (["--unit", "bridge=V", "--unit", "bridge=mV"], "--unit names 'bridge' twice"),
     "unknown": (["--unit", "a x=furlong"], "'furlong' is not a unit that becalm can convert; write one as V"),

@@ -186,7 +186,7 @@ def test_a_signal_ends_a_job_and_all_of_its_processes(lake: Lake, tmp_path: Path
     process.send_signal(number)
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 128 + number, told
-    assert "Stopped; what is finished stays, and what was half-written is not read. Repeat, and it goes on." in told
+    assert "Stopped; what is finished stays, and half-written files are not read. Repeat it to continue." in told
     assert "Traceback" not in told
     until = time.monotonic() + 60
     while (left := list(processes("", process.pid))) and time.monotonic() < until:

@@ -42,8 +42,8 @@ def test_list_tells_hours_rows_rate_losses_and_position(journal: Path, run: Run)
         "journal.sqlite",
     ]
     assert "80,000 rows of ax (m/s^2), strain (um/m) from replay:drive.csv" in ran.stdout
-    assert "missing: 1 told; the last: 4 rows never came" in ran.stdout
-    assert 'The source goes on after {"row": 80000}' in ran.stdout
+    assert "missing: 1 reported; the last: 4 rows never came" in ran.stdout
+    assert 'The source continues after {"row": 80000}' in ran.stdout
     told = json.loads(run("journal", journal, "list", "--json").stdout)
     assert told["rows"] == 80_000
     assert [hour["rows"] for hour in told["hours"]] == [28_000, 36_000, 16_000]
@@ -55,7 +55,7 @@ def test_verify_is_content_and_then_finds_what_changed(journal: Path, run: Run) 
     ran = run("journal", journal, "verify", "--json")
     assert ran.returncode == 0, ran.stderr
     assert json.loads(ran.stdout) == {"folder": str(journal), "whole": True, "rows": 80_000, "wrong": [], "lost": []}
-    assert "is whole: 80,000 rows" in ran.stderr
+    assert "is intact: 80,000 rows" in ran.stderr
     path = journal / "2023-11-14" / "22.parquet"
     content = bytearray(path.read_bytes())
     content[1000] ^= 1
@@ -85,7 +85,7 @@ def test_verify_says_of_the_database_that_it_is_damaged(content: bytes, journal:
     assert ran.returncode == 3
     (said,) = json.loads(ran.stdout)["wrong"]
     assert said.startswith("journal.sqlite is damaged (")
-    assert "can be started again" in ran.stderr
+    assert "can be restarted" in ran.stderr
 
 
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
@@ -130,10 +130,10 @@ def test_words_the_wrong_way_round_are_told_the_right_way(run: Run) -> None:
     ("words", "said"),
     [
         (["burn"], "cannot burn; it can list, verify, export, prune"),
-        (["export"], "needs -o OUT"),
+        (["export"], "needs an output"),
         (["export", "-o", "out.doc"], "out.doc"),
-        (["export", "-o", "o.csv", "--from", "yesterday"], "--from yesterday is no time"),
-        (["prune"], "needs --older"),
+        (["export", "-o", "o.csv", "--from", "yesterday"], "--from yesterday is not a time"),
+        (["prune"], "needs the age of the files to remove: --older 30d"),
         (["prune", "--older", "old"], "--older old is not a time"),
     ],
 )
@@ -155,5 +155,5 @@ def test_a_date_is_utc_unless_it_says_otherwise() -> None:
     assert moment_of("--from", "2023-11-14T22:13:20", 0.0) == 1_700_000_000.0
     assert moment_of("--from", "2023-11-14T23:13:20+01:00", 0.0) == 1_700_000_000.0
     assert moment_of("--from", None, 7.0) == 7.0
-    with pytest.raises(UsageError, match="is no time"):
+    with pytest.raises(UsageError, match="is not a time"):
         moment_of("--to", "nan", 0.0)

@@ -123,9 +123,9 @@ def test_a_browser_is_opened_with_an_address_that_serves_once(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        (["nothing.csv"], 3, "nothing.csv is not there"),
-        (["--folder", "nowhere"], 3, "nowhere is no folder"),
-        (["--rate", "100"], 2, "--rate and --time are of a file; name it, or give its rate on the page"),
+        (["nothing.csv"], 3, "nothing.csv does not exist"),
+        (["--folder", "nowhere"], 3, "nowhere is not a folder"),
+        (["--rate", "100"], 2, "--rate and --time need a FILE; name one, or give its rate on the page"),
         (["--port", "99999"], 2, "the highest port is 65535"),
         (["--host", "192.0.2.1"], 2, "--host"),
         (["--upload-limit", "2"], 2, "write a number and then kB, MB or GB"),

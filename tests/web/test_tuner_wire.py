@@ -157,7 +157,7 @@ def test_bad_messages_are_answered_and_the_wire_stays_open(page: Talk, sent: str
 def test_numbers_that_make_no_filter_are_refused_in_a_sentence(page: Talk) -> None:
     page.picture(page.ask("look", channel=0, width=10))
     page.ask("turn", channel=0, settings={"noise_std": 1e-300}, final=False)
-    assert "make no filter" in page.until("trouble").told["says"]
+    assert "do not make a valid filter" in page.until("trouble").told["says"]
     page.ask("turn", channel=0, settings={"choice": "found"})
     page.until("picture")
 

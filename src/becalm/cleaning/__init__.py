@@ -1,1 +1,1 @@
-"""Recipe and pipeline: the only room where the others meet."""
+"""Recipes, tuning and cleaning: the package that combines sensors, identification, filters and metrics."""

@@ -1,4 +1,4 @@
-"""From which innovations on a channel drifts, or is dead: told by those of the record that it was tuned on."""
+"""Choose the alarm thresholds for drift and death of a channel from the innovations of its tuning record."""
 
 from __future__ import annotations
 
@@ -17,47 +17,48 @@ from becalm.identification.trust.excess import excess_error
 from becalm.native.scans import MOST_SIGMA
 
 MARGIN = 2.0
-"""Of the threshold over what the sums of the record itself reached."""
+"""Least ratio of the threshold to the highest cumulative sum of the record itself."""
 
 COLOURED = 4.0
-"""Times the threshold of white noise: what needs a higher one is coloured too much for a drift to be told."""
+"""Largest threshold, as a multiple of that for white noise: innovations that need more are too coloured to find a
+drift."""
 
 
 def with_alarms(
     limits: LimitsRecipe | None, tuning: Tuning, normalised: Floats, *, causal: bool, step_s: float
 ) -> LimitsRecipe | None:
-    """Add to the limits of a channel when it drifts, and when it is dead, where its innovations can tell.
+    """Add the alarm thresholds for drift and death to the limits of a channel, where its innovations determine them.
 
     Parameters
     ----------
     limits : LimitsRecipe or None
-        Of a channel that has none nothing more is told.
+        Limits of the channel; None stays None.
     tuning : Tuning
         Its filter, in steps.
     normalised : (N,) float array
-        The filter's innovations on the record that it was tuned on, over their standard deviations; NaN where no
-        reading was used.
+        Innovations of the filter on its tuning record, divided by their standard deviations; NaN where no reading was
+        used.
     causal : bool
-        Whether the filter shall run causally.
+        Whether the filter runs causally.
     step_s : float
         One step, in seconds.
 
     Returns
     -------
     LimitsRecipe or None
-        As they came where the innovations do not tell.
+        Unchanged where the innovations do not determine thresholds.
 
     Notes
     -----
-    Nothing in the record itself is called a drift or dead; only what goes beyond it later, by a margin. Where the
-    model does not describe the record, innovations tell of it, and not of the sensor.
+    No row of the record itself raises an alarm; only later rows that exceed it by a margin do. Where the model does
+    not describe the record, the innovations show the error of the model, not the state of the sensor.
     """
     if limits is None:
         return None
     judge = InnovationJudge(step_s)
     judge.add(normalised, 1.0)
-    found = judge.judgement(None if causal else partial(excess_error, tuning))
-    if not found.describes or found.verdict == "untold":
+    judgement = judge.judgement(None if causal else partial(excess_error, tuning))
+    if not judgement.describes or judgement.verdict == "untold":
         return limits
     alarms = find_alarms(FALSE_ALARMS_PER_HOUR, step_s, normalised)
     drift = max(alarms.drift_threshold, MARGIN * highest_sum(normalised))
@@ -70,10 +71,10 @@ def with_alarms(
 
 
 def highest_sum(normalised: Floats) -> float:
-    """Return how far the two-sided cumulative sum of innovations (N,) went, in sigma, without an alarm."""
-    known = normalised[np.isfinite(normalised)]
+    """Return the highest value of the two-sided cumulative sum of innovations (N,), in sigma, without alarms."""
+    finite = normalised[np.isfinite(normalised)]
     highest = 0.0
     for sign in (1.0, -1.0):
-        walk = np.cumsum(sign * np.clip(known, -MOST_SIGMA, MOST_SIGMA) - SLACK)
+        walk = np.cumsum(sign * np.clip(finite, -MOST_SIGMA, MOST_SIGMA) - SLACK)
         highest = max(highest, float((walk - np.minimum(np.minimum.accumulate(walk), 0.0)).max(initial=0.0)))
     return highest

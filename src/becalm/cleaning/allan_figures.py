@@ -1,4 +1,4 @@
-"""What an Allan deviation tells, in the unit of the readings and in those of data sheets."""
+"""Convert the terms of an Allan deviation into the unit of the readings and into units of data sheets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from becalm.identification.rest.datasheet import convert, random_walk_in, white_
 
 
 class _Sheet(NamedTuple):
-    """In which units the data sheets of one kind of sensor give noise."""
+    """The units in which data sheets of one kind of sensor give noise."""
 
     bias: str
     white: tuple[str, ...]
@@ -30,12 +30,12 @@ _SHEETS = (
 
 @dataclass(frozen=True)
 class Quoted:
-    """A coefficient as a data sheet gives it.
+    """A coefficient in a unit of data sheets.
 
     Attributes
     ----------
     unit : str
-        Per root of hertz it is one-sided, per root of time two-sided.
+        A density per root of hertz is one-sided, per root of time two-sided.
     value, standard_error, limit : float or None
         As in `Coefficient`, in this unit.
     """
@@ -53,15 +53,15 @@ class Coefficient:
     Attributes
     ----------
     unit : str
-        Of the figures.
+        Unit of the figures.
     value, standard_error : float or None
-        None where the rest does not tell it.
+        None where the rest does not determine it.
     limit : float or None
-        What it does not exceed, at 95 % one-sided, told or not.
+        Upper limit, 95 % one-sided, with or without a value.
     reason : str
-        Why there is no value, in a sentence; "" where there is one.
+        A sentence on why there is no value; "" where there is one.
     quoted : tuple of Quoted
-        The same in units of data sheets; empty where there is none beside `unit`.
+        The same in units of data sheets; empty if there is no other unit than `unit`.
     """
 
     unit: str
@@ -74,7 +74,7 @@ class Coefficient:
 
 @dataclass(frozen=True)
 class AllanNoise:
-    """What the Allan deviation over one rest tells; densities in `unit` are two-sided.
+    """The figures of the Allan deviation over one rest; densities in `unit` are two-sided.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class AllanNoise:
     noise_variance : float or None
         R = N^2 rate, in unit^2.
     random_walk_density : float or None
-        q = K^2, in unit^2/s; a *small* one trusts the bias to stay.
+        q = K^2, in unit^2/s; a *small* one trusts the bias to stay constant.
     """
 
     stretch_s: tuple[float, float]
@@ -104,23 +104,23 @@ class AllanNoise:
 
 
 def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], rate_hz: float) -> AllanNoise:
-    """Put the terms of an Allan deviation into units.
+    """Convert the terms of an Allan deviation into units.
 
     Parameters
     ----------
     terms : NoiseTerms
         From `becalm.identification.rest.allan_terms.noise_terms`.
     unit : str
-        Of the readings, "" if unknown.
+        Unit of the readings, "" if unknown.
     stretch_s : (float, float)
         The rest, from and to, in seconds after the first sample.
     rate_hz : float
-        Readings a second, for R.
+        Rate of the readings, for R.
 
     Returns
     -------
     AllanNoise
-        Where `unit` is in no data sheet, white noise is quoted per sqrt(Hz), and nothing else.
+        If no data sheet uses `unit`, only white noise is quoted, per sqrt(Hz).
     """
     white, bias, walk = _quotes(unit)
     return AllanNoise(
@@ -135,7 +135,7 @@ def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], ra
 
 
 def _quotes(unit: str) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Return how much of each unit of data sheets is 1 of N, of B and of K."""
+    """Return the factors from N, B and K to each unit of data sheets."""
     sheet = _sheet_of(unit)
     if sheet is None:
         return {f"{unit or 1}/sqrt(Hz)": float(np.sqrt(2))}, {}, {}
@@ -147,7 +147,7 @@ def _quotes(unit: str) -> tuple[dict[str, float], dict[str, float], dict[str, fl
 
 
 def _sheet_of(unit: str) -> _Sheet | None:
-    """Return the data sheet that has the unit, if there is one."""
+    """Return the kind of data sheet that uses the unit, or None."""
     for sheet in _SHEETS:
         with suppress(UsageError):
             convert(1.0, unit, sheet.bias)
@@ -156,7 +156,7 @@ def _sheet_of(unit: str) -> _Sheet | None:
 
 
 def _coefficient(term: NoiseTerm, unit: str, factors: dict[str, float]) -> Coefficient:
-    """Return a term in its unit, and times the factor of each other one."""
+    """Return a term in its unit, and in each unit of data sheets."""
     quoted = tuple(Quoted(name, *_scaled(term, factor)) for name, factor in factors.items() if name != unit)
     return Coefficient(unit, *_scaled(term, 1.0), term.reason, quoted)
 

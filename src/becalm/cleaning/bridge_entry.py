@@ -1,4 +1,4 @@
-"""What a person writes about strain gauges in a bridge, and the record that it makes."""
+"""The sensor file entry of strain gauges in a bridge, and its record."""
 
 from __future__ import annotations
 
@@ -17,20 +17,19 @@ class BridgeEntry(OneChannel):
     Attributes
     ----------
     gauge_factor, gauge_factor_uncertainty : float
-        And expanded (k = 2).
+        Gauge factor and its expanded (k = 2) uncertainty.
     initial_mv_per_v : float
-        What the unstrained bridge puts out.
+        Output of the unstrained bridge.
     shunt_ohm, shunt_reading : float or None
-        A resistor across a gauge in tension, and what was read meanwhile, in raw_unit, the load being that of the
-        zero; they tell `gain_adjustment` in its place. That mends what cables and amplifier lose, and calibrates no
-        gauge.
+        A resistor across a gauge in tension, and the reading with it, in raw_unit, at the load of the zero; they
+        replace `gain_adjustment`. This corrects the loss in cables and amplifier, but does not calibrate a gauge.
     thermal_output_um : tuple of up to 5 floats
-        Of a quarter bridge without dummy: um/m per degC to the power of 0, 1, 2, 3, 4, at a gauge factor of 2.0, as the
-        lot's sheet tells them for the material.
+        For a quarter bridge without dummy: um/m per degC to the power of 0, 1, 2, 3, 4, at a gauge factor of 2.0, as
+        the data sheet of the lot gives them for the material.
     gauge_factor_percent_per_100_k, gauge_factor_reference_degc : float
-        By which the gauge factor grows, and where the sheet tells it.
+        Growth of the gauge factor, and the temperature at which the sheet gives it.
     temperature_degc, temperature_channel : float, str or None
-        Of the gauge: constant, or told by another channel of the same time.
+        Temperature of the gauge: constant, or another channel of the same time.
     """
 
     kind: Literal["bridge"]
@@ -55,8 +54,8 @@ class BridgeEntry(OneChannel):
     temperature_channel: Name | None = None
 
     def record(self) -> SensorRecord:
-        """Make the record."""
-        told = Sensitivity(self.gauge_factor, "(ohm/ohm)/(m/m)", self.gauge_factor_uncertainty)
+        """Return the sensor record."""
+        sensitivity = Sensitivity(self.gauge_factor, "(ohm/ohm)/(m/m)", self.gauge_factor_uncertainty)
         size = self.ratio(self.excitation_v)
         bridge = Bridge(
             self.configuration,
@@ -72,13 +71,13 @@ class BridgeEntry(OneChannel):
         )
         shared = self.shared()
         if self.tare is None:
-            _ = bridge.gain  # that of a bridge whose zero is known; refused here if the shunt tells none
+            _ = bridge.gain  # the zero is known; this raises an error if the shunt gives no gain
         return SensorRecord(
             **shared,
             conversion=bridge,
             reading_size=size,
             result_size=1e6 if self.unit == "um/m" else 1.0,
-            sensitivities=(told,),
+            sensitivities=(sensitivity,),
             temperature=self._temperature(),
         )
 
@@ -88,7 +87,7 @@ class BridgeEntry(OneChannel):
         if self.shunt_ohm is None or self.shunt_reading is None:
             raise ValueError("shunt_ohm and shunt_reading belong together; give both, or neither")
         if "gain_adjustment" in self.model_fields_set:
-            raise ValueError("a shunt tells the gain_adjustment; give either it, or shunt_ohm and shunt_reading")
+            raise ValueError("a shunt replaces gain_adjustment; give gain_adjustment alone, or leave it out")
         return Shunt(self.shunt_ohm, size * self.shunt_reading)
 
     def _temperature(self) -> GaugeTemperature | None:
@@ -101,11 +100,11 @@ class BridgeEntry(OneChannel):
             return None
         if self.thermal_output_um and self.configuration != "quarter I":
             raise ValueError(
-                f'in a bridge "{self.configuration}" gauges or a dummy take thermal output off each other;'
-                ' thermal_output_um belongs to "quarter I", leave it out'
+                f'in a bridge "{self.configuration}" gauges or a dummy compensate thermal output;'
+                ' thermal_output_um is only for "quarter I", leave it out'
             )
         if self.temperature_channel == self.channel:
-            raise ValueError("temperature_channel is the bridge's own channel; name the one of the thermometer")
+            raise ValueError("temperature_channel is the channel of the bridge itself; give the one of the thermometer")
         return GaugeTemperature(
             self.thermal_output_um,
             self.gauge_factor_percent_per_100_k,

@@ -1,4 +1,4 @@
-"""What a sensor's sheet leaves uncertain, and the zero that was taken, put into the recipe of its channels."""
+"""Add the calibration uncertainty and the tare of sensors to the recipes of their channels."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from becalm.sensors.record import Calibration
 
 
 def calibrated(channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]) -> tuple[ChannelRecipe, ...]:
-    """Return the recipes of channels with the calibrations of their sensors, by names of channels."""
+    """Return the recipes with the calibrations of their sensors; `calibrations` are by channel name."""
     return tuple(_calibrated(channel, calibrations.get(channel.name)) for channel in channels)
 
 
 def tared_anew(channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]) -> tuple[ChannelRecipe, ...]:
-    """Return the recipes of channels with the zeros that were taken this time, which another recording has others."""
+    """Return the recipes with the tares of the present recording, in place of those of the tuning recording."""
     tares = {name: one for name, one in calibrations.items() if one.tare is not None}
     return calibrated(channels, tares)
 
@@ -24,5 +24,5 @@ def _calibrated(channel: ChannelRecipe, found: Calibration | None) -> ChannelRec
     if found is None or not (found.relative_std or found.offset_std or found.tare):
         return channel
     tare = None if found.tare is None else TareRecipe(**found.tare._asdict())
-    told = CalibrationRecipe(relative_std=found.relative_std, offset_std=found.offset_std, tare=tare)
-    return channel.model_copy(update={"calibration": told})
+    calibration = CalibrationRecipe(relative_std=found.relative_std, offset_std=found.offset_std, tare=tare)
+    return channel.model_copy(update={"calibration": calibration})

@@ -1,4 +1,4 @@
-"""A channel that is one causal filter, in a file as in a stream: what its recipe says, and when its rows come."""
+"""Clean a channel with one causal filter, in a file or in a stream, and check the times of its rows."""
 
 from __future__ import annotations
 
@@ -18,37 +18,37 @@ from becalm.core.health.time_faults import TimeFaults, possible_steps
 
 
 def is_causal(recipe: ChannelRecipe, lag: int | None) -> bool:
-    """Whether a channel is one causal filter, as most are in a stream."""
+    """Return whether a channel has one causal filter, as most channels of a stream have."""
     return recipe.motion is not None and recipe.switching is None and lag == 0
 
 
 class CausalChannel:
-    """A causal filter of one channel, which watches the times of its rows as well.
+    """A causal filter of one channel that also checks the times of its rows.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        In seconds and units.
+        Its filter, in seconds and units.
     step_s : float
-        Step in seconds.
+        One step, in seconds.
 
     Attributes
     ----------
     filter : Channel
-        What filters.
+        The filter.
     settings : ChannelSettings
-        What that is made of.
+        Its settings.
 
     Raises
     ------
     RecipeError
-        If its numbers make no filter at this step.
+        If its parameters do not make a valid filter at this step.
     """
 
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
         self.settings = _settings(recipe, step_s)
         self.filter = Channel(self.settings)
-        self._rhythm, self._begun = TimeFaults(self.settings.limits), False
+        self._rhythm, self._has_begun = TimeFaults(self.settings.limits), False
 
     def process(self, z: Floats, elapsed: Floats, *, states: bool = False) -> Estimates:
         """Process the next rows.
@@ -58,16 +58,16 @@ class CausalChannel:
         z : (B,) float array
             Measurements, in unit; NaN where missing.
         elapsed : (B,) float array
-            Steps since the row before; not looked at for the first row of all.
+            Steps since the previous row; ignored for the very first row.
         states : bool
-            Whether the filtered states are wanted, too.
+            Whether to return the filtered states, too.
         """
         z, elapsed = input_of(z), input_of(elapsed)
-        even = bool((elapsed[0 if self._begun else 1 :] == 1.0).all())
-        if not even or not self._begun:
+        even = bool((elapsed[0 if self._has_begun else 1 :] == 1.0).all())
+        if not even or not self._has_begun:
             elapsed = possible_steps(elapsed).copy()
-            elapsed[: 0 if self._begun else 1] = 1.0  # the first row comes when it is due
-        self._begun = self._begun or len(z) > 0
+            elapsed[: 0 if self._has_begun else 1] = 1.0  # the first row is on time
+        self._has_begun = self._has_begun or len(z) > 0
         if even and self._rhythm.undisturbed:
             return self.filter.process(z, elapsed, states=states)
         timing = np.zeros(len(z), np.int8)
@@ -75,35 +75,35 @@ class CausalChannel:
         return self.filter.process(z, elapsed, timing, states=states)
 
     def begin_after(self, before: History) -> None:
-        """Say, before the first row, what went before it."""
+        """Set the history before the first row."""
         self.filter.begin_after(before)
-        self._begun = before.rows > 0
+        self._has_begun = before.rows > 0
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return only what later rows depend on; see `Channel.comparable_state`."""
+        """Return only what later rows depend on, for comparison; see `Channel.comparable_state`."""
         offsets = self._rhythm.offsets
         return self.filter.comparable_state() | {"rhythm": offsets - offsets[-1]}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return all that later rows depend on, as arrays."""
+        """Return the state as arrays."""
         offsets = self._rhythm.offsets if not self._rhythm.undisturbed else self._rhythm.offsets[:0]
-        return self.filter.state_dict() | {"rhythm": offsets, "begun": np.array([int(self._begun)])}
+        return self.filter.state_dict() | {"rhythm": offsets, "begun": np.array([int(self._has_begun)])}
 
     def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` returned.
+        """Restore the state that `state_dict` returned.
 
         Raises
         ------
         ModelError
-            If these are not the bytes of such a channel.
+            If these arrays are not the state of such a channel.
         """
         self.filter.load_state_dict(arrays)
         self._rhythm.offsets[:] = arrays["rhythm"] if len(arrays["rhythm"]) else 0
-        self._begun = bool(arrays["begun"][0])
+        self._has_begun = bool(arrays["begun"][0])
 
 
 def _settings(recipe: ChannelRecipe, step_s: float) -> ChannelSettings:
-    assert recipe.motion is not None, "what has no motion passes unchanged"
+    assert recipe.motion is not None, "a channel without a motion passes unchanged"
     tuning, timing = in_steps(recipe.motion, step_s), recipe.timing
     return ChannelSettings(
         tuning.component,

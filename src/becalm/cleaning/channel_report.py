@@ -1,4 +1,4 @@
-"""What is reported of a channel: its filter in an engineer's words, how it was judged, and what it met."""
+"""Build the report of a channel: the figures of its filter, the judgement, and the faults that it met."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from becalm.core.health.outlier_rule import MOST_OUTLIERS
 from becalm.core.verdict import ADVICE, Verdict
 from becalm.identification.trust.excess import excess_error
 
-_NOTHING_REMOVED = "Next to nothing was removed: noise cannot be told from motion here, so noise_std is a guess."
+_NOTHING_REMOVED = "Next to nothing was removed: noise and motion cannot be distinguished here; noise_std is a guess."
 
 
 class Filtered(NamedTuple):
-    """What a channel's filter has found, for its report."""
+    """The results of a channel's filter, for its report."""
 
     runs: Filter
     counts: Counter[Verdict]
     findings: Findings
     judged: InnovationJudge
-    shares: dict[str, float]  # of the rows, that each mode of a bank was in force
+    shares: dict[str, float]  # share of the rows in which each mode was in force
     calibration_std: float | None
     timing_share: float | None
     log_likelihood: float
@@ -40,13 +40,13 @@ class Filtered(NamedTuple):
 
 def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filtered) -> ChannelReport:
     """Return the report of a channel that was filtered."""
-    tuning, modes, own = found.runs.tuning, found.runs.modes, recipe.own_steps(step_s)
+    tuning, modes, own_steps = found.runs.tuning, found.runs.modes, recipe.own_steps(step_s)
     if modes is not None:
         figures = mode_figures(modes, found.shares, step_s, lag)
     else:
-        figures = fixed_figures(tuning.counted_in(own), step_s * own, lag)
+        figures = fixed_figures(tuning.counted_in(own_steps), step_s * own_steps, lag)
     smooths = (lag is None or lag > SOON) and figures.removes_noise
-    judged = found.judged.judgement(partial(excess_error, tuning.counted_in(own)) if smooths else None)
+    judged = found.judged.judgement(partial(excess_error, tuning.counted_in(own_steps)) if smooths else None)
     judged = _doubted(judged, recipe, found.counts)
     says = f"{judged.says} {_NOTHING_REMOVED}" if figures.removes_nothing else judged.says
     says = " ".join([says, *said_of_times(recipe.timing, found.timing_share or 0.0)])
@@ -79,14 +79,14 @@ def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filt
 
 
 def _doubted(judged: Judgement, recipe: ChannelRecipe, counts: Counter[Verdict]) -> Judgement:
-    """Return a judgement that says so where more readings were left out than exceptions are."""
+    """Return a negative judgement if more readings were left out than outliers can be."""
     left_out, readings = counts[Verdict.OUTLIER] + counts[Verdict.CLIPPED], counts.total() - counts[Verdict.MISSING]
     fills_in = recipe.limits is not None and recipe.limits.blank is not None
     if fills_in or not judged.describes or left_out <= MOST_OUTLIERS * readings:
         return judged
     says = (
         f"The model does not describe this signal: {left_out} of {readings} readings were left out as outliers, or as"
-        " clipped, which is more than exceptions are. Look whether they are what the channel reads."
+        " clipped, which is too many for exceptions. Check whether these are real readings of the channel."
     )
     return replace(judged, verdict="does not fit", says=says)
 
@@ -105,11 +105,11 @@ def named(counts: Counter[Verdict]) -> dict[str, int]:
 
 
 def advice_on(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
-    """Say what to do about what a filter met; of faults the sensor's watch tells."""
+    """Return what to do about the verdicts of a filter; `Findings` has the advice on faults of the sensor."""
     met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
     return tuple(ADVICE[verdict] for verdict in met if verdict != but and counts[verdict])
 
 
 def with_advice(says: str, counts: Counter[Verdict], faults: list[str], but: Verdict | None = None) -> str:
-    """Return what is said of a filter, with what to do about what it met, and the faults of its sensor."""
+    """Return the judgement of a filter, with the advice on its verdicts and the faults of its sensor."""
     return " ".join([says, *advice_on(counts, but), *faults])

@@ -1,4 +1,4 @@
-"""One channel on its way through a recipe, some rows at a time: filtered, or passed on as it is."""
+"""Clean one channel with a recipe, block by block: filter it, or pass it on unchanged."""
 
 from __future__ import annotations
 
@@ -30,68 +30,68 @@ from becalm.core.verdict import Verdict, counted
 from becalm.identification.choose import FEWEST_READINGS
 from becalm.metrics.running import Running
 
-_PIECE = 1 << 16  # rows whose innovations are judged at once: of fewer, calls take as long as sums
+_PIECE = 1 << 16  # rows whose innovations are judged at once; in smaller pieces the calls cost as much as the sums
 
 
 class ChannelCleaner(Protocol):
-    """What takes the rows of one channel, and gives clean ones back, perhaps later."""
+    """Takes the rows of one channel and returns their estimates, perhaps later."""
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before them; return what is clean, in order."""
+        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
         ...
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the rest."""
+        """Return the remaining rows."""
         ...
 
     def report(self) -> ChannelReport:
-        """Say what was found, once finished."""
+        """Return the report, once finished."""
         ...
 
     def begin_after(self, before: History) -> None:
-        """Say what went before the rows that will be pushed."""
+        """Set the history before the first row that will be pushed."""
         ...
 
     def saved(self) -> dict[str, Any] | None:
-        """Return what later rows of a causal filter depend on, as arrays; None where rows wait, and of any other."""
+        """Return the state of a causal filter as arrays; None for other filters, or where rows are held back."""
         ...
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         ...
 
     def comparable_state(self) -> dict[str, Floats] | None:
-        """Return what later rows depend on and nothing else, so that it can be compared; None where `saved` is."""
+        """Return only what later rows depend on, for comparison; None where `saved` returns None."""
         ...
 
     @property
     def surely_alive(self) -> bool:
-        """Whether no window of its innovations can have been one of a dead channel, wherever hops begin."""
+        """Return whether no window of its innovations can be that of a dead channel, whatever its phase."""
         ...
 
 
 def open_channel(
     recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False, look: Judge | None = None
 ) -> ChannelCleaner:
-    """Start a channel as its recipe says.
+    """Return the cleaner for the recipe of a channel.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        In seconds and units.
+        Its filter, in seconds and units.
     step_s : float
-        Step in seconds.
+        One step, in seconds.
     lag : int or None
-        Later rows that each row waits for: 0 filters, None waits for all.
+        Lag in rows: 0 for a causal filter, None for a smoother.
     split : bool
-        Whether to tell the parts of the signal as well.
+        Whether to estimate the parts of the signal as well.
     look : callable, optional
-        Is given the innovations (B,) too, and their standard deviations, a value a row.
+        Called with the innovations (B,) and their standard deviations (B,), one value for each row.
 
     Raises
     ------
     RecipeError
-        If its numbers make no filter at this step.
+        If its parameters do not make a valid filter at this step.
     """
     if recipe.motion is None:
         return UnchangedChannel(recipe, step_s, split)
@@ -101,20 +101,20 @@ def open_channel(
 
 
 class MotionChannel(FilteredChannel):
-    """A channel that is filtered."""
+    """A channel that is smoothed, filtered with a lag, or filtered by several modes."""
 
     def __init__(
         self, recipe: ChannelRecipe, step_s: float, *, lag: int | None, split: bool, look: Judge | None
     ) -> None:
         super().__init__(recipe, step_s, lag)
-        self._also = look
-        self._own = recipe.own_steps(step_s)
-        self._judge = InnovationJudge(step_s * self._own, scores=recipe.switching is not None)
+        self._look_also = look
+        self._own_steps = recipe.own_steps(step_s)
+        self._judge = InnovationJudge(step_s * self._own_steps, scores=recipe.switching is not None)
         self._flow = self._runs.opened(self._look, split=split)
-        self._holes = Holes(recipe.hole, self._own) if lag is None and recipe.hole else None
+        self._holes = Holes(recipe.hole, self._own_steps) if lag is None and recipe.hole else None
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before them; return what is clean, in order."""
+        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
         elapsed = possible_steps(elapsed)
         if self._timing is not None:
             self._timing.push(elapsed)
@@ -122,32 +122,32 @@ class MotionChannel(FilteredChannel):
             self._holes.push(elapsed)
         usable, steps = self.sensor.push(z, elapsed)
         self._sentinel.push(usable)
-        told = self._flow.push(usable, steps)
-        return self._counted(told if self._holes is None else self._holes.bridged(told))
+        rows = self._flow.push(usable, steps)
+        return self._counted(rows if self._holes is None else self._holes.bridged(rows))
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the rest."""
+        """Return the remaining rows."""
         usable, steps = self.sensor.finish()
         self._sentinel.push(usable)
-        told = [*self._flow.push(usable, steps), *self._flow.finish()]
-        return self._counted(told if self._holes is None else [*self._holes.bridged(told), *self._holes.finish()])
+        rows = [*self._flow.push(usable, steps), *self._flow.finish()]
+        return self._counted(rows if self._holes is None else [*self._holes.bridged(rows), *self._holes.finish()])
 
     def begin_after(self, before: History) -> None:
-        """Say what went before the rows that will be pushed."""
+        """Set the history before the first row that will be pushed."""
         self._flow.begin_after(before.reading, before.readings, before.steps)
         self.sensor.begin_after(before)
 
     def saved(self) -> dict[str, Any] | None:
-        """Return what later rows of a causal filter depend on, as arrays; None where rows wait, and of any other."""
-        held = self._flow.saved() if self._lag == 0 and isinstance(self._flow, RestartingFlow) else None
-        if held is None:
+        """Return the state of a causal filter as arrays; None for other filters, or where rows are held back."""
+        state = self._flow.saved() if self._lag == 0 and isinstance(self._flow, RestartingFlow) else None
+        if state is None:
             return None
         timing = {} if self._timing is None else self._timing.saved()
-        return held | self.sensor.saved() | self._sentinel.saved() | timing
+        return state | self.sensor.saved() | self._sentinel.saved() | timing
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
-        assert isinstance(self._flow, RestartingFlow), "nothing else is saved"
+        """Restore the state that `saved` returned."""
+        assert isinstance(self._flow, RestartingFlow), "only the state of such a flow can be saved"
         self._flow.restore(arrays)
         self.sensor.restore(arrays)
         self._sentinel.restore(arrays)
@@ -155,32 +155,32 @@ class MotionChannel(FilteredChannel):
             self._timing.restore(arrays)
 
     def comparable_state(self) -> dict[str, Floats] | None:
-        """Return what later rows depend on and nothing else, so that it can be compared; None where `saved` is."""
-        held = self.saved()
-        if held is None:
+        """Return only what later rows depend on, for comparison; None where `saved` returns None."""
+        state = self.saved()
+        if state is None:
             return None
-        timing = {} if self._timing is None else {"timing": held["timing_slopes"]}
+        timing = {} if self._timing is None else {"timing": state["timing_slopes"]}
         return (
-            comparable_state(held, self._runs.gap_limit)
+            comparable_state(state, self._runs.gap_limit)
             | self.sensor.comparable_state()
-            | {"sentinel": held["sentinel"]}
+            | {"sentinel": state["sentinel"]}
             | timing
         )
 
     @property
     def surely_alive(self) -> bool:
-        """Whether no window of its innovations can have been one of a dead channel, wherever hops begin."""
+        """Return whether no window of its innovations can be that of a dead channel, whatever its phase."""
         return self.sensor.monitor.aliveness.sure
 
     def _look(self, innovations: Floats, innovation_sigma: Floats) -> None:
         self._judge.add(innovations, innovation_sigma)
         self.sensor.look(innovations, innovation_sigma)
-        if self._also is not None:
-            self._also(innovations, innovation_sigma)
+        if self._look_also is not None:
+            self._look_also(innovations, innovation_sigma)
 
     def report(self) -> ChannelReport:
-        """Say what was found, once finished."""
-        found = Filtered(
+        """Return the report, once finished."""
+        results = Filtered(
             self._runs,
             self.counts,
             self.sensor.findings,
@@ -191,88 +191,91 @@ class MotionChannel(FilteredChannel):
             self._flow.log_likelihood,
             self._flow.settled_row,
         )
-        return report_of(self._recipe, self._step_s, self._lag, found)
+        return report_of(self._recipe, self._step_s, self._lag, results)
 
 
 class CausalMotion:
-    """A channel that is one causal filter."""
+    """A channel with one causal filter."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, *, split: bool, look: Judge | None) -> None:
-        self._recipe, self._step_s, self._split, self._also = recipe, step_s, split, look
-        self._runs, self._own = Filter(recipe, step_s, 0), recipe.own_steps(step_s)
+        self._recipe, self._step_s, self._split, self._look_also = recipe, step_s, split, look
+        self._runs, self._own_steps = Filter(recipe, step_s, 0), recipe.own_steps(step_s)
         self._channel = CausalChannel(recipe, step_s)
-        self._judge, self._monitor = InnovationJudge(step_s * self._own), InnovationMonitor(alarms_of(recipe.limits))
+        self._judge, self._monitor = (
+            InnovationJudge(step_s * self._own_steps),
+            InnovationMonitor(alarms_of(recipe.limits)),
+        )
         self._log_likelihood = Running(0.0, _with_log_densities)
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         self._counts, self._rows = Counter[Verdict](), 0
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before them; return what is clean, in order."""
-        found = self._channel.process(z, elapsed, states=self._split)
+        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
+        estimates = self._channel.process(z, elapsed, states=self._split)
         for start in range(0, len(z), _PIECE):
             piece = slice(start, start + _PIECE)
-            self._look(found.innovation[piece], found.deviation[piece], elapsed[piece])
+            self._look(estimates.innovation[piece], estimates.deviation[piece], elapsed[piece])
         self._rows += len(z)
-        self._counts.update(counted(found.verdict))
-        self._uncertainty.see(found.signal)
-        parts = parts_of(self._channel.settings.component, found) if self._split else found.told().parts
-        return [found.told()._replace(parts=parts)]
+        self._counts.update(counted(estimates.verdict))
+        self._uncertainty.see(estimates.signal)
+        parts = parts_of(self._channel.settings.component, estimates) if self._split else estimates.told().parts
+        return [estimates.told()._replace(parts=parts)]
 
     def finish(self) -> list[EstimatedRows]:
-        """Return nothing: all was given back."""
+        """Return no rows: `push` returned all of them."""
         return []
 
     def begin_after(self, before: History) -> None:
-        """Say what went before the rows that will be pushed."""
+        """Set the history before the first row that will be pushed."""
         self._channel.begin_after(before)
         self._monitor.begin_after(before.readings, before.rows, before.steps)
 
     def saved(self) -> dict[str, Any]:
-        """Return what later rows depend on, as arrays."""
+        """Return the state as arrays."""
         return self._channel.state_dict() | self._monitor.saved()
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         self._channel.load_state_dict(arrays)
         self._channel.filter.forget_counts()
         self._monitor.restore(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return what later rows depend on and nothing else, so that it can be compared."""
+        """Return only what later rows depend on, for comparison."""
         return self._channel.comparable_state()
 
     @property
     def surely_alive(self) -> bool:
-        """Whether no window of its innovations can have been one of a dead channel, wherever hops begin."""
+        """Return whether no window of its innovations can be that of a dead channel, whatever its phase."""
         return self._monitor.aliveness.sure
 
     def report(self) -> ChannelReport:
-        """Say what was found, once finished."""
-        own = self._channel.filter
-        findings = Findings(self._channel.settings.limits, self._step_s, self._rows, own.faults, self._monitor)
-        found = Filtered(
+        """Return the report, once finished."""
+        causal = self._channel.filter
+        findings = Findings(self._channel.settings.limits, self._step_s, self._rows, causal.faults, self._monitor)
+        results = Filtered(
             self._runs,
             self._counts,
             findings,
             self._judge,
             shares={},
             calibration_std=self._uncertainty.calibration_std,
-            timing_share=None if self._recipe.timing is None else own.timing_share,
+            timing_share=None if self._recipe.timing is None else causal.timing_share,
             log_likelihood=self._log_likelihood.sums(),
-            settled_row=own.settled_row,
+            settled_row=causal.settled_row,
         )
-        return report_of(self._recipe, self._step_s, 0, found)
+        return report_of(self._recipe, self._step_s, 0, results)
 
     def _look(self, innovation: Floats, deviation: Floats, elapsed: Floats) -> None:
         self._judge.add(innovation, deviation)
         self._monitor.push(innovation / deviation, elapsed)
         self._log_likelihood.add(log_densities(innovation, deviation))
-        if self._also is not None:
-            self._also(innovation, deviation)
+        if self._look_also is not None:
+            self._look_also(innovation, deviation)
 
 
 class UnchangedChannel:
-    """A channel that is given back; of a constant or nearly empty one no uncertainty can be told."""
+    """A channel that passes unchanged; its sigma is NaN, as in a constant or nearly empty channel."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, split: bool) -> None:
         self._recipe, self._step_s, self._split, self._counts = recipe, step_s, split, Counter[Verdict]()
@@ -282,7 +285,7 @@ class UnchangedChannel:
         self._varies = False
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and give them back."""
+        """Take readings (B,) and return them."""
         readings, _ = self._sensor.push(z, elapsed)
         seen = readings[np.isfinite(readings)]
         self._seen += len(seen)
@@ -291,35 +294,35 @@ class UnchangedChannel:
             self._varies = self._varies or bool(np.any(seen != self._first))
         unknown = np.full(len(z), np.nan)
         parts = np.tile(readings, (int(self._split), 1))
-        told = self._sensor.named([EstimatedRows(readings, unknown, parts, np.zeros(len(z), np.int8))])
-        self._counts.update(counted(told[0].verdicts))
-        return told
+        rows = self._sensor.named([EstimatedRows(readings, unknown, parts, np.zeros(len(z), np.int8))])
+        self._counts.update(counted(rows[0].verdicts))
+        return rows
 
     def finish(self) -> list[EstimatedRows]:
-        """Return nothing: all was given back."""
+        """Return no rows: `push` returned all of them."""
         return []
 
     def begin_after(self, before: History) -> None:
-        """Say what went before the rows that will be pushed."""
+        """Set the history before the first row that will be pushed."""
         self._sensor.begin_after(before)
 
     def saved(self) -> dict[str, Any]:
-        """Return what verdicts of later rows depend on, as arrays."""
+        """Return what the verdicts of later rows depend on, as arrays."""
         return self._sensor.saved()
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         self._sensor.restore(arrays)
 
     def comparable_state(self) -> dict[str, Floats]:
-        """Return what verdicts of later rows depend on and nothing else, so that it can be compared."""
+        """Return only what the verdicts of later rows depend on, for comparison."""
         return self._sensor.comparable_state()
 
     surely_alive = True
-    """No filter is asked."""
+    """The channel has no filter, so that no window has a phase."""
 
     def report(self) -> ChannelReport:
-        """Say whether the channel is constant, or nearly empty, or should have been filtered."""
+        """Report whether the channel is constant, nearly empty, or should have been filtered."""
         seen = self._seen
         constant = seen >= FEWEST_READINGS and not self._varies
         verdict: Decision = "does not fit"
@@ -331,10 +334,10 @@ class UnchangedChannel:
             )
         elif seen < FEWEST_READINGS:
             verdict = "untold"
-            says = f"Fewer than {FEWEST_READINGS} readings cannot tell noise from signal; the channel passes unchanged."
+            says = f"Fewer than {FEWEST_READINGS} readings do not identify the noise; the channel passes unchanged."
         elif self._recipe.model == "untold":
             verdict = "untold"
-            says = "Its readings come in stretches too short to tell noise from signal; the channel passes unchanged."
+            says = "Its readings come in stretches too short to identify the noise; the channel passes unchanged."
         return ChannelReport(
             verdict=verdict,
             name=self._recipe.name,

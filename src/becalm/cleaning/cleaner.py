@@ -1,4 +1,4 @@
-"""All channels of a recording on their way through a recipe, some rows at a time."""
+"""Clean all channels of a recording with a recipe, block by block."""
 
 from __future__ import annotations
 
@@ -22,26 +22,28 @@ from becalm.installation import load_scipy
 
 
 class Cleaner:
-    """Cleans a recording of any length in constant memory; use it in a `with`, which ends its threads.
+    """Cleans a recording of any length in constant memory.
+
+    Use it in a `with` statement, which ends its threads.
 
     Parameters
     ----------
     recipe : Recipe
-        What to do; its channels are those of every push, in this order.
+        The recipe; each push has its channels, in this order.
     step_s : float
-        The step that elapsed steps are counted in, in seconds.
+        Length of one step, in seconds; elapsed time is counted in steps.
     split : bool
-        Whether to tell the parts of each channel as well, in the order of `ChannelRecipe.parts`.
+        Whether to estimate the parts of each channel as well, in the order of `ChannelRecipe.parts`.
     looks : sequence of callable, optional
-        One a channel, which is given its innovations (B,) and their standard deviations, a value a row; of a channel
-        that passes unchanged nothing.
+        One for each channel. It is called with the innovations (B,) and their standard deviations (B,), one value for
+        each row. It is not called for a channel that passes unchanged.
 
     Raises
     ------
     RecipeError
-        If a channel's numbers make no filter at this step.
+        If the parameters of a channel do not make a valid filter at this step.
     UsageError
-        If no later reading comes within the recipe's lag.
+        If the recipe's lag is shorter than one step, or too long.
     """
 
     def __init__(self, recipe: Recipe, step_s: float, *, split: bool = False, looks: Sequence[Judge] = ()) -> None:
@@ -52,9 +54,9 @@ class Cleaner:
             for channel, look in zip(recipe.channel, seen_by, strict=True)
         ]
         self._ready = [ReadyRows() for _ in self._channels]
-        self._sizes: deque[int] = deque()  # of pushes that were not answered yet
+        self._sizes: deque[int] = deque()  # rows of each push that is not returned yet
         load_scipy()
-        self._pool = ThreadPoolExecutor(os.cpu_count())  # more would wait for each other at every small step
+        self._pool = ThreadPoolExecutor(os.cpu_count())  # more threads would only wait for each other
 
     def push(self, columns: Sequence[Floats], elapsed: Floats) -> list[list[EstimatedRows]]:
         """Take the next rows of all channels.
@@ -62,60 +64,60 @@ class Cleaner:
         Parameters
         ----------
         columns : sequence of (B,) float arrays
-            One a channel, NaN where missing.
+            One for each channel, NaN where missing.
         elapsed : (B,) float array
-            Steps since the row before.
+            Steps since the previous row.
 
         Returns
         -------
         list of list of EstimatedRows
-            One for each push that is answered now, in order: what each channel says of its rows.
+            One for each push whose estimates are complete now, in order: the estimates of each channel.
         """
         self._sizes.append(len(elapsed))
-        told = self._pool.map(lambda channel, z: channel.push(z, elapsed), self._channels, columns)
-        return self._answers(list(told))
+        estimates = self._pool.map(lambda channel, z: channel.push(z, elapsed), self._channels, columns)
+        return self._complete_pushes(list(estimates))
 
     def finish(self) -> list[list[EstimatedRows]]:
-        """Say that no more rows will come; answer the pushes that are left."""
-        return self._answers(list(self._pool.map(lambda channel: channel.finish(), self._channels)))
+        """End the recording; return the estimates of the remaining pushes."""
+        return self._complete_pushes(list(self._pool.map(lambda channel: channel.finish(), self._channels)))
 
     def begin_after(self, before: Sequence[History]) -> None:
-        """Say what went before the rows that will be pushed, of each channel: they begin amid a recording."""
+        """Set the history of each channel, for rows that begin in the middle of a recording."""
         for channel, own in zip(self._channels, before, strict=True):
             channel.begin_after(own)
 
     def saved(self) -> list[dict[str, Any]] | None:
-        """Return what later rows of causal filters depend on, of each channel; None where rows wait in one."""
-        return _of_all([channel.saved() for channel in self._channels])
+        """Return the state of each channel as arrays; None where a channel is not causal, or holds rows back."""
+        return _all_or_none([channel.saved() for channel in self._channels])
 
     def restore(self, arrays: Sequence[Mapping[str, Any]]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         for channel, own in zip(self._channels, arrays, strict=True):
             channel.restore(own)
 
     def comparable_state(self) -> list[dict[str, Floats]] | None:
-        """Return what later rows depend on and nothing else, of each channel; None where `saved` is."""
-        return _of_all([channel.comparable_state() for channel in self._channels])
+        """Return only what later rows depend on, for each channel; None where `saved` returns None."""
+        return _all_or_none([channel.comparable_state() for channel in self._channels])
 
     def surely_alive(self) -> list[bool]:
-        """Say of each channel whether where its hops began does not matter: see `core.health.aliveness`."""
+        """Return for each channel whether the phase of its dead-sensor window can be ignored: see `Aliveness`."""
         return [channel.surely_alive for channel in self._channels]
 
     def reports(self) -> tuple[ChannelReport, ...]:
-        """Say what was found for each channel, once finished."""
+        """Return the report of each channel, once finished."""
         return tuple(self._pool.map(lambda channel: channel.report(), self._channels))
 
-    def _answers(self, told: list[list[EstimatedRows]]) -> list[list[EstimatedRows]]:
-        for rows, parts in zip(self._ready, told, strict=True):
+    def _complete_pushes(self, estimates: list[list[EstimatedRows]]) -> list[list[EstimatedRows]]:
+        for rows, parts in zip(self._ready, estimates, strict=True):
             rows.add(parts)
-        answers = []
+        complete = []
         while self._sizes and all(rows.count >= self._sizes[0] for rows in self._ready):
             size = self._sizes.popleft()
-            answers.append([rows.take(size) for rows in self._ready])
-        return answers
+            complete.append([rows.take(size) for rows in self._ready])
+        return complete
 
     def __enter__(self) -> Self:
-        """Return itself."""
+        """Return the cleaner."""
         return self
 
     def __exit__(
@@ -125,32 +127,32 @@ class Cleaner:
         self._pool.shutdown(cancel_futures=True)
 
 
-def _of_all(told: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]] | None:
-    known = [one for one in told if one is not None]
-    return known if len(known) == len(told) else None
+def _all_or_none(states: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]] | None:
+    complete = [state for state in states if state is not None]
+    return complete if len(complete) == len(states) else None
 
 
 class ReadyRows:
-    """Clean rows of a channel that were not asked for yet."""
+    """A queue of estimated rows of one channel."""
 
     def __init__(self) -> None:
         self.count = 0
         self._parts: deque[EstimatedRows] = deque()
 
     def add(self, parts: list[EstimatedRows]) -> None:
-        """Take what was told of the next rows."""
+        """Append the estimates of the next rows."""
         self._parts.extend(parts)
         self.count += sum(len(part.signal) for part in parts)
 
     def held(self) -> EstimatedRows:
-        """Return all rows that are held; they stay."""
-        told = self.take(self.count)
-        if len(told.signal):
-            self.add([told])
-        return told
+        """Return all rows of the queue without removing them."""
+        rows = self.take(self.count)
+        if len(rows.signal):
+            self.add([rows])
+        return rows
 
     def take(self, count: int) -> EstimatedRows:
-        """Return the first `count` rows; a part of that length as it is."""
+        """Remove the first `count` rows and return them; a part of exactly that length is not copied."""
         taken: list[EstimatedRows] = []
         self.count -= count
         while count or not taken:

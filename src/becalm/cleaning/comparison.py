@@ -1,4 +1,4 @@
-"""becalm beside what people use today, on the same recording: at equal noise, at equal lag, and best with truth."""
+"""Compare becalm with classic filters on the same recording: at equal noise, at equal lag, and best with truth."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from becalm.metrics.truth import rms_error
 BECALM = "becalm"
 RULES = ("equal noise", "equal lag", "best with truth")
 
-_LOOKED_AT = 50_000  # rows, of a longer record, that the best setting is looked for in
-_SAME_DB = 1.0  # windows have few lengths: farther apart is no match
+_LOOKED_AT = 50_000  # rows of a longer record in which the best setting is searched
+_SAME_DB = 1.0  # largest difference for a match: windows have few lengths
 
 
 class Contender(NamedTuple):
@@ -33,22 +33,23 @@ class Contender(NamedTuple):
     Attributes
     ----------
     name : str
-        "becalm", or that of a classic filter.
+        "becalm", or the name of a classic filter.
     rule : str
-        How its setting was found: "" of becalm, or one of `RULES`.
+        Rule for its setting: "" for becalm, or one of `RULES`.
     cutoff_hz : float or None
         The setting of a classic filter.
     noise_removed_db : float or None
-        Of white noise: 10 log10 of its variance before over after; of a filter that switches, in the mode that was
-        most in force, as lag and overshoot. None where a filter learns, or never settles.
+        Reduction of white noise: 10 log10 of the variance before, divided by the variance after. A filter with several
+        modes has this, lag and overshoot for the mode that was in force most. None where a filter adapts, or has no
+        steady state.
     lag_s : float or None
         Delay of a slow signal or of a step at half height, whichever is longer.
     overshoot_percent : float or None
-        Of a step.
+        Overshoot after a step.
     rms_error : float or None
-        From the truth, in unit, where it is known.
+        Error against the truth, in unit, where that is known.
     measured_lag_s : float or None
-        By which the output trails the truth, where it is known, see `becalm.metrics.delay.lag_of`.
+        Delay of the output behind the truth, where that is known, see `becalm.metrics.delay.lag_of`.
     """
 
     name: str
@@ -62,16 +63,16 @@ class Contender(NamedTuple):
 
 
 class ChannelComparison(NamedTuple):
-    """All contenders of one channel; becalm's is the first."""
+    """All filters of one channel; becalm is the first."""
 
     name: str
     unit: str
-    contenders: tuple[Contender, ...]  # becalm alone, where the channel passes unchanged
-    says: str  # what becalm says of its own
+    contenders: tuple[Contender, ...]  # only becalm if the channel passes unchanged
+    says: str  # becalm's judgement of its own filter
 
 
 class Comparison(NamedTuple):
-    """What came out of all filters."""
+    """The results of all filters."""
 
     causal: bool
     channels: tuple[ChannelComparison, ...]
@@ -79,7 +80,7 @@ class Comparison(NamedTuple):
 
 
 class _Readings(NamedTuple):
-    """One channel, for a classic filter."""
+    """The readings of one channel, for a classic filter."""
 
     z: Floats
     truth: Floats | None
@@ -94,57 +95,57 @@ def compare(
     causal: bool | None = None,
     channels: Sequence[str] | None = None,
 ) -> Comparison:
-    """Clean a recording, and hold every classic filter beside it.
+    """Clean a recording with becalm and with every classic filter.
 
     Parameters
     ----------
     recording : Recording
-        Samples (N, m), NaN where missing; classic filters know no time, and take rows as even. Impossible readings
-        are missing for all.
+        Samples (N, m), NaN where missing; classic filters ignore the time and assume an even rate. Impossible readings
+        are missing for all filters.
     recipe : Recipe, optional
-        As of `clean`.
+        As in `clean`.
     truth : Recording, optional
-        What is true, (N, .): channels of the same names and units, at the same times, counted from the first row; not
-        finite where it is not known. Then each classic filter also gets the setting that has the least rms error
+        The true signal, (N, .): channels of the same names and units, at the same times, counted from the first row;
+        not finite where it is unknown. Then each classic filter also gets the setting with the least rms error
         *knowing the truth*, over the first 50 000 rows from where it is known.
     causal : bool, optional
-        As of `clean`: causal filters beside a filter, filters without lag beside a smoother.
+        As in `clean`: a causal filter is compared with causal filters, a smoother with zero-phase filters.
     channels : sequence of str, optional
         Names of the channels to compare; all by default.
 
     Raises
     ------
     UsageError
-        If the recipe waits for a lag, which no classic filter does.
+        If the recipe has a lag, because no classic filter waits for one.
     RecordingError
-        If the truth has other rows or times, or not the channels in their units.
+        If the truth has other rows, times or units, or lacks a channel.
     """
     if recipe is not None and in_mode(recipe, causal).mode == "lagged":
-        raise UsageError("No classic filter waits for a lag; compare a filter (--causal) or a smoother.")
+        raise UsageError("No classic filter waits for a lag; compare a causal filter (--causal) or a smoother.")
     cleaned = clean(recording, recipe, causal=causal, channels=channels)
-    true = None if truth is None else _fitting(truth, recording, cleaned)
+    true = None if truth is None else _true_channels(truth, recording, cleaned)
     is_causal, step_s = cleaned.recipe.mode == "causal", recording.timebase.step_s
-    told = []
+    comparisons = []
     for place, (channel, report) in enumerate(zip(cleaned.recipe.channel, cleaned.reports, strict=True)):
         z = judge(np.ascontiguousarray(recording.channel(channel.name))).readings
         readings = _Readings(z, None if true is None else true[:, place], step_s)
-        own = response_of(channel, report, step_s, is_causal)
+        response = response_of(channel, report, step_s, is_causal)
         contenders = (
-            _becalm(cleaned.signal.samples[:, place], readings, own),
-            *(() if own is None else _classics(readings, own, is_causal)),
+            _becalm(cleaned.signal.samples[:, place], readings, response),
+            *(() if response is None else _classics(readings, response, is_causal)),
         )
-        told.append(ChannelComparison(channel.name, channel.unit, contenders, report.says))
-    return Comparison(is_causal, tuple(told), cleaned)
+        comparisons.append(ChannelComparison(channel.name, channel.unit, contenders, report.says))
+    return Comparison(is_causal, tuple(comparisons), cleaned)
 
 
-def _fitting(truth: Recording, recording: Recording, cleaned: Cleaned) -> Floats:
-    """Return the true channels (N, m) in the order of those that were cleaned."""
+def _true_channels(truth: Recording, recording: Recording, cleaned: Cleaned) -> Floats:
+    """Return the true channels (N, m) in the order of the cleaned channels."""
     names = [channel.name for channel in cleaned.recipe.channel]
     missing = [name for name in names if name not in truth.names]
     if missing:
         raise RecordingError(
             f"The truth has no channel {missing[0]!r}; it has {', '.join(map(repr, truth.names))}."
-            " Name the channels that it has with --channels."
+            " Give the channels that it has with --channels."
         )
     if len(truth.samples) != len(recording.samples):
         raise RecordingError(
@@ -157,12 +158,12 @@ def _fitting(truth: Recording, recording: Recording, cleaned: Cleaned) -> Floats
 
 
 def _refuse_other_times(truth: Recording, recording: Recording) -> None:
-    """Refuse a truth whose rows are not those of the recording; where either begins is its own affair."""
+    """Refuse a truth whose times differ from the recording, counted from the first row of each."""
     apart_s = np.abs(_since_first_s(truth) - _since_first_s(recording))
     if not apart_s.max() <= recording.timebase.step_s / 2:
         row = int(np.argmax(apart_s > recording.timebase.step_s / 2))
         raise RecordingError(
-            f"Row {row + 1} of the truth lies {_since_first_s(truth)[row]:.6g} s after its first row, that of the"
+            f"Row {row + 1} of the truth is {_since_first_s(truth)[row]:.6g} s after its first row, but in the"
             f" recording {_since_first_s(recording)[row]:.6g} s; give the truth at the same times, or --rate for both."
         )
 
@@ -190,11 +191,11 @@ def _becalm(signal: Floats, readings: _Readings, own: Response | None) -> Conten
             lag_s=own.lag_s if np.isfinite(own.lag_s) else None,
             overshoot_percent=None if own.step is None else own.step.overshoot_percent,
         )
-    return _beside_truth(contender, signal, readings)
+    return _with_errors(contender, signal, readings)
 
 
 def _classics(readings: _Readings, own: Response, causal: bool) -> Iterator[Contender]:
-    """Filter by each classic filter, in each fair setting that its dial reaches."""
+    """Apply each classic filter, in each fair setting that its range allows."""
     for classic in CAUSAL if causal else ZERO_PHASE:
         if classic.calms:
             twin = _classic(classic, readings, "equal noise", equal_noise(classic, own.noise_gain))
@@ -221,10 +222,10 @@ def _classic(classic: Classic, readings: _Readings, rule: str, cutoff: float) ->
         )
     if readings.truth is None:
         return contender
-    return _beside_truth(contender, classic.clean(readings.z, cutoff), readings)
+    return _with_errors(contender, classic.clean(readings.z, cutoff), readings)
 
 
-def _beside_truth(contender: Contender, signal: Floats, readings: _Readings) -> Contender:
+def _with_errors(contender: Contender, signal: Floats, readings: _Readings) -> Contender:
     if readings.truth is None or not np.isfinite(signal - readings.truth).any():
         return contender
     late = lag_of(signal, readings.truth)

@@ -1,4 +1,4 @@
-"""What a delay buys: for each channel of a recipe, how much noise is left if the output waits."""
+"""Compute the trade-off of noise against lag for each channel of a recipe."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from becalm.identification.wishes.waiting import Delay, delay_curve, delays_of
 
 
 def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:
-    """Return the curve of each channel by its name, at the rate that it was tuned at.
+    """Return the trade-off curve of each channel by its name, at the rate of the tuning recording.
 
     Parameters
     ----------
     recipe : Recipe
-        Its noise and motions; of its mode nothing is used.
+        Recipe with noise and motions; its mode is ignored.
 
     Returns
     -------
     dict of str to tuple of Delay
-        The soonest first, the limit last; nothing of a channel that passes unchanged, or never settles. Of one
-        that switches a curve for each mode, "channel, mode", once that is in force for long.
+        Shortest delay first, the limit last; no curve for a channel that passes unchanged or has no steady state. A
+        channel with several modes has a curve for each mode in steady state, "channel, mode".
     """
-    step_s, found = 1 / recipe.tuned_on.rate_hz, dict[str, tuple[Delay, ...]]()
+    step_s, curves = 1 / recipe.tuned_on.rate_hz, dict[str, tuple[Delay, ...]]()
     for channel in recipe.channel:
         for name, curve in _curves(channel, step_s):
-            with suppress(ModelError):  # without process noise, say
-                found[name] = tuple(_judged(one, channel, step_s) for one in curve())
-    return found
+            with suppress(ModelError):  # for example without process noise
+                curves[name] = tuple(_judged(one, channel, step_s) for one in curve())
+    return curves
 
 
 def _judged(delay: Delay, channel: ChannelRecipe, step_s: float) -> Delay:
-    """Return a delay with the rows for which a reading waits until it is judged."""
+    """Return a delay that includes the wait for the outlier test."""
     return replace(delay, wait_s=delay_to_smooth(channel.limits, delay.wait_s, step_s))
 
 
@@ -50,6 +50,6 @@ def _curves(channel: ChannelRecipe, step_s: float) -> Iterator[tuple[str, Callab
         yield channel.name, partial(delay_curve, tuning, step_s)
         return
     for mode in modes_in_steps(channel.switching, tuning, step_s).modes:
-        if mode.lasts > 1:  # otherwise it never settles
+        if mode.lasts > 1:  # otherwise it has no steady state
             r = mode.noise_variance
             yield f"{channel.name}, {mode.name}", partial(delays_of, mode.component, r, r, step_s)

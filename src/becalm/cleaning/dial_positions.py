@@ -1,4 +1,4 @@
-"""The dial between quick and calm: what each of its positions is, and what the filter that is set is."""
+"""Compute the positions of the dial between quick and calm, and the summary of the filter that is set."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from becalm.errors import ModelError
 from becalm.identification.likelihood import Tuning
 
 POSITIONS = 81
-"""Of a dial, at even ratios of the cut-off."""
+"""Number of positions of a dial, at even ratios of the cut-off."""
 
-_FASTEST = 4.0  # radians a step: quicker cut-offs pass everything
-_SLOWEST = {1: 3e-6, 2: 3e-6, 3: 1e-5, 4: 3e-4, 5: 3e-4}  # slower ones float64 does not settle
-_CYCLES = 0.2  # of the record: slower cut-offs are a polynomial
+_FASTEST = 4.0  # radians a step: higher cut-offs pass everything
+_SLOWEST = {1: 3e-6, 2: 3e-6, 3: 1e-5, 4: 3e-4, 5: 3e-4}  # by order: float64 finds no steady state for lower ones
+_CYCLES = 0.2  # of the record: with a lower cut-off the signal is a polynomial
 
 
 class Positions(NamedTuple):
-    """What each position is, quick to calm, in steps and with noise of 1."""
+    """The filter of each position, quick to calm, in steps and for noise of 1."""
 
     ratios: Floats  # (k,) q/r
-    bandwidth: Floats  # (k,) cycles a step; NaN where none is told
+    bandwidth: Floats  # (k,) cycles a step; NaN where it is unknown
     lag: Floats  # (k,) steps
     left: Floats  # (k,) standard deviation of the noise that passes
 
 
 class FilterSummary(NamedTuple):
-    """What a filter is, in an engineer's words; None where that is not known."""
+    """Bandwidth, lag and noise of a filter; None where a figure is unknown."""
 
     bandwidth_hz: float | None = None
     lag_s: float | None = None
@@ -48,30 +48,30 @@ class FilterSummary(NamedTuple):
 
 
 def density_unit(unit: str, order: int) -> str:
-    """Return the unit of the noise that drives a motion: unit^2/s^(2 order - 1); `unit` is of the readings."""
+    """Return the unit of a process noise density: unit^2/s^(2 order - 1); `unit` is that of the readings."""
     squared = f"({unit})^2" if "/" in unit or "^" in unit else f"{unit}^2" if unit else "1"
     return f"{squared}/s^{2 * order - 1}".removesuffix("^1")
 
 
 def dial(channel: ChannelRecipe, step_s: float, lag: int | None, rows: int) -> dict[str, Floats]:
-    """Return what each position of a channel's dial is; nothing of one that passes unchanged.
+    """Return the filters of a channel's dial, one for each position; empty if the channel passes unchanged.
 
     Parameters
     ----------
     channel : ChannelRecipe
-        As it is set; its order and noise count.
+        Present recipe, of which order and noise are used.
     step_s : float
         One step, in seconds.
     lag : int or None
-        Later rows that each row waits for.
+        Lag in rows: 0 for a causal filter, None for a smoother.
     rows : int
-        Of the record.
+        Length of the record, in rows.
 
     Returns
     -------
     dict of str to (POSITIONS,) float array
         process_noise_density in unit^2/s^(2 order - 1), bandwidth_hz, lag_s, and noise_left, the standard deviation of
-        the noise that passes, in unit; NaN where one is not told.
+        the noise that passes, in unit; NaN where a figure is unknown.
     """
     if channel.motion is None:
         return {}
@@ -89,12 +89,12 @@ def dial(channel: ChannelRecipe, step_s: float, lag: int | None, rows: int) -> d
 @lru_cache(maxsize=64)
 def _positions(order: int, lag: int | None, slowest: float) -> Positions:
     ratios = [cutoff_to_ratio(order, float(cutoff)) for cutoff in np.geomspace(_FASTEST, slowest, POSITIONS)]
-    told = np.array([_told_in_steps(Tuning(order, ratio, 1.0, 0), lag) for ratio in ratios])
-    return Positions(np.array(ratios), *told.T.copy())
+    figures = np.array([_figures_in_steps(Tuning(order, ratio, 1.0, 0), lag) for ratio in ratios])
+    return Positions(np.array(ratios), *figures.T.copy())
 
 
-def _told_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, float]:
-    """Return bandwidth, lag and noise left of a motion with noise of 1; NaN where they are not told."""
+def _figures_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, float]:
+    """Return bandwidth, lag and remaining noise of a motion with noise of 1; NaN where they are unknown."""
     if lag:
         gain = _gain_of_lagged(tuning, lag)
         return np.nan, np.nan, np.nan if gain is None else float(np.sqrt(gain))
@@ -105,16 +105,16 @@ def _told_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, float
 
 
 def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSummary:
-    """Say what the filter of a channel is.
+    """Return a summary of the filter of a channel.
 
     Parameters
     ----------
     channel : ChannelRecipe
-        As it is set.
+        Present recipe.
     step_s : float
         One step, in seconds.
     lag : int or None
-        Later rows that each row waits for.
+        Lag in rows: 0 for a causal filter, None for a smoother.
     """
     if channel.motion is None:
         return FilterSummary(says="passes unchanged")
@@ -126,14 +126,14 @@ def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSum
     if lag:
         gain = _gain_of_lagged(tuning, rows_that_smooth(channel.limits, lag) or lag)
         if gain is None:
-            return FilterSummary(None, lag * step_s, noise_std, None, None, order, _UNSETTLED)
-        said = f"told {lag * step_s:.4g} s later, noise down {-decibels(gain):.1f} dB"
+            return FilterSummary(None, lag * step_s, noise_std, None, None, order, _NO_STEADY_STATE)
+        summary = f"delayed {lag * step_s:.4g} s, noise down {-decibels(gain):.1f} dB"
         return FilterSummary(
-            None, lag * step_s, noise_std, noise_std * float(np.sqrt(gain)), decibels(gain), order, said
+            None, lag * step_s, noise_std, noise_std * float(np.sqrt(gain)), decibels(gain), order, summary
         )
     response = fixed_response(tuning, step_s, lag == 0)
     if response is None:
-        return FilterSummary(noise_std=noise_std, order=order, says=_UNSETTLED)
+        return FilterSummary(noise_std=noise_std, order=order, says=_NO_STEADY_STATE)
     return FilterSummary(
         response.bandwidth_hz,
         response.lag_s,
@@ -145,11 +145,11 @@ def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSum
     )
 
 
-_UNSETTLED = "a filter that never forgets its start"
+_NO_STEADY_STATE = "a filter without a steady state"
 
 
 def _gain_of_lagged(tuning: Tuning, lag: int) -> float | None:
-    """Return the noise gain of a filter that is told so many rows later; None of one that does not settle."""
+    """Return the noise gain of a filter with a lag in rows; None if it has no steady state."""
     component = tuning.component
     try:
         found = steady(component.to_model(1.0, tuning.noise_variance), component.signal_output[0])

@@ -1,4 +1,4 @@
-"""The rows of one channel, and a filter run over some of them only, with the numbers of a run over all of them."""
+"""Filter only some rows of a channel, with the same results as a run over all of them."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 
 _PUSHED = 1 << 19
-"""Rows that a filter is given at once."""
+"""Rows in one block for a filter."""
 
 _IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.OUTLIER))
 
-_GATED = 1024  # rows more: what a gate has rejected in a row is looked at anew
+_GATED = 1024  # additional rows before: a gate also depends on the readings that it rejected in a row
 
 
 class UsableReadings(NamedTuple):
-    """What the sensor's watch lets through."""
+    """Readings that may enter a filter."""
 
     readings: Floats  # (N,) NaN where none may enter a filter
     verdicts: Codes  # (N,)
-    longest_gap: float  # between two of them, in steps
+    longest_gap: float  # between two usable readings, in steps
 
 
 class ChannelRows:
@@ -42,11 +42,11 @@ class ChannelRows:
     z : (N,) float array
         Readings, in unit; NaN where missing.
     elapsed : (N,) float array
-        Steps since the row before.
+        Steps since the previous row.
     step_s : float
         One step, in seconds.
     limits : LimitsRecipe or None
-        What the sensor was found to keep to.
+        Limits that were found for the sensor.
     """
 
     def __init__(self, z: Floats, elapsed: Floats, step_s: float, limits: LimitsRecipe | None = None) -> None:
@@ -54,76 +54,76 @@ class ChannelRows:
         self._healthy: dict[tuple[LimitsRecipe | None, int], UsableReadings] = {}
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of rows."""
         return len(self.z)
 
     def healthy(self, limits: LimitsRecipe | None, lag: int | None = 0) -> UsableReadings:
-        """Return the readings that may enter a filter of a lag (None: a smoother); they are looked at once."""
-        plain = _plain(limits), rows_that_judge(limits, lag)
-        found = self._healthy.get(plain)
-        if found is None:
+        """Return the readings that may enter a filter with a lag in rows (None: a smoother); the result is cached."""
+        plain = _reading_limits(limits), rows_that_judge(limits, lag)
+        usable = self._healthy.get(plain)
+        if usable is None:
             watch = SensorWatch(plain[0], self.step_s, shown=False, ahead=plain[1])
             readings = np.concatenate([watch.push(self.z, self.elapsed)[0], watch.finish()[0]])
             nothing = np.empty(len(self.z))
-            (told,) = watch.named(
+            (named,) = watch.named(
                 [EstimatedRows(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))]
             )
-            found = UsableReadings(readings, told.verdicts, self._longest_gap(readings))
-            self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: found}
-        return found
+            usable = UsableReadings(readings, named.verdicts, self._longest_gap(readings))
+            self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: usable}
+        return usable
 
     def without(self, spikes: Integers, limits: LimitsRecipe | None, lag: int | None = 0) -> ChannelRows:
-        """Return the rows as if these readings were missing, as they are to a filter whose gate leaves them out."""
+        """Return the rows with these readings missing, as for a filter whose gate rejects them."""
         healthy, other = self.healthy(limits, lag), ChannelRows(self.z, self.elapsed, self.step_s, self._limits)
         readings, verdicts = healthy.readings.copy(), healthy.verdicts.copy()
         readings[spikes], verdicts[spikes] = np.nan, Verdict.SPIKE
-        plain = _plain(limits), rows_that_judge(limits, lag)
+        plain = _reading_limits(limits), rows_that_judge(limits, lag)
         other._healthy = {plain: UsableReadings(readings, verdicts, self._longest_gap(readings))}
         return other
 
     def possible(self, part: slice) -> Floats:
-        """Return some readings to draw: without what no sensor gives, which would leave no room for the others."""
+        """Return some readings to plot, without impossible ones, which would compress the scale."""
         verdicts = self.healthy(self._limits).verdicts[part]
         return np.where(_IMPOSSIBLE[verdicts], np.nan, self.z[part]) if verdicts.any() else self.z[part]
 
     def _longest_gap(self, readings: Floats) -> float:
         longest = float(self.elapsed[1:].max(initial=0.0))
         missing = np.flatnonzero(~np.isfinite(readings))
-        begun = np.flatnonzero(np.diff(missing, prepend=-1) > 1)  # of each run of them; one at the start is no gap
-        if not len(begun):
+        starts = np.flatnonzero(np.diff(missing, prepend=-1) > 1)  # of each run; one at the start is not a gap
+        if not len(starts):
             return longest
-        first, last = missing[begun], missing[np.append(begun[1:] - 1, -1)]
+        first, last = missing[starts], missing[np.append(starts[1:] - 1, -1)]
         between = last < len(readings) - 1
         bounds = np.column_stack([first[between], last[between] + 1]).ravel()
         return longest if not len(bounds) else max(longest, float(self._between(bounds).max()))
 
     def _between(self, bounds: Integers) -> Floats:
-        """Return the steps that went by in each pair of rows, from before the first up to the second."""
+        """Return the steps between the row before the first and the second row of each pair."""
         sums = np.add.reduceat(self.elapsed, bounds)[::2]
         return sums + self.elapsed[bounds[1::2]]
 
 
-def _plain(limits: LimitsRecipe | None) -> LimitsRecipe | None:
-    """Return what of the limits is told of readings alone."""
+def _reading_limits(limits: LimitsRecipe | None) -> LimitsRecipe | None:
+    """Return the limits that depend on readings alone, without alarms on innovations."""
     return None if limits is None else limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
 
 
 class ChannelRun:
-    """A channel's filter over its rows, or over some of them.
+    """A run of a channel's filter over all its rows, or over some of them.
 
     Parameters
     ----------
     rows : ChannelRows
         The readings.
     recipe : ChannelRecipe
-        Of a motion.
+        Recipe with a motion.
     lag : int or None
-        Later rows that each row waits for: 0 filters, None waits for all.
+        Lag in rows: 0 for a causal filter, None for a smoother.
 
     Raises
     ------
     RecipeError
-        If its numbers make no filter.
+        If its parameters do not make a valid filter.
     """
 
     def __init__(self, rows: ChannelRows, recipe: ChannelRecipe, lag: int | None) -> None:
@@ -135,13 +135,13 @@ class ChannelRun:
 
     @property
     def reach(self) -> int:
-        """How many rows before those that are wanted are filtered, at the least; the record's length where all are."""
+        """Return how many rows before the wanted ones are filtered, at least; the whole record if all are needed."""
         return min(self._margin if self._bridges_all() else len(self._rows), len(self._rows))
 
     def told(self, first: int, stop: int) -> Iterator[EstimatedRows]:
-        """Give what is told of rows first to stop, in parts: the filter begins so much before them as it needs."""
+        """Yield the estimates of rows first to stop, in parts; the filter starts as many rows earlier as it needs."""
         recipe, rows = self._recipe, self._rows
-        begin, end = self._begun(first), self._ended(stop)
+        begin, end = self._start_row(first), self._stop_row(stop)
         flow, uncertainty = self.filter.alone(), Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         timing = None
         if recipe.timing is not None:
@@ -152,8 +152,8 @@ class ChannelRun:
             elapsed = rows.elapsed[part]
             if timing is not None:
                 timing.push(elapsed)
-            told = flow.push(self.healthy.readings[part], elapsed)
-            for one in [*told, *(flow.finish() if part.stop == end else [])]:
+            estimates = flow.push(self.healthy.readings[part], elapsed)
+            for one in [*estimates, *(flow.finish() if part.stop == end else [])]:
                 wider = one if timing is None else timing.widened(one)
                 wanted = slice(max(first - at, 0), max(min(stop - at, len(one.signal)), 0))
                 at += len(one.signal)
@@ -161,11 +161,11 @@ class ChannelRun:
                     before = self.healthy.verdicts[at - len(one.signal) :][wanted]
                     yield from self._widened(uncertainty, wider.rows(wanted), before)
 
-    def _widened(self, uncertainty: Uncertainty, told: EstimatedRows, before: Codes) -> list[EstimatedRows]:
-        return uncertainty.widened([told._replace(verdicts=beside_filter(told.verdicts, before))])
+    def _widened(self, uncertainty: Uncertainty, estimates: EstimatedRows, before: Codes) -> list[EstimatedRows]:
+        return uncertainty.widened([estimates._replace(verdicts=beside_filter(estimates.verdicts, before))])
 
-    def _begun(self, first: int) -> int:
-        """Return the row to begin with: since then so many readings, and so much time, went by."""
+    def _start_row(self, first: int) -> int:
+        """Return the row to start with, enough readings and enough time before `first`."""
         if not self._bridges_all():
             return 0
         rows = self._margin + self._margin // 4
@@ -176,8 +176,8 @@ class ChannelRun:
             rows *= 2
         return 0
 
-    def _ended(self, stop: int) -> int:
-        """Return the row to end before."""
+    def _stop_row(self, stop: int) -> int:
+        """Return the row to stop before."""
         last = len(self._rows)
         if self._lag is not None:
             return min(stop + self._lag, last)
@@ -193,6 +193,6 @@ class ChannelRun:
         return bool(readings >= self._margin and self._rows.elapsed[part].sum() >= self._margin)
 
     def _bridges_all(self) -> bool:
-        """Whether the filter never starts anew within the record, wherever it begins."""
+        """Return whether the filter bridges every gap of the record, wherever it starts."""
         limit, gap = self.filter.gap_limit, self.healthy.longest_gap
         return bool(gap <= min(limit.longest, limit.spans * self._margin))

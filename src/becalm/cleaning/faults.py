@@ -1,4 +1,4 @@
-"""Faults of a sensor, on a channel's way: what is found leaves no trace in the signal but a verdict, and a sentence."""
+"""Find faults of a sensor: faulty readings do not enter the filter, and the report has a verdict and a sentence."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from becalm.core.verdict import ADVICE, LOST, Verdict
 from becalm.native.scans import EVERY_REPEAT
 
 FALSE_ALARMS_PER_HOUR = 1.0
-"""Healthy stretches of an hour that may be called stuck; a *small* one trusts the sensor."""
+"""Healthy stretches that may be called stuck, per hour; a *small* number trusts the sensor."""
 
 MOST_LOST = 0.5
-"""Share of the rows: a channel that is clipped or stuck in more of them hardly measures."""
+"""Share of clipped or stuck rows above which the report calls the signal a guess."""
 
 _PIECE = 1 << 16  # rows whose arrays stay in the cache
 _HARDLY_MEASURES = (Verdict.CLIPPED, Verdict.STUCK)
@@ -40,15 +40,15 @@ class Fault:
     Attributes
     ----------
     what : str
-        The verdict, in a word.
+        Name of the verdict.
     readings : int
-        How many met it.
+        Number of readings with it.
     first_row : int
-        The first of them, counted from 1.
+        First row with it, counted from 1.
     first_s : float
-        When it came, in seconds after the first row.
+        Time of that row, in seconds after the first row.
     found_within_s : float
-        How long such a fault lasts, at the most, until it is told; 0: its first reading tells.
+        Longest time until such a fault is detected; 0: its first reading shows it.
     """
 
     what: str
@@ -59,29 +59,29 @@ class Fault:
 
 
 class Findings(NamedTuple):
-    """What was found to be wrong with the sensor of one channel."""
+    """The faults that were found in the sensor of one channel."""
 
-    limits: Limits  # what its readings were held against
+    limits: Limits  # the limits that its readings were checked against
     step_s: float
     rows: int  # so far
-    of_readings: dict[Verdict, FaultCount]  # what is wrong with readings, or with their times
-    monitor: InnovationMonitor  # what is wrong with innovations
+    of_readings: dict[Verdict, FaultCount]  # faults of readings, or of their times
+    monitor: InnovationMonitor  # faults that the innovations show
 
     @property
     def found(self) -> dict[Verdict, FaultCount]:
-        """What is wrong with readings, with their time, or with innovations; what is missing is no fault."""
-        told = (Verdict.MISSING, Verdict.STUCK) if self._holds else (Verdict.MISSING,)
-        found = {verdict: one for verdict, one in self.of_readings.items() if verdict not in told}
+        """Return the faults of readings, of their times and of innovations; a missing reading is not a fault."""
+        excluded = (Verdict.MISSING, Verdict.STUCK) if self._repeats_readings else (Verdict.MISSING,)
+        found = {verdict: one for verdict, one in self.of_readings.items() if verdict not in excluded}
         return found | self.monitor.found
 
     @property
-    def _holds(self) -> bool:
+    def _repeats_readings(self) -> bool:
         return self.limits.stuck_readings == EVERY_REPEAT
 
-    def _said_of_repeats(self) -> list[str]:
-        """Say how often a channel repeats a reading because no new one came."""
+    def _repeats(self) -> list[str]:
+        """Return a sentence on readings that only repeat the previous one, if the sensor is slower than its log."""
         found = self.of_readings.get(Verdict.STUCK)
-        if not self._holds or found is None:
+        if not self._repeats_readings or found is None:
             return []
         if found.readings > MOST_LOST * self.rows:
             new = self.rows / (self.rows - found.readings)
@@ -89,10 +89,10 @@ class Findings(NamedTuple):
                 f"The sensor is slower than its log: a new reading comes every {new:.3g} rows on average; the rows"
                 " between repeat it and count as missing."
             ]
-        return [f"{found.readings} of {self.rows} rows only repeat the reading before and count as missing."]
+        return [f"{found.readings} of {self.rows} rows only repeat the previous reading and count as missing."]
 
     def faults(self) -> tuple[Fault, ...]:
-        """Tell each fault, with when it came first."""
+        """Return each fault, with its first row and time."""
         return tuple(
             Fault(
                 verdict.name.lower(),
@@ -105,26 +105,26 @@ class Findings(NamedTuple):
         )
 
     def _delay(self, verdict: Verdict) -> float:
-        """Return how many readings a fault lasts until it is told."""
+        """Return how many readings it takes to detect a fault."""
         alarms = self.monitor.alarms
         if verdict in (Verdict.DRIFT, Verdict.DEAD):
             return alarms.drift_delay if verdict == Verdict.DRIFT else alarms.dead_delay
         return float(self.limits.stuck_readings or 0) if verdict == Verdict.STUCK else 0.0
 
     def says(self) -> list[str]:
-        """Say what was found, when first, and what to do."""
+        """Return sentences: which faults were found, when each came first, and what to do."""
         lost = sum(found.readings for verdict, found in self.found.items() if verdict in _HARDLY_MEASURES)
-        told = said(self.found, self.limits, self.step_s)
+        lines = said(self.found, self.limits, self.step_s)
         if lost > MOST_LOST * self.rows:
-            told.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")
-        return [*self._said_of_repeats(), *told, *self.changes()]
+            lines.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")
+        return [*self._repeats(), *lines, *self.changes()]
 
     def changes(self) -> list[str]:
-        """Say from when on the noise was another."""
+        """Return a sentence on when the noise changed, if it did."""
         return said_of_change(self.monitor.history.change(), self.step_s)
 
     def advice(self) -> tuple[str, ...]:
-        """Say what to do about the faults that were found."""
+        """Return what to do about the faults."""
         return (*(ADVICE[verdict] for verdict in sorted(self.found)), *self.changes())
 
 
@@ -132,64 +132,65 @@ class Healthy(NamedTuple):
     """Readings of a channel to tune on."""
 
     readings: Floats  # (N,) NaN where missing, impossible, clipped, stuck or a gross outlier
-    outliers: Floats  # (N,) the gross outliers, held within what is plausible; NaN elsewhere
+    outliers: Floats  # (N,) the gross outliers, clipped to the plausible range; NaN elsewhere
     limits: LimitsRecipe | None
 
 
 def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = False) -> Healthy:
-    """Find what a channel keeps to, and leave out the readings that do not.
+    """Find the limits of a channel, and leave out the readings outside them.
 
     Parameters
     ----------
     z : (N,) float array
         Readings, in unit; NaN where missing.
     elapsed : (N,) float array
-        Steps since the row before.
+        Steps since the previous row.
     step_s : float
         One step, in seconds.
     causal : bool
-        Whether gross outliers are those of a filter that waits for no later readings, which lets more of them in.
+        Whether to find gross outliers from earlier readings only, as a causal filter does; it misses more of them.
 
     Returns
     -------
     Healthy
-        The readings as they came where all are usable.
+        The readings (unchanged if all are usable), the outliers and the limits.
     """
     limits = find_limits(z, elapsed, FALSE_ALARMS_PER_HOUR, step_s)
     codes = Faults(limits if causal else limits._replace(outliers=limits.outliers.without_neighbours)).push(z, elapsed)
     rule = limits.outliers
     if not causal:
         possible = np.where(np.isfinite(z) & (np.abs(z) <= limits.largest) & (z != rule.blank), z, np.nan)
-        found = beside_others(possible, rule, stuck_at_once(limits))
-        codes[(found == Verdict.OUTLIER) & ~LOST[codes]] = Verdict.OUTLIER
-        codes[found == Verdict.STUCK] = Verdict.STUCK
+        outlier_codes = beside_others(possible, rule, stuck_at_once(limits))
+        codes[(outlier_codes == Verdict.OUTLIER) & ~LOST[codes]] = Verdict.OUTLIER
+        codes[outlier_codes == Verdict.STUCK] = Verdict.STUCK
     enters = ~LOST[codes] & (z != rule.blank)
     outliers = np.where((codes == Verdict.OUTLIER) & (z != rule.blank), np.clip(z, rule.low, rule.high), np.nan)
     return Healthy(z if enters.all() else np.where(enters, z, np.nan), outliers, written(limits))
 
 
 class SensorWatch:
-    """Stands before a filter of one channel: lets only usable readings in, and knows what became of the others.
+    """Checks the readings of one channel before its filter: only usable readings enter, the others get a verdict.
 
-    Shown the filter's innovations as well, it tells drift and death where the recipe says how, and a change of noise.
+    With the filter's innovations it also detects drift and a dead sensor, if the recipe has thresholds, and a change of
+    noise.
 
     Parameters
     ----------
     told : LimitsRecipe or None
-        What the channel keeps to.
+        Limits of the channel.
     step_s : float
         One step, in seconds.
     shown : bool
-        Whether it will be shown innovations.
+        Whether it will get innovations.
     ahead : int
-        Later rows that each waits for, so that gross outliers are found by readings on both sides; 0: by those before.
+        Later rows that are used to find gross outliers, from readings on both sides; 0: from earlier readings only.
 
     Attributes
     ----------
     rows : int
-        Rows so far.
+        Number of rows so far.
     monitor : InnovationMonitor
-        Of the innovations.
+        Detects faults from the innovations.
     """
 
     def __init__(self, told: LimitsRecipe | None, step_s: float, *, shown: bool = True, ahead: int = 0) -> None:
@@ -199,34 +200,34 @@ class SensorWatch:
             limits = limits._replace(outliers=limits.outliers.without_neighbours)
         self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(told)), shown
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
-        self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations it has told before the rows themselves
+        self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations came before their estimates
         self._elapsed = np.empty(0)  # before rows without innovations yet
         self._step_s, self.rows = step_s, 0
 
     def push(self, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
-        """Take readings (B,) and the steps before them.
+        """Take readings (B,) and the steps before each.
 
         Returns
         -------
         (float array, float array)
-            The next readings, NaN where none may enter the filter, and the steps before them; fewer where rows wait.
+            The next readings, NaN where none may enter the filter, and the steps before each; fewer while rows wait.
         """
         if self._ahead is None:
             return self._usable(z, elapsed, None), elapsed
-        z, elapsed, beside = self._ahead.push(z, elapsed)
-        return self._usable(z, elapsed, beside), elapsed
+        z, elapsed, outliers = self._ahead.push(z, elapsed)
+        return self._usable(z, elapsed, outliers), elapsed
 
     def finish(self) -> tuple[Floats, Floats]:
-        """Return the readings that waited, as `push` does."""
+        """Return the remaining readings, as `push` does."""
         if self._ahead is None:
             return np.empty(0), np.empty(0)
-        z, elapsed, beside = self._ahead.finish()
-        return self._usable(z, elapsed, beside), elapsed
+        z, elapsed, outliers = self._ahead.finish()
+        return self._usable(z, elapsed, outliers), elapsed
 
-    def _usable(self, z: Floats, elapsed: Floats, beside: Codes | None) -> Floats:
+    def _usable(self, z: Floats, elapsed: Floats, outliers: Codes | None) -> Floats:
         if not len(z):
             return z
-        verdicts = self._faults.push(z, elapsed, beside)
+        verdicts = self._faults.push(z, elapsed, outliers)
         self._verdicts = np.append(self._verdicts, verdicts)
         if self._shown:
             self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may write into its own
@@ -234,7 +235,7 @@ class SensorWatch:
         return np.where(LOST[verdicts], np.nan, z) if verdicts.any() else z
 
     def begin_after(self, before: History) -> None:
-        """Say what went before the rows that will come."""
+        """Set the history before the first row."""
         self._faults.begin_after(before.rows, before.steps, before.least, before.most)
         self.monitor.begin_after(before.readings, before.rows, before.steps)
 
@@ -249,17 +250,17 @@ class SensorWatch:
         self._alarms = np.concatenate(alarms)
 
     def named(self, told: list[EstimatedRows]) -> list[EstimatedRows]:
-        """Return what a filter tells of the next rows, with what else became of their readings."""
-        return [part._replace(verdicts=self._beside(part.verdicts)) for part in told]
+        """Return the estimates of the next rows with the verdicts of this check."""
+        return [part._replace(verdicts=self._all_verdicts(part.verdicts)) for part in told]
 
     def saved(self) -> dict[str, Any]:
-        """Return what verdicts depend on, as arrays."""
+        """Return the state as arrays."""
         waiting = {"watch_verdicts": self._verdicts, "watch_alarms": self._alarms, "watch_elapsed": self._elapsed}
         ahead = {} if self._ahead is None else self._ahead.saved()
         return self._faults.saved() | self.monitor.saved() | waiting | ahead
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         self._faults.restore(arrays)
         self.monitor.restore(arrays)
         self._verdicts, self._alarms = arrays["watch_verdicts"], arrays["watch_alarms"]
@@ -268,10 +269,10 @@ class SensorWatch:
             self._ahead.restore(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return what later verdicts depend on and nothing else, so that it can be compared."""
+        """Return only what later verdicts depend on, for comparison."""
         return self._faults.comparable_state() | (self.monitor.comparable_state() if self._shown else {})
 
-    def _beside(self, verdicts: Codes) -> Codes:
+    def _all_verdicts(self, verdicts: Codes) -> Codes:
         rows = len(verdicts)
         before, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
         alarms, self._alarms = self._alarms[:rows], self._alarms[rows:]
@@ -280,10 +281,10 @@ class SensorWatch:
 
     @property
     def findings(self) -> Findings:
-        """What was found so far."""
+        """Return the faults so far."""
         return Findings(self._faults.limits, self._step_s, self.rows, self._faults.found, self.monitor)
 
 
 def beside_filter(verdicts: Codes, before: Codes) -> Codes:
-    """Return what became of readings: what their filter says of them, (B,), and else what stood before it says."""
+    """Return the verdicts (B,): those of the filter, if it rejected or found a step, else those from before it."""
     return np.where(_FROM_FILTER[verdicts], verdicts, before) if verdicts.any() else before

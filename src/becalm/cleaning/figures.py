@@ -1,4 +1,4 @@
-"""What the filter of a channel is in an engineer's words: of a fixed one, or of each mode of one that switches."""
+"""Describe the filter of a channel by bandwidth, lag and noise gain, for each of its modes if it has several."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.independence import independence_steps
 
 _NOTHING_REMOVED = 0.8
-"""Noise gain above which a filter has found next to no noise to remove."""
+"""Noise gain above which a filter removes next to no noise."""
 
 
 class Figures(NamedTuple):
-    """What is told of a filter; see `ChannelReport`. While each row waits for a lag, no band and no lag are."""
+    """The figures of a filter, see `ChannelReport`; a filter with a fixed lag has neither bandwidth nor lag here."""
 
     bandwidth_hz: float | None = None
     lag_s: float | None = None
     independence_s: float | None = None
     modes: dict[str, ModeReport] = {}  # noqa: RUF012  (never changed)
-    noise_gain: float | None = None  # of one that is fixed, and settles
+    noise_gain: float | None = None  # of a fixed filter that has a steady state
 
     @property
     def removes_nothing(self) -> bool:
-        """Whether it is known to remove next to no noise."""
+        """Return whether the filter is known to remove next to no noise."""
         return self.noise_gain is not None and self.noise_gain >= _NOTHING_REMOVED
 
     @property
     def removes_noise(self) -> bool:
-        """Whether it is known to remove some."""
+        """Return whether the filter is known to remove noise."""
         return self.noise_gain is not None and self.noise_gain < _NOTHING_REMOVED
 
 
 def fixed_figures(tuning: Tuning, step_s: float, lag: int | None) -> Figures:
-    """Describe a filter that does not switch; `lag` as in `open_channel`."""
+    """Return the figures of a fixed filter; `lag` as in `open_channel`."""
     response = _response(tuning.component, tuning.noise_variance, step_s, causal=lag is not None)
     gain = None if response is None else response.noise_gain
     if lag:
@@ -55,26 +55,26 @@ def fixed_figures(tuning: Tuning, step_s: float, lag: int | None) -> Figures:
 
 
 def mode_figures(switching: InteractingModels, shares: dict[str, float], step_s: float, lag: int | None) -> Figures:
-    """Describe each mode of a filter that switches, and say which share of the rows it was in force."""
+    """Return the figures of each mode of an IMM; `shares` are the shares of rows in which each was in force."""
     modes = {}
     for mode in switching.modes:
-        found = _response(mode.component, mode.noise_variance, step_s, causal=lag is not None)
-        told = ModeReport(shares[mode.name])
-        if found is not None and not lag:
-            left = float(np.sqrt(found.noise_gain * mode.noise_variance))
-            lag_s = found.lag_s if np.isfinite(found.lag_s) else None
-            told = ModeReport(shares[mode.name], found.bandwidth_hz, lag_s, left)
-        modes[mode.name] = told
+        response = _response(mode.component, mode.noise_variance, step_s, causal=lag is not None)
+        report = ModeReport(shares[mode.name])
+        if response is not None and not lag:
+            left = float(np.sqrt(response.noise_gain * mode.noise_variance))
+            lag_s = response.lag_s if np.isfinite(response.lag_s) else None
+            report = ModeReport(shares[mode.name], response.bandwidth_hz, lag_s, left)
+        modes[mode.name] = report
     return Figures(modes=modes)
 
 
 def response_of(channel: ChannelRecipe, report: ChannelReport, step_s: float, causal: bool) -> Response | None:
-    """Describe the filter of a channel, of one that switches in the mode that was most in force.
+    """Return the response of a channel's filter; with several modes, of the one that was in force most.
 
     Returns
     -------
     Response or None
-        None of a channel that passes unchanged, or of a filter that never settles.
+        None for a channel that passes unchanged, or a filter without a steady state.
     """
     if channel.motion is None:
         return None
@@ -87,12 +87,12 @@ def response_of(channel: ChannelRecipe, report: ChannelReport, step_s: float, ca
 
 
 def fixed_response(tuning: Tuning, step_s: float, causal: bool) -> Response | None:
-    """Describe a filter that does not switch; None of one that never settles."""
+    """Return the response of a fixed filter; None if it has no steady state."""
     return _response(tuning.component, tuning.noise_variance, step_s, causal=causal)
 
 
 def _response(component: Component, noise_variance: float, step_s: float, *, causal: bool) -> Response | None:
-    """Describe a filter; None of one that never forgets its start, and so never settles."""
+    """Return the response of a filter; None if it never forgets its start, so that it has no steady state."""
     try:
         return describe(component.to_model(1.0, noise_variance), step_s, causal, component.signal_output[0])
     except ModelError:

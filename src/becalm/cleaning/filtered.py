@@ -1,4 +1,4 @@
-"""A channel that is filtered, but for its filter: what a file's and a stream's have in common."""
+"""The common base of filtered channels in files and in streams: all but the filter itself."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from becalm.core.verdict import Verdict, counted
 
 
 class FilteredChannel:
-    """What filters of one channel are made of, and what is made of what they tell.
+    """Checks readings before a filter, and widens sigma and counts verdicts after it.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        In seconds and units.
+        Its filter, in seconds and units.
     step_s : float
-        Step in seconds.
+        One step, in seconds.
     lag : int or None
-        Later rows that each row waits for: 0 filters, None waits for all.
+        Lag in rows: 0 for a causal filter, None for a smoother.
 
     Attributes
     ----------
     counts : Counter of Verdict
         How often each verdict was given.
     sensor : SensorWatch
-        What is wrong with readings.
+        Finds faults of the readings.
 
     Raises
     ------
     RecipeError
-        If its numbers make no filter at this step.
+        If its parameters do not make a valid filter at this step.
     """
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int | None) -> None:
@@ -50,11 +50,11 @@ class FilteredChannel:
         timing = recipe.timing
         self._timing = None if timing is None else TimingNoise(timing, self._runs.noise_std, step_s)
 
-    def _counted(self, told: list[EstimatedRows]) -> list[EstimatedRows]:
-        """Return what a filter tells, with what else became of readings, and sigma as wide as it has to be."""
-        told = [self._sentinel.told(part) for part in self.sensor.named(told)]
-        for part in told:
+    def _counted(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
+        """Return the rows of a filter with all verdicts, and with sigma widened by the other uncertainties."""
+        rows = [self._sentinel.told(part) for part in self.sensor.named(rows)]
+        for part in rows:
             self.counts.update(counted(part.verdicts))
         if self._timing is not None:
-            told = [self._timing.widened(part) for part in told]
-        return self._uncertainty.widened(told)
+            rows = [self._timing.widened(part) for part in rows]
+        return self._uncertainty.widened(rows)

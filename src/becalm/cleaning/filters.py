@@ -1,4 +1,4 @@
-"""The filter of a channel as its recipe says: the same for a whole record, and for a part of it."""
+"""Build the filter of a channel from its recipe, for a whole record or for a part of it."""
 
 from __future__ import annotations
 
@@ -26,38 +26,38 @@ from becalm.identification.likelihood import Tuning
 
 
 class Filter:
-    """What a motion's recipe means in steps, to be opened as often as it is run.
+    """The filter of a channel in steps; `opened` starts a new run of it.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        Of a motion, in seconds and units.
+        Recipe with a motion, in seconds and units.
     step_s : float
-        Step in seconds.
+        One step, in seconds.
     lag : int or None
-        Later rows that each row waits for: 0 filters, None waits for all.
+        Lag in rows: 0 for a causal filter, None for a smoother.
 
     Attributes
     ----------
     tuning : Tuning
-        Its numbers in steps.
+        Its parameters in steps.
     modes : InteractingModels or None
-        Its modes, where it switches.
+        Its modes, if it has several.
     lag : int or None
-        Later rows that it smooths with; others of the lag tell outliers before it.
+        Later rows that it smooths with; the other rows of the lag are used to find outliers before the filter.
     gate : Gate or None
-        What leaves spikes out.
+        The gate that rejects spikes.
     noise_std : float
-        Of a reading, in unit; of a bank that of its calmest mode.
+        Standard deviation of the noise of a reading, in unit; with several modes, in the calmest one.
     gap_limit : GapLimit
-        Which gaps it is carried across.
+        Longest gaps that it bridges; after longer ones it starts anew.
     largest : float
-        Magnitude beyond which a value is no reading, in unit.
+        Largest magnitude of a valid reading, in unit.
 
     Raises
     ------
     RecipeError
-        If its numbers make no filter at this step.
+        If its parameters do not make a valid filter at this step.
     """
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int | None) -> None:
@@ -77,9 +77,9 @@ class Filter:
     def opened(
         self, judge: Judge | None = None, *, split: bool = False
     ) -> RestartingFlow | SmoothedFlow | FixedLagFlow:
-        """Return it at the start of a record; a judge is shown its innovations, split tells its parts too.
+        """Start a run at the beginning of a record; `judge` gets its innovations, `split` estimates its parts too.
 
-        A causal filter without modes is a `CausalChannel`, or a `CausalFlow`.
+        A causal filter without modes is a `CausalChannel` or a `CausalFlow` instead.
         """
         if self.modes is not None:
             return RestartingFlow(partial(self._part, self.modes, judge, split), self.gap_limit, self.largest)
@@ -90,22 +90,22 @@ class Filter:
         return FixedLagFlow(part, variance, lag=self.lag, judge=judge, split=split, gate=self.gate)
 
     def alone(self) -> RestartingFlow | SmoothedFlow | FixedLagFlow | CausalFlow:
-        """Return it at the start of a record, where nothing but its signal is asked for."""
+        """Start a run at the beginning of a record that estimates only signal and sigma."""
         if self.lag == 0 and self.modes is None:
             return CausalFlow(self.tuning.component, self.noise_variance, self.gate)
         return self.opened()
 
     @property
     def aligned(self) -> int:
-        """Rows at whose multiples a run over a part of a record has to begin."""
+        """Return the number of rows of which the first row of a partial run must be a multiple."""
         return rows_between(self.lag) if self.lag and self.modes is not None else BLOCK
 
     @cached_property
     def forgotten_after(self) -> float:
-        """Readings after which it depends no more on where it began, or, of a smoother, on what comes then; or inf."""
+        """Return after how many readings estimates forget the start (of a smoother: also the end) of a run; or inf."""
         if self.modes is None:
             return rows_until(FORGOTTEN, self.tuning.component.to_model(1.0, self.noise_variance))
-        models = [one.component.to_model(1.0, one.noise_variance) for one in self.modes.modes]
+        models = [mode.component.to_model(1.0, mode.noise_variance) for mode in self.modes.modes]
         return max(rows_until(FORGOTTEN, model) for model in models)
 
     def _part(self, modes: InteractingModels, judge: Judge | None, split: bool) -> PartialFlow:
@@ -115,5 +115,5 @@ class Filter:
 
 
 def _gap_limit_of_modes(modes: InteractingModels) -> GapLimit:
-    """Return which gaps a bank may be carried across."""
+    """Return which gaps an IMM may bridge."""
     return least_gap_limit([gap_limit_of(mode.component, mode.noise_variance) for mode in modes.modes])

@@ -1,8 +1,8 @@
-"""From one recipe to another amid a stream, without a jump: both filters run, and the one gives way to the other.
+"""Change the recipe of a running stream without a jump: both filters run while the new one replaces the old one.
 
-The new filter starts from the next readings alone. Until it has forgotten that start the old one is told; then, over as
-many rows again, what is told goes from the old signal to the new along a straight line, and so does sigma, which is
-never less than that of either mixture: |a x + b y| deviates by a sigma_x + b sigma_y at the most.
+The new filter starts with the next readings. Until it has forgotten its start, the stream returns the estimates of the
+old filter. Then, over as many rows again, signal and sigma change linearly from the old filter to the new one. This
+sigma is an upper bound: the standard deviation of a x + b y is at most a sigma_x + b sigma_y.
 """
 
 from __future__ import annotations
@@ -23,70 +23,70 @@ from becalm.errors import ModelError, RecipeError
 
 _TIMES_INDEPENDENT = 3.0
 _FEWEST, _MOST = 32, 1 << 16  # rows
-_DAMAGED = "These bytes are no snapshot of a handover between two filters."
+_DAMAGED = "These bytes are not a snapshot of a change between two filters."
 
 
 class Handover:
-    """Two streams' filters, of which the former gives way to the later.
+    """Runs two stream filters while the later one replaces the former one.
 
     Parameters
     ----------
     former : StreamCleaner
-        Goes on for a while.
+        The old filter, which continues for a while.
     later : StreamCleaner
-        Has seen no row yet.
+        The new filter, which has had no row yet.
     rows : int
-        How long it takes until the later one has forgotten its start, and as long again to hand over.
+        Rows until the new filter has forgotten its start; the change then takes as many rows again.
 
     Raises
     ------
     RecipeError
-        If they wait for different lags.
+        If they have different lags.
     """
 
     def __init__(self, former: StreamCleaner, later: StreamCleaner, rows: int) -> None:
         if former.lag_rows != later.lag_rows:
             raise RecipeError(
-                f"The recipe waits for {later.lag_rows} readings, and the stream's for {former.lag_rows}; a stream"
-                " keeps its lag. Begin another stream for this recipe."
+                f"The recipe has a lag of {later.lag_rows} readings, and the stream one of {former.lag_rows}; a stream"
+                " keeps its lag. Start another stream for this recipe."
             )
-        self.former, self.later, self._rows, self._told = former, later, rows, 0
+        self.former, self.later, self._rows, self._rows_done = former, later, rows, 0
 
     @property
     def lag_rows(self) -> int:
-        """Later rows that each row waits for."""
+        """Return the lag in rows."""
         return self.later.lag_rows
 
     @property
     def has_begun(self) -> bool:
-        """Whether the later filter has a share in what is told."""
-        return self._told >= self._rows
+        """Return whether the estimates already contain a share of the later filter."""
+        return self._rows_done >= self._rows
 
     @property
     def is_over(self) -> bool:
-        """Whether only the later filter is told by now."""
-        return self._told >= 2 * self._rows
+        """Return whether the estimates are only those of the later filter."""
+        return self._rows_done >= 2 * self._rows
 
     def push(self, values: Floats, elapsed: Floats) -> Streamed:
-        """Take the next rows; see `StreamCleaner.push`. The former one answers for rows that it alone has seen."""
+        """Take the next rows; see `StreamCleaner.push`. Rows from before the later filter come from the former one."""
         before, after = self.former.push(values, elapsed), self.later.push(values, elapsed)
         return self._joined(before, after)
 
     def finish(self) -> Streamed:
-        """Return the rows that wait; nothing changes by it."""
-        told = self._told
-        answer = self._joined(self.former.finish(), self.later.finish())
-        self._told = told
-        return answer
+        """Return the estimates of the waiting rows so far; the state does not change."""
+        rows_done = self._rows_done
+        estimates = self._joined(self.former.finish(), self.later.finish())
+        self._rows_done = rows_done
+        return estimates
 
     def health(self) -> tuple[ChannelHealth, ...]:
-        """Say how each channel of the later filter is."""
+        """Return the health of each channel of the later filter."""
         return self.later.health()
 
     def _joined(self, before: Streamed, after: Streamed) -> Streamed:
-        alone = len(before.signal) - len(after.signal)  # rows that came before the later one began
-        share = (np.arange(self._told, self._told + len(after.signal)) + 1 - self._rows) / self._rows
-        self._told += len(after.signal)
+        alone = len(before.signal) - len(after.signal)  # rows from before the later filter started
+        share = (np.arange(self._rows_done, self._rows_done + len(after.signal)) + 1 - self._rows) / self._rows
+        self._rows_done += len(after.signal)
         w = np.concatenate([np.zeros(alone), np.clip(share, 0.0, 1.0)])[:, None]
         return Streamed(
             _mixed(w, before.signal, np.concatenate([before.signal[:alone], after.signal])),
@@ -96,10 +96,10 @@ class Handover:
         )
 
     def snapshot(self, former: Recipe) -> bytes:
-        """Return all that is needed to go on later, as plain bytes; `former` is the recipe that gives way."""
+        """Return the whole state as plain bytes, to continue later; `former` is the recipe that is replaced."""
         return packed(
             {
-                "counts": np.array([self._rows, self._told], np.int64),
+                "counts": np.array([self._rows, self._rows_done], np.int64),
                 "recipe": np.frombuffer(former.model_dump_json().encode(), np.int8),
                 "former": np.frombuffer(self.former.snapshot(), np.int8),
                 "later": np.frombuffer(self.later.snapshot(), np.int8),
@@ -108,36 +108,36 @@ class Handover:
 
     @classmethod
     def resume(cls, blob: bytes, recipe: Recipe) -> tuple[Self, Recipe]:
-        """Go on from a snapshot; return the handover and the recipe that gives way.
+        """Continue from a snapshot; return the handover and the recipe that is replaced.
 
         Raises
         ------
         ModelError
             If the bytes are damaged.
         RecipeError
-            If they are of another recipe.
+            If the snapshot is of another recipe.
         """
         try:
             arrays = unpacked(blob)
-            rows, told = (int(count) for count in arrays["counts"])
+            rows, rows_done = (int(count) for count in arrays["counts"])
             old = Recipe.model_validate(json.loads(arrays["recipe"].tobytes()))
             halves = arrays["former"].tobytes(), arrays["later"].tobytes()
         except (KeyError, TypeError, ValueError) as cause:
             raise ModelError(_DAMAGED) from cause
         former, later = (StreamCleaner.resume(half, r) for half, r in zip(halves, (old, recipe), strict=True))
         handover = cls(former, later, rows)
-        handover._told = told
+        handover._rows_done = rows_done
         return handover, old
 
 
 def _mixed(w: Floats, old: Floats, new: Floats) -> Floats:
-    """Go from old to new; at the ends exactly, where the other may be NaN or inf."""
+    """Return (1 - w) old + w new; exactly one of them at the ends, where the other may be NaN or inf."""
     with np.errstate(invalid="ignore"):
         return np.where(w == 0, old, np.where(w == 1, new, (1 - w) * old + w * new))
 
 
 def rows_to_forget(recipe: Recipe, step_s: float) -> int:
-    """Return after how many rows each filter of a recipe has forgotten how it began; at most 65 536."""
+    """Return after how many rows each filter of a recipe has forgotten its start; at most 65 536."""
     longest_s = 0.0
     for channel in recipe.channel:
         if channel.motion is not None:

@@ -1,4 +1,4 @@
-"""What a smoother is worth in holes, measured: readings of the record are hidden in blocks, and told by all others."""
+"""Measure the errors of a smoother in holes: hide blocks of readings and estimate them from all others."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from becalm.core.verdict import LOST
 from becalm.identification.likelihood import Evidence
 
 LENGTHS = (8, 40, 200)
-"""Readings in a block."""
+"""Lengths of the hidden blocks, in readings."""
 
-_FEWEST = 4  # blocks of which something is told
-_LONGER = 1.5  # times what was hidden: a hole of the record itself is among it
+_FEWEST = 4  # blocks that are needed for a correction
+_LONGER = 1.5  # times the hidden length: a longer hole contains a hole of the record itself
 _FADINGS = (0.0, *np.geomspace(0.02, 16.0, 48).tolist())
 _STEEPEST = 2.0  # power by which sigma may grow
 _HALVINGS, _DIGITS = 30, 3
@@ -27,38 +27,38 @@ _SEED = 33
 
 
 def holes_shown(recipe: ChannelRecipe, evidence: Evidence, step_s: float) -> tuple[HoleRecipe, ...]:
-    """Return what a smoother is worth in holes of some lengths; nothing where it is worth what its model says.
+    """Return the corrections of a smoother in holes of some lengths; none if its model needs none.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        Of a motion.
+        Recipe with a motion.
     evidence : Evidence
         The readings that it was tuned on.
     step_s : float
-        A step of theirs, in seconds.
+        One step, in seconds.
     """
     blank = recipe.model_copy(update={"hole": (), "fill": True})
     rows = [Evidence(evidence.z[part], evidence.elapsed[part]) for part in evidence.sample]
     full = [_smoothed(blank, one.z[:, 0], one.elapsed, step_s) for one in rows]
     pairs = list(zip(rows, full, strict=True))
-    found = [_shown([_hidden(blank, *pair, step_s, length) for pair in pairs], length) for length in LENGTHS]
-    shown = tuple(one for one in found if one is not None)
+    by_length = [_correction([_hidden(blank, *pair, step_s, length) for pair in pairs], length) for length in LENGTHS]
+    shown = tuple(one for one in by_length if one is not None)
     return shown if any(one.model_fading or one.sigma_growth for one in shown) else ()
 
 
 class Hidden(NamedTuple):
-    """Readings (k,) that were hidden, in unit."""
+    """Estimates of k hidden readings, in unit."""
 
-    off: Floats  # from a line across, as the smoother tells them that knows them
-    bow: Floats  # from a line across, as the one tells them that does not
-    sigma: Floats  # of the one that does not
-    wider: Floats  # the same over sigma beside the hole
-    known: Floats  # sigma of the smoother that knows them
+    off: Floats  # departure from the line across the hole, estimated with the hidden readings
+    bow: Floats  # the same, estimated without them
+    sigma: Floats  # sigma of the estimate without them
+    wider: Floats  # sigma divided by sigma at the edge of the hole
+    known: Floats  # sigma of the estimate with them
 
 
-def _shown(parts: list[Hidden], length: int) -> HoleRecipe | None:
-    """Return what a smoother is worth in holes of one length; None of a record that is too short to tell."""
+def _correction(parts: list[Hidden], length: int) -> HoleRecipe | None:
+    """Return the correction in holes of one length; None if the record is too short."""
     off, bow, sigma, wider, known = Hidden(*map(np.concatenate, zip(*parts, strict=True)))
     if len(off) < _FEWEST * length:
         return None
@@ -72,26 +72,26 @@ def _shown(parts: list[Hidden], length: int) -> HoleRecipe | None:
 
 
 def _is_less(some: Floats, others: Floats, length: int) -> bool:
-    """Whether squared errors (k,) are less than others, by more than blocks of so many differ by chance."""
+    """Return whether squared errors (k,) are less than others by more than chance, from means over blocks."""
     count = len(some) // length
     less = (others - some)[: count * length].reshape(count, length).mean(axis=1)
     return bool(less.mean() > less.std() / np.sqrt(count))
 
 
 def _hidden(recipe: ChannelRecipe, rows: Evidence, full: EstimatedRows, step_s: float, length: int) -> Hidden:
-    """Hide readings in blocks of one length, and tell them by all others; those that the filter left out are none."""
+    """Hide blocks of one length and estimate them from all other readings, but for those that the filter left out."""
     hidden = hidden_rows(len(full.signal), length)
-    told = _smoothed(recipe, np.where(hidden, np.nan, rows.z[:, 0]), rows.elapsed, step_s)
-    hole = across(np.cumsum(rows.elapsed), told, has_reading(told), recipe.own_steps(step_s))
-    found = np.stack([
-        full.signal - hole.line, told.signal - hole.line, told.sigma, widening(told.sigma, hole.edge), full.sigma,
+    blind = _smoothed(recipe, np.where(hidden, np.nan, rows.z[:, 0]), rows.elapsed, step_s)
+    hole = across(np.cumsum(rows.elapsed), blind, has_reading(blind), recipe.own_steps(step_s))
+    values = np.stack([
+        full.signal - hole.line, blind.signal - hole.line, blind.sigma, widening(blind.sigma, hole.edge), full.sigma,
     ])  # fmt: skip
     sound = hidden & ~LOST[full.verdicts] & (hole.missing < _LONGER * length)
-    return Hidden(*found[:, sound & np.isfinite(found).all(axis=0)])
+    return Hidden(*values[:, sound & np.isfinite(values).all(axis=0)])
 
 
 def hidden_rows(count: int, length: int) -> Booleans:
-    """Return which of so many readings are hidden: blocks, from one to the next two to three of their lengths."""
+    """Return which of `count` readings are hidden: blocks whose starts are two to three lengths apart."""
     rng, hidden = np.random.default_rng([_SEED, length]), np.zeros(count, bool)
     start = length + int(rng.integers(length))
     while start + 2 * length < count:
@@ -107,7 +107,7 @@ def _smoothed(recipe: ChannelRecipe, z: Floats, elapsed: Floats, step_s: float) 
 
 
 def _growth(sigma: Floats, wider: Floats, left: float) -> float:
-    """Return the power by which sigma grows, so that its mean square is that of the error; 0 where it is already."""
+    """Return the power by which sigma grows, so that its mean square is at least that of the error; 0 if it is."""
     low, high = 0.0, _STEEPEST
     if float(np.mean(sigma**2)) >= left:
         return 0.0

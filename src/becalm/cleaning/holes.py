@@ -1,8 +1,8 @@
-"""Rows without a reading in a smoothed record: how far the model is believed there, and with what sigma.
+"""Correct a smoother's estimates where readings are missing.
 
-A motion that tells readings well, one at a time, may tell them badly where many are missing. What it is worth there is
-measured by readings that are hidden in blocks (`hidden_blocks`). Of its departure from a line across the hole a share
-is believed that fades, and its sigma grows faster than the model says, both with sigma over that beside the hole.
+A motion that predicts single readings well may predict badly where many are missing. How well is measured by hiding
+readings in blocks (`hidden_blocks`). In a hole, the departure of the estimate from a straight line is reduced, and
+sigma is increased. Both corrections are powers of sigma divided by sigma at the edge of the hole.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from becalm.core.verdict import LOST
 
 
 class Across(NamedTuple):
-    """What lies across the holes of a record, in rows that have no reading; of other rows it is of no use."""
+    """The lines across the holes of a record; only valid in rows without a reading."""
 
-    line: Floats  # (N,) from the estimate before the hole to the one after it, in unit; NaN where there is one only
-    edge: Floats  # (N,) the less of the sigmas there, in unit
-    missing: Floats  # (N,) readings that are missing in the hole
+    line: Floats  # (N,) from the estimate before the hole to the one after it, in unit; NaN where one is missing
+    edge: Floats  # (N,) the smaller of the sigmas of these two, in unit
+    missing: Floats  # (N,) how many readings are missing in the hole
 
 
 class ReadingRow(NamedTuple):
@@ -38,42 +38,42 @@ NO_ROW = ReadingRow(np.nan, np.nan, np.nan)
 
 
 def across(times: Floats, told: EstimatedRows, used: Booleans, own_steps: float, before: ReadingRow = NO_ROW) -> Across:
-    """Return what lies across the holes of a record.
+    """Return the lines across the holes of a record.
 
     Parameters
     ----------
     times : (N,) float array
-        Of the rows, in steps.
+        Times of the rows, in steps.
     told : EstimatedRows
-        Of the same rows.
+        Estimates of the same rows.
     used : (N,) bool array
-        Which rows have a reading that entered.
+        Which rows have a reading that the filter used.
     own_steps : float
-        Steps from a reading to the next where none is missing.
+        Steps from one reading to the next if none is missing.
     before : ReadingRow
         The last row with a reading before these.
     """
     ends = [np.concatenate([[head], of[used], [np.nan]]) for head, of in zip(before, (times, *told[:2]), strict=True)]
     number = np.cumsum(used)
-    (begun, y, sigma), (ended, y_after, sigma_after) = (
+    (start, y, sigma), (end, y_after, sigma_after) = (
         [of[number + later] for of in ends] for later in (0, 1)
     )  # fmt: skip
-    length = ended - begun
-    share = np.divide(times - begun, length, out=np.zeros(len(times)), where=length > 0)
+    length = end - start
+    share = np.divide(times - start, length, out=np.zeros(len(times)), where=length > 0)
     edge = np.fmin(sigma, sigma_after)
     return Across(y + share * (y_after - y), edge, np.maximum(length / own_steps - 1.0, 0.0))
 
 
 class Holes:
-    """Tells rows without a reading by what hidden readings showed; rows wait until a hole has ended.
+    """Corrects the estimates of rows without a reading; rows wait until a hole has ended.
 
     Parameters
     ----------
     shown : sequence of HoleRecipe
-        For holes of some lengths, at least one; between them by the logarithm of the length, and beyond the longest as
-        there. Where one reading is missing the model is believed.
+        Corrections for holes of some lengths, at least one. Between these lengths they are interpolated by the
+        logarithm of the length; longer holes are corrected like the longest. One missing reading is not corrected.
     own_steps : float
-        Steps from a reading to the next where none is missing.
+        Steps from one reading to the next if none is missing.
     """
 
     def __init__(self, shown: Sequence[HoleRecipe], own_steps: float) -> None:
@@ -87,25 +87,25 @@ class Holes:
         self._waiting: list[EstimatedRows] = []
 
     def push(self, elapsed: Floats) -> None:
-        """Take the steps before rows that will be told, (B,)."""
+        """Take the steps before each of the next rows, (B,)."""
         times = self._time + np.cumsum(elapsed)
         self._times.append(times)
         self._time = float(times[-1]) if len(times) else self._time
 
     def bridged(self, told: Sequence[EstimatedRows]) -> list[EstimatedRows]:
-        """Return rows with what is told in holes; those of a hole that goes on wait."""
+        """Take the estimates of the next rows; return corrected rows, without those of a hole that has not ended."""
         self._waiting += told
         rows = EstimatedRows.joined(self._waiting)
         ends = np.flatnonzero(has_reading(rows))
-        return self._told(rows, int(ends[-1]) + 1) if len(ends) else []
+        return self._correct(rows, int(ends[-1]) + 1) if len(ends) else []
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the rest."""
+        """Return the remaining rows."""
         rows = EstimatedRows.joined(self._waiting)
-        return self._told(rows, len(rows.signal)) if len(rows.signal) else []
+        return self._correct(rows, len(rows.signal)) if len(rows.signal) else []
 
-    def _told(self, rows: EstimatedRows, count: int) -> list[EstimatedRows]:
-        """Tell the first rows; the others wait on."""
+    def _correct(self, rows: EstimatedRows, count: int) -> list[EstimatedRows]:
+        """Correct the first `count` rows and return them; the others keep waiting."""
         now, self._waiting = rows.rows(slice(count)), [rows.rows(slice(count, None))]
         times = np.concatenate(self._times)
         self._times, times = [times[count:]], times[:count]
@@ -131,12 +131,12 @@ class Holes:
 
 
 def widening(sigma: Floats, edge: Floats) -> Floats:
-    """Return sigma over that beside a hole, at least 1, (N,)."""
+    """Return sigma divided by sigma at the edge of the hole, at least 1, (N,)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         wider = sigma / edge
     return np.where((wider > 1.0) & np.isfinite(wider), wider, 1.0)
 
 
 def has_reading(rows: EstimatedRows) -> Booleans:
-    """Return which rows have a reading that entered, and an estimate (N,)."""
+    """Return which rows have a reading that the filter used, and an estimate, (N,)."""
     return ~LOST[rows.verdicts] & np.isfinite(rows.signal)

@@ -1,4 +1,4 @@
-"""Does the model describe the signal? Judged by the size of the effect, said in a sentence."""
+"""Judge from the innovations whether the model describes the signal, by the size of the effect."""
 
 from __future__ import annotations
 
@@ -22,53 +22,53 @@ PREDICTABLE = 0.10
 DESCRIBED = "The model describes the signal."
 
 COSTLY = 0.10
-"""Excess of a smoother's rms error over the least possible, above which it matters what is predictable."""
+"""Excess of a smoother's rms error over the least possible one, above which predictable innovations matter."""
 
 MOST_EXCEPTED = 0.5
-"""Excess of the rms error, beyond which even a narrow band is no mere exception."""
+"""Excess of the rms error, above which even a narrow band is more than an exception."""
 
 FEWEST_INNOVATIONS = 8
-"""Fewer than this tell nothing."""
+"""With fewer innovations there is no judgement."""
 
 UNEVEN = 0.10
 """Share of the record in which sigma may be wrong by more than a factor of two."""
 
 MISPLACED = 0.15
-"""Share of the probability of scores that may be misplaced: 0.16 is what a sigma 1.4 times too small makes."""
+"""Share of the probability of scores that may be misplaced: 0.16 is that of a sigma 1.4 times too small."""
 
-_FAR_OFF = 8.0  # in mean square, of a record too short for its evenness to be looked at
-_NARROW = 1 / 32  # cycles a reading, on each side of the loudest frequency: what 32 lags tell apart
-_CHANCE = 0.01  # p-value above which a short record tells nothing, however much seems predictable
-_LEAST = 1e-12  # share that is not predictable
+_FAR_OFF = 8.0  # mean square of a record that is too short for blocks
+_NARROW = 1 / 32  # cycles a reading, on each side of the loudest frequency: the resolution of 32 lags
+_CHANCE = 0.01  # p-value above which a predictable share counts as chance
+_LEAST = 1e-12  # least share that is not predictable
 
 Decision = Literal["fits", "fits except", "does not fit", "constant", "untold"]
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the innovations of one channel say of its model.
+    """The judgement on the model of one channel, from its innovations.
 
     Attributes
     ----------
     verdict : {"fits", "fits except", "does not fit", "constant", "untold"}
         "fits except": a narrow band is not described, near `loudest_hz`. "untold": too few readings.
     whiteness_p : float or None
-        Ljung-Box, 20 lags.
+        p-value of the Ljung-Box test, 20 lags.
     first_correlation : float or None
-        Of neighbouring innovations; positive: sluggish, negative: nervous.
+        Correlation of neighbouring innovations; positive: sluggish, negative: nervous.
     predictable_share : float or None
         Share of the innovation power that is still predictable.
     excess_error : float or None
-        What that costs: the share by which the rms error exceeds the least possible; of a smoother's
-        signal, of a causal filter's prediction.
+        Cost of that share: the share by which the rms error exceeds the least possible one; for a smoother of the
+        signal, for a causal filter of the prediction.
     loudest_hz : float or None
-        Where the spectrum of the innovations is highest.
+        Frequency at which the spectrum of the innovations is highest.
     uneven_share : float or None
         Share of the record whose innovations are half or twice as large as expected, or worse.
     nis_mean : float or None
-        Mean squared normalised innovation; 1 is right.
+        Mean squared normalised innovation; 1 is expected.
     lagged : LaggedSums or None
-        Of the normalised innovations: what whiteness was judged by.
+        Lagged sums of the normalised innovations, for the whiteness test.
     says : str
         The judgement as a sentence, with what to do.
     """
@@ -86,17 +86,17 @@ class Judgement:
 
     @property
     def describes(self) -> bool:
-        """Whether the model describes the signal, perhaps but for a narrow band."""
+        """Return whether the model describes the signal, possibly except a narrow band."""
         return self.verdict in ("fits", "fits except", "constant")
 
 
 class _Sums(NamedTuple):
-    """What is summed of the normalised innovations."""
+    """Sums of the normalised innovations."""
 
     lagged: LaggedSums = LaggedSums()
     blocks: BlockCount = BlockCount()
     power: Power = Power()
-    scores: ScoreCount | None = None  # of a filter with several modes
+    scores: ScoreCount | None = None  # for a filter with several modes
 
     def extended(self, piece: Floats) -> _Sums:
         lagged, blocks, power, scores = self
@@ -112,8 +112,8 @@ class InnovationJudge:
     step_s : float
         Step between them, in seconds.
     scores : bool
-        Whether they are normal scores, of a filter with several modes, times their sigma: then their whole
-        distribution has to be normal.
+        Whether they are normal scores times their sigma, as a filter with several modes returns: then their
+        whole distribution must be normal.
 
     Examples
     --------
@@ -136,7 +136,7 @@ class InnovationJudge:
         innovations : (B,) float array
             Reading minus prediction, in order of time; NaN where there is none.
         innovation_sigma : (B,) float array or float
-            Standard deviation expected of them, same unit; one number for a settled filter.
+            Expected standard deviation, same unit; one number for a filter in steady state.
         """
         sigma = np.broadcast_to(innovation_sigma, innovations.shape)
         for start in range(0, len(innovations), PIECE):
@@ -150,12 +150,12 @@ class InnovationJudge:
         ----------
         excess_of : callable, optional
             Takes the colour of the innovations and returns the excess of the rms error, as
-            `excess_error` of `identification/trust/excess.py` does for a smoother; by default that of a prediction is
-            taken.
+            `excess_error` of `identification/trust/excess.py` does for a smoother; by default the excess of the
+            prediction is used.
         """
         sums = self._running.sums()
         if sums.power.seen < FEWEST_INNOVATIONS:
-            return Judgement(says=f"Only {sums.power.seen} readings could be foretold: too few to judge the model.")
+            return Judgement(says=f"Only {sums.power.seen} readings have an innovation: too few to judge the model.")
         found, nis = judge_whiteness(sums.lagged), sums.power.mean()
         uneven = sums.blocks.share() if sums.blocks.blocks else float(not 1 / _FAR_OFF < nis < _FAR_OFF)
         loudest_hz = None if found.loudest is None else found.loudest / self._step_s
@@ -182,7 +182,7 @@ class InnovationJudge:
 
 
 def _predictable(found: Whiteness, excess: float, loudest_hz: float | None, *, limited: bool) -> str:
-    """Say what is still predictable, if it is much, and, of a smoother, costs much; else nothing."""
+    """Return a clause on what is predictable, if the share is large and, for a smoother, costly; else ""."""
     much = found.predictable_share > PREDICTABLE and found.p_value < _CHANCE
     if not much or (limited and excess <= COSTLY):
         return ""
@@ -190,12 +190,12 @@ def _predictable(found: Whiteness, excess: float, loudest_hz: float | None, *, l
     return (
         f"{found.predictable_share:.0%} of the innovation power is still predictable, most of it near"
         f" {loudest_hz:.3g} Hz, which costs {excess:.0%} in rms error (the filter is {character}: coloured noise or a"
-        " vibration passes for signal, or is taken for noise)"
+        " vibration counts as signal, or as noise)"
     )
 
 
 def _is_narrow(found: Whiteness) -> bool:
-    """Whether nothing would be predictable if a band about the loudest frequency were like the rest."""
+    """Return whether the innovations are predictable only in a band about the loudest frequency."""
     middle = found.loudest or 0.0
     width = max(_NARROW, middle / 10)
     inside = width < middle < 0.5 - width
@@ -214,15 +214,15 @@ def _changes(uneven: float) -> list[str]:
 def _misplaced(share: float) -> list[str]:
     if share <= MISPLACED:
         return []
-    return [f"readings are not spread as its modes expect: {share:.0%} of their probability is elsewhere"]
+    return [f"readings are not distributed as its modes predict: {share:.0%} of their probability is misplaced"]
 
 
 def _reserve(found: Whiteness, excess: float, at_fault: bool) -> str:
-    """Say what is predictable, though it costs a smoother next to nothing."""
+    """Return a sentence on what is predictable, if it costs a smoother next to nothing; else ""."""
     if at_fault or found.predictable_share <= PREDICTABLE or found.p_value >= _CHANCE:
         return ""
     return (
-        f" It does not foretell the next reading well ({found.predictable_share:.0%} of the innovation power is"
+        f" It does not predict the next reading well ({found.predictable_share:.0%} of the innovation power is"
         f" predictable), but a better one would lower the rms error of the smoothed signal by {excess:.1%} only."
     )
 

@@ -1,4 +1,4 @@
-"""What a sensor keeps to while it is healthy, between a recipe and the core."""
+"""Convert the limits of a healthy sensor between a recipe and the core."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.independence import independence_steps
 
-_PARTS = 36  # of what is plausible: nearer to 0, a channel may rest there
-_LEAST_ROUNDING = 1e-3  # of a step; less is not worth a number
+_PARTS = 36  # of the plausible range: a channel that comes closer to 0 may rest there
+_LEAST_ROUNDING = 1e-3  # of the resolution; a smaller error is left out
 
 
 def written(limits: Limits) -> LimitsRecipe | None:
-    """Return limits as a recipe has them; None where only the time could be told of."""
+    """Return limits in the form of a recipe; None if there are only limits of the time."""
     rails = [float(rail) if np.isfinite(rail) else None for rail in limits.rails]
     largest = limits.largest if limits.largest < BEYOND_ANY_SENSOR else None
     jumps = limits.outliers
@@ -50,17 +50,17 @@ def _finite(number: float) -> float | None:
     return float(number) if np.isfinite(number) else None
 
 
-def _or(number: float | None, otherwise: float) -> float:
+def _value_or(number: float | None, otherwise: float) -> float:
     return otherwise if number is None else number
 
 
 def limits_of(told: LimitsRecipe | None) -> Limits:
-    """Return the limits of a recipe; where it has none, no reading is clipped or stuck, and no row late."""
+    """Return the limits of a recipe; without any, no reading is clipped or stuck, and no row is late."""
     if told is None:
         return Limits(even=False)
     return Limits(
-        low=_or(told.low, -np.inf),
-        high=_or(told.high, np.inf),
+        low=_value_or(told.low, -np.inf),
+        high=_value_or(told.high, np.inf),
         resolution=told.resolution or 0.0,
         stuck_readings=told.stuck_readings,
         gap_steps=told.gap_steps or GAP_STEPS,
@@ -69,38 +69,39 @@ def limits_of(told: LimitsRecipe | None) -> Limits:
         outliers=Outliers(
             told.outlier_distance or np.inf,
             told.causal_outlier_distance or np.inf,
-            _or(told.plausible_low, -np.inf),
-            _or(told.plausible_high, np.inf),
+            _value_or(told.plausible_low, -np.inf),
+            _value_or(told.plausible_high, np.inf),
             bool(told.repeats_are_one),
-            _or(told.blank, np.inf),
+            _value_or(told.blank, np.inf),
             _far_from_0(told),
         ),
     )
 
 
-def _far_from_0(told: LimitsRecipe) -> float:
-    """Return how far from 0 the neighbours of a 0 are that is no reading; of recipes that do not tell, from the range.
+def _far_from_0(limits: LimitsRecipe) -> float:
+    """Return the distance of its neighbours from which a 0 counts as missing; 0.0 if every 0 is a reading.
 
-    Those hold it for a reading where equal ones in a row may be several, or no outliers are told.
+    Recipes without this value get it from the plausible range, if equal readings in a row count as one and gross
+    outliers are found.
     """
-    if told.far_from_0 is not None or told.plausible_low is None or told.plausible_high is None:
-        return told.far_from_0 or 0.0
-    judged = told.repeats_are_one and (told.outlier_distance or told.causal_outlier_distance)
-    return (told.plausible_high - told.plausible_low) / _PARTS if judged else 0.0
+    if limits.far_from_0 is not None or limits.plausible_low is None or limits.plausible_high is None:
+        return limits.far_from_0 or 0.0
+    judged = limits.repeats_are_one and (limits.outlier_distance or limits.causal_outlier_distance)
+    return (limits.plausible_high - limits.plausible_low) / _PARTS if judged else 0.0
 
 
 def rows_that_judge(told: LimitsRecipe | None, lag: int | None) -> int:
-    """Return for how many later rows a reading waits until it is judged, of a lag in rows (None: all); 0 for none."""
+    """Return how many later rows are used to find outliers, for a lag in rows (None: a smoother); 0 for none."""
     return rows_ahead(lag) if lag is None or np.isfinite(limits_of(told).outliers.distance) else 0
 
 
 def rows_that_smooth(told: LimitsRecipe | None, lag: int | None) -> int | None:
-    """Return how many rows of a lag are left to smooth with once readings are judged; None for all."""
+    """Return how many rows of a lag are left to smooth with after the outlier test; None for a smoother."""
     return None if lag is None else lag - rows_that_judge(told, lag)
 
 
 def delay_to_smooth(told: LimitsRecipe | None, wait_s: float, step_s: float) -> float:
-    """Return the least lag, in seconds, of which so much is left to smooth with; inf for all."""
+    """Return the least lag, in seconds, that leaves `wait_s` to smooth with; inf for a smoother."""
     if not np.isfinite(wait_s):
         return wait_s
     wanted = lag = round(wait_s / step_s)
@@ -110,7 +111,7 @@ def delay_to_smooth(told: LimitsRecipe | None, wait_s: float, step_s: float) -> 
 
 
 def alarms_of(told: LimitsRecipe | None) -> Alarms:
-    """Return when a channel drifts or is dead; never where the recipe does not say."""
+    """Return the alarm thresholds for drift and death; without them in the recipe there are no alarms."""
     drift = None if told is None else told.drift_threshold
     dead = None if told is None else told.dead_variance
     return Alarms(NEVER if drift is None else drift, dead or 0.0)
@@ -119,18 +120,18 @@ def alarms_of(told: LimitsRecipe | None) -> Alarms:
 def with_rounding(
     limits: LimitsRecipe | None, tuning: Tuning, readings: Floats, *, causal: bool
 ) -> LimitsRecipe | None:
-    """Add to the limits of a channel what its converter's rounding leaves in the signal, where it leaves anything.
+    """Add the quantisation error that remains in the signal to the limits of a channel, if it is noticeable.
 
     Parameters
     ----------
     limits : LimitsRecipe or None
-        Of a channel that has none nothing is added.
+        Limits of the channel; None stays None.
     tuning : Tuning
         Its filter, in steps.
     readings : (N,) float array
-        That it was tuned on, in unit; NaN where missing.
+        Readings that it was tuned on, in unit; NaN where missing.
     causal : bool
-        Whether the filter shall run causally.
+        Whether the filter runs causally.
     """
     if limits is None or limits.resolution is None:
         return limits

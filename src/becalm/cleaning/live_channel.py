@@ -1,4 +1,4 @@
-"""A channel of a stream on its own: with a fixed lag, with modes that switch, or passed on unchanged."""
+"""Clean one channel of a stream: with a fixed lag, with several modes, or passed on unchanged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from becalm.native.scans import HOP
 
 
 class LiveChannel(Protocol):
-    """What takes the rows of one channel, and gives clean ones back, perhaps later."""
+    """Takes the rows of one channel and returns their estimates, perhaps later."""
 
     counts: Counter[Verdict]
     """How often each verdict was given."""
@@ -32,24 +32,24 @@ class LiveChannel(Protocol):
     sensor: SensorWatch
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before them; return what is clean, in order."""
+        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
         ...
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the rest; only a snapshot taken before brings the channel back."""
+        """Return the remaining rows; only a snapshot from before this call can continue the channel."""
         ...
 
     def saved(self) -> dict[str, Any]:
-        """Return what rows depend on, as arrays."""
+        """Return the state as arrays."""
         ...
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         ...
 
 
 class LiveMotion(FilteredChannel):
-    """A channel that is filtered; parameters as of `FilteredChannel`, and the later rows that each row waits for."""
+    """A channel that is filtered; parameters as in `FilteredChannel`, `lag` in rows."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int) -> None:
         super().__init__(recipe, step_s, lag)
@@ -60,91 +60,91 @@ class LiveMotion(FilteredChannel):
             assert runs.lag, "a causal filter without modes is a `CausalChannel`"
             self._flow = FixedLagFlow(part, variance, lag=runs.lag, judge=look, gate=runs.gate)
         else:
-            self._flow = LiveRestarting(partial(self._opened, runs.modes), runs.gap_limit, runs.largest)
+            self._flow = LiveRestarting(partial(self._open_modes, runs.modes), runs.gap_limit, runs.largest)
 
-    def _opened(self, modes: InteractingModels) -> LiveFlow:
+    def _open_modes(self, modes: InteractingModels) -> LiveFlow:
         lag, look = self._runs.lag, self.sensor.look
         if lag:
             return FixedLagImmFlow(modes, lag=lag, judge=look, tells_modes=True)
         return ImmFlow(modes, causal=True, judge=look, tells_modes=True)
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before them; return what is clean, in order."""
+        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
         if self._timing is not None:
             self._timing.push(elapsed)
-        return self._counted(self._filtered(*self.sensor.push(z, elapsed)))
+        return self._counted(self._filter(*self.sensor.push(z, elapsed)))
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the rest; only a snapshot taken before brings the channel back."""
-        return self._counted([*self._filtered(*self.sensor.finish()), *self._flow.finish()])
+        """Return the remaining rows; only a snapshot from before this call can continue the channel."""
+        return self._counted([*self._filter(*self.sensor.finish()), *self._flow.finish()])
 
-    def _filtered(self, usable: Floats, elapsed: Floats) -> list[EstimatedRows]:
+    def _filter(self, usable: Floats, elapsed: Floats) -> list[EstimatedRows]:
         if not len(usable):
             return []
         self._sentinel.push(usable)
         steps = np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
         return self._flow.push(usable, steps)
 
-    def _counted(self, told: list[EstimatedRows]) -> list[EstimatedRows]:
-        return super()._counted([part for part in told if len(part.signal)])
+    def _counted(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
+        return super()._counted([part for part in rows if len(part.signal)])
 
     def saved(self) -> dict[str, Any]:
-        """Return what rows depend on, as arrays."""
+        """Return the state as arrays."""
         timing = {} if self._timing is None else self._timing.saved()
-        beside = self.sensor.saved() | self._sentinel.saved() | timing
-        return self._flow.saved() | beside | {"counts": _listed(self.counts)}
+        others = self.sensor.saved() | self._sentinel.saved() | timing
+        return self._flow.saved() | others | {"counts": _to_array(self.counts)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         self._flow.restore(arrays)
         self.sensor.restore(arrays)
         self._sentinel.restore(arrays)
-        self.counts = _named(arrays["counts"])
+        self.counts = _from_array(arrays["counts"])
         if self._timing is not None:
             self._timing.restore(arrays)
 
 
 class LiveUnchanged:
-    """A channel that is given back; parameters as of `FilteredChannel`."""
+    """A channel that passes unchanged; parameters as in `FilteredChannel`."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
         self.sensor, self.counts = SensorWatch(recipe.limits, step_s, shown=False), Counter[Verdict]()
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and give them back."""
+        """Take readings (B,) and return them."""
         (readings, _), count = self.sensor.push(z, elapsed), len(z)
-        nothing = EstimatedRows(readings, np.full(count, np.nan), np.empty((0, count)), np.zeros(count, np.int8))
-        told = self.sensor.named([nothing])
-        self.counts.update(counted(told[0].verdicts))
-        return told
+        unchanged = EstimatedRows(readings, np.full(count, np.nan), np.empty((0, count)), np.zeros(count, np.int8))
+        rows = self.sensor.named([unchanged])
+        self.counts.update(counted(rows[0].verdicts))
+        return rows
 
     def finish(self) -> list[EstimatedRows]:
-        """Return nothing: all was given back."""
+        """Return no rows: `push` returned all of them."""
         return []
 
     def saved(self) -> dict[str, Any]:
-        """Return what rows depend on, as arrays."""
-        return self.sensor.saved() | {"counts": _listed(self.counts)}
+        """Return the state as arrays."""
+        return self.sensor.saved() | {"counts": _to_array(self.counts)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         self.sensor.restore(arrays)
-        self.counts = _named(arrays["counts"])
+        self.counts = _from_array(arrays["counts"])
 
 
 def open_live(recipe: ChannelRecipe, step_s: float, lag: int) -> LiveChannel:
-    """Start a channel of its own as its recipe says."""
+    """Return the cleaner of one channel of a stream for its recipe; `lag` in rows."""
     return LiveUnchanged(recipe, step_s) if recipe.motion is None else LiveMotion(recipe, step_s, lag)
 
 
 def mean_power(powers: Floats) -> float | None:
-    """Return the mean square of innovations of which so many hops are summed, in sigma^2; None without any."""
+    """Return the mean squared innovation, in sigma^2, from its sums over hops (H,); None without any."""
     return float(powers.mean()) / HOP if len(powers) else None
 
 
-def _listed(counts: Counter[Verdict]) -> Any:
+def _to_array(counts: Counter[Verdict]) -> Any:
     return np.array([counts[verdict] for verdict in Verdict])
 
 
-def _named(counts: Any) -> Counter[Verdict]:
+def _from_array(counts: Any) -> Counter[Verdict]:
     return Counter(dict(zip(Verdict, counts.tolist(), strict=True)))

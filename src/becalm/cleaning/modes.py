@@ -1,4 +1,4 @@
-"""The modes of a filter that switches: in seconds, as recipes tell them, and in steps, as filters use them."""
+"""Convert the modes of an IMM between seconds (recipes) and steps (filters)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from becalm.errors import ModelError, RecipeError
 from becalm.identification.likelihood import Tuning
 from becalm.identification.modes.banks import Kind
 
-_LEAST, _GREATEST = 1e-250, 1e250  # of variances, unit^2: beyond, their products leave float64
-_GREATEST_RATIO = 1e30  # of q/r: beyond, what is known of a state is lost to rounding
+_LEAST, _GREATEST = 1e-250, 1e250  # of variances, unit^2: outside, their products overflow float64
+_GREATEST_RATIO = 1e30  # of q/r: above, rounding destroys the state
 
 
 def modes_in_seconds(kind: Kind, bank: InteractingModels, step_s: float) -> SwitchingRecipe:
-    """Return the modes of a channel, in steps of so many seconds, as its recipe tells them."""
+    """Return the modes of a channel, in steps of `step_s` seconds, in the form of a recipe."""
     return SwitchingRecipe(
         kind=kind,
         wild_std=float(np.sqrt(bank.wild_variance)),
@@ -31,23 +31,23 @@ def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> Inte
     Parameters
     ----------
     told : SwitchingRecipe
-        Its modes.
+        Modes of the recipe.
     tuning : Tuning
-        The channel's fixed filter, whose tones go with the modes that are said to have them.
+        Fixed filter of the channel; modes with `with_tones` get its tones and coloured noise.
     step_s : float
-        Step, in seconds.
+        One step, in seconds.
 
     Raises
     ------
     RecipeError
-        If they make no filter at this step.
+        If they do not make a valid filter at this step.
     """
     try:
         with np.errstate(all="ignore"):
             modes = tuple(_mode_in_steps(mode, tuning, step_s) for mode in told.mode)
             return InteractingModels(modes, float(np.float64(told.wild_std) ** 2), told.rejects)
     except ModelError as cause:
-        raise RecipeError(f"The recipe's modes make no filter at {1 / step_s:.6g} Hz: {cause}") from cause
+        raise RecipeError(f"The recipe's modes do not make a valid filter at {1 / step_s:.6g} Hz: {cause}") from cause
 
 
 def _mode_in_seconds(mode: Mode, step_s: float) -> ModeRecipe:
@@ -70,23 +70,23 @@ def _mode_in_seconds(mode: Mode, step_s: float) -> ModeRecipe:
 
 
 def _level_noise(component: Component) -> float:
-    """Return the density by which a level walks besides its motion; it is the last noise that enters."""
+    """Return the density of the level's own random walk, which is the last noise input; 0 without one."""
     walks = len(component.noise_density) > 1 and component.noise_input[0, -1] == 1.0
     return float(component.noise_density[-1, -1]) if walks else 0.0
 
 
-def _mode_in_steps(told: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
-    density = float(np.float64(told.process_noise_density) * np.float64(step_s) ** (2 * told.order - 1))
-    variance = float(np.float64(told.noise_std) ** 2)
+def _mode_in_steps(recipe: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
+    density = float(np.float64(recipe.process_noise_density) * np.float64(step_s) ** (2 * recipe.order - 1))
+    variance = float(np.float64(recipe.noise_std) ** 2)
     if not (_LEAST < variance < _GREATEST and density / variance < _GREATEST_RATIO):
         raise ModelError(
-            f"mode {told.name!r} has process_noise_density = {told.process_noise_density:.3g} and noise_std ="
-            f" {told.noise_std:.3g}, which is out of reach; mend one of them, or choose a unit nearer to its size."
+            f"mode {recipe.name!r} has process_noise_density = {recipe.process_noise_density:.3g} and noise_std ="
+            f" {recipe.noise_std:.3g}, which is out of range; correct one of them, or choose a unit closer to its size."
         )
-    damping = 0.0 if told.damped_below_hz is None else 2 * np.pi * told.damped_below_hz * step_s
-    component = returning_motion(told.order, density, damping) if damping else motion(told.order, density)
-    if told.with_tones:
+    damping = 0.0 if recipe.damped_below_hz is None else 2 * np.pi * recipe.damped_below_hz * step_s
+    component = returning_motion(recipe.order, density, damping) if damping else motion(recipe.order, density)
+    if recipe.with_tones:
         component = sum(tuning.companions, component)
-    if told.level_noise_density > 0:
-        component = with_walking_level(component, told.level_noise_density * step_s)
-    return Mode(told.name, component, variance, told.lasts_s / step_s, told.then, told.wild_share)
+    if recipe.level_noise_density > 0:
+        component = with_walking_level(component, recipe.level_noise_density * step_s)
+    return Mode(recipe.name, component, variance, recipe.lasts_s / step_s, recipe.then, recipe.wild_share)

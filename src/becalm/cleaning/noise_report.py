@@ -1,4 +1,4 @@
-"""What noise a recording has at rest: R, its split at a cut-off, and what an Allan deviation tells."""
+"""Measure the noise of a recording at rest: R, its split at a cut-off, and the Allan deviation."""
 
 from __future__ import annotations
 
@@ -20,43 +20,43 @@ from becalm.identification.rest.rest_noise import RestNoise, noise_at_rest, spli
 from becalm.identification.rest.windows import quantum, runs_of
 
 MOST_SLOW = 1.5
-"""Variance over half a second, over R, above which the noise is said to be slower than the readings."""
+"""Ratio of the variance over half a second to R, above which the report calls the noise slower than the readings."""
 
 MOST_REPEATED = 0.4
-"""Share of readings equal to the one before, above which a sensor is slower than the rows of its record."""
+"""Share of readings equal to the previous one, above which a sensor is slower than the rows of its record."""
 
 MOST_MISFIT = 2.0
-"""Misfit above which the terms of an Allan deviation are said not to describe it."""
+"""Misfit above which the report says that the terms do not describe the Allan deviation."""
 
 _JITTER = 4.0  # standard deviations
 
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """The noise of one channel at rest; what is not known is None.
+    """The noise of one channel at rest; None where a figure is unknown.
 
     Attributes
     ----------
     name, unit : str
         As in the recording.
     rest : str
-        Where rest was found, or why there is none, in a sentence.
+        A sentence on where the rests are, or why there is none.
     stretches_s : tuple of (float, float)
         The rests, each from and to, in seconds after the first sample.
     noise_std, noise_std_error : float or None
         Square root of R, from differences of neighbours, and its standard error if the noise is white, in unit.
     slowness : float or None
-        Variance over half a second over R; see `becalm.identification.rest.rest_noise.RestNoise`.
+        Variance over half a second, divided by R; see `becalm.identification.rest.rest_noise.RestNoise`.
     spikes : int
-        Jumps beyond six standard deviations; they do not count in `noise_std`.
+        Number of jumps beyond six standard deviations; they do not count in `noise_std`.
     cutoff_hz : float
-        Where the longest rest without a hole is split.
+        Frequency at which the longest rest without a hole is split.
     above_std, below_std : float or None
         Standard deviation above and below the cut-off, in unit.
     allan : AllanNoise or None
-        Over the longest rest.
+        Allan figures of the longest rest.
     says : tuple of str
-        What is not known, and what to beware of, in sentences.
+        Sentences on figures that are unknown or doubtful.
     """
 
     name: str
@@ -85,47 +85,47 @@ def report_noise(
     cutoff_hz: float = 1.0,
     progress: Callable[[str], object] = lambda name: None,
 ) -> tuple[ChannelNoise, ...]:
-    """Tell what noise each channel of a recording has where all of them are at rest.
+    """Measure the noise of each channel where all channels of a recording are at rest.
 
     Parameters
     ----------
     recording : Recording
-        Channels that rest together, as those of one sensor; NaN where missing.
+        Channels that rest together, such as those of one sensor; NaN where missing.
     still : iterable of (float, float), optional
-        Rests, each from and to in seconds after the first sample; found by itself if left out.
+        Rests, each from and to, in seconds after the first sample; detected by default.
     cutoff_hz : float
-        Noise above it is called measurement noise, what is below it variation of the signal; a *small*
-        one calls more of it measurement noise.
+        Noise above it counts as measurement noise, noise below it as variation of the signal; with a *small* one
+        more of it is measurement noise.
     progress : callable, optional
-        Called with the name of each channel that is done.
+        Called with the name of each channel when it is done.
 
     Returns
     -------
     tuple of ChannelNoise
-        One a channel; without figures where there is no rest.
+        One for each channel; without figures if there is no rest.
 
     Raises
     ------
     RecordingError
-        If a span of `still` runs backwards, or holds under 32 samples.
+        If a span of `still` runs backwards, or has fewer than 32 samples.
     UsageError
         If the cut-off is not positive.
 
     Notes
     -----
-    Noise at rest is the least there is: what shakes a sensor in use is not in it.
+    Noise at rest is a lower bound: vibration of a sensor in use is not in it.
     """
     if not 0 < cutoff_hz < np.inf:
-        raise UsageError(f"cutoff_hz = {cutoff_hz} is no cut-off; give a positive number of hertz, as 1.0.")
-    recording = _believable(recording)
+        raise UsageError(f"cutoff_hz = {cutoff_hz} is not a cut-off; give a positive number of hertz, such as 1.0.")
+    recording = _without_impossible(recording)
     stillness = find_still(recording) if still is None else said_still(recording, still)
     spans_s = tuple(_span_s(recording, stretch) for stretch in stillness.stretches)
-    told = []
+    reports = []
     for name, unit in zip(recording.names, recording.units, strict=True):
         channel = ChannelNoise(name, unit, stillness.reason, spans_s, cutoff_hz)
-        told.append(_measured(channel, recording.select([name]), stillness.stretches) if spans_s else channel)
+        reports.append(_measured(channel, recording.select([name]), stillness.stretches) if spans_s else channel)
         progress(name)
-    return tuple(told)
+    return tuple(reports)
 
 
 def _measured(channel: ChannelNoise, recording: Recording, stretches: Sequence[Stretch]) -> ChannelNoise:
@@ -158,40 +158,40 @@ def _repeated(parts: Sequence[Floats]) -> float:
 
 
 def _hidden(noise: RestNoise, step: float, repeated: float) -> str:
-    """Say why the readings do not show the noise; nothing if they do. `step` is as in `_doubts`."""
+    """Return why the readings do not show the noise, or "" if they do; `step` as in `_doubts`."""
     if not np.isfinite(noise.variance):
-        return f"At rest {noise.differences} readings follow another without a gap; 32 are needed to tell noise."
+        return f"At rest {noise.differences} readings follow another without a gap; 32 are needed to measure the noise."
     if not noise.variance > 0:
-        return "Every reading at rest is the same: the noise is less than the sensor shows."
+        return "Every reading at rest is the same: the noise is below the resolution of the sensor."
     if repeated > MOST_REPEATED and noise.variance > (2 * step) ** 2:
         return (
-            f"At rest {repeated:.0%} of the readings repeat the one before: the sensor is slower than the rows, and its"
-            f" noise can be told from a record of one row a reading."
+            f"At rest {repeated:.0%} of the readings repeat the previous one: the sensor is slower than the rows."
+            " Give a record with one row for each reading to measure its noise."
         )
     return ""
 
 
 def _doubts(noise: RestNoise, step: float) -> list[str]:
-    """Say what R is not; `step` is the smallest between two readings, in unit."""
+    """Return sentences on why R is doubtful; `step` is the smallest difference between two readings, in unit."""
     says = []
     if np.sqrt(noise.variance) < step / 2:
-        says.append(f"The readings go in steps of {step:.3g}, more than twice the noise: R is that of rounding.")
+        says.append(f"The readings have a resolution of {step:.3g}, more than twice the noise: R is that of rounding.")
     if noise.slowness > MOST_SLOW:
         says.append(
             f"The noise is slower than the readings: over half a second its variance is {noise.slowness:.3g} times R, "
-            f"which is that of its fastest part."
+            f"which is only that of its fastest part."
         )
     if noise.spikes:
         jumps = "1 jump is" if noise.spikes == 1 else f"{noise.spikes} jumps are"
-        says.append(f"{jumps} beyond six standard deviations, and not in R, but in all other figures.")
+        says.append(f"{jumps} beyond six standard deviations; R does not include them, all other figures do.")
     return says
 
 
 def _split(parts: Sequence[Floats], rate_hz: float, cutoff_hz: float) -> tuple[float | None, float | None, list[str]]:
     """Return the standard deviations above and below the cut-off, or why there are none."""
     if cutoff_hz >= rate_hz / 2:
-        return None, None, [f"{rate_hz:.4g} readings a second do not show what lies above {cutoff_hz:g} Hz."]
-    longest = max(map(_whole, parts), key=len)
+        return None, None, [f"A rate of {rate_hz:.4g} Hz does not show the noise above {cutoff_hz:g} Hz."]
+    longest = max(map(_longest_complete, parts), key=len)
     try:
         noise, process = split_at_cutoff(longest, rate_hz, cutoff_hz)
     except RecordingError as cause:
@@ -200,7 +200,7 @@ def _split(parts: Sequence[Floats], rate_hz: float, cutoff_hz: float) -> tuple[f
 
 
 def _allan(recording: Recording, rest: Stretch) -> tuple[AllanNoise | None, list[str]]:
-    """Return what an Allan deviation over one rest tells, and what it does not."""
+    """Return the Allan figures over one rest, and sentences on those that are unknown."""
     try:
         terms = noise_terms(allan_deviation(_in_a_row(recording, rest), recording.rate_hz))
     except RecordingError as cause:
@@ -210,13 +210,13 @@ def _allan(recording: Recording, rest: Stretch) -> tuple[AllanNoise | None, list
     if found.misfit > MOST_MISFIT:
         says.append(
             f"White noise, bias instability and random walk do not describe the Allan deviation (misfit "
-            f"{found.misfit:.2g}; 1 would be right): vibration, temperature or a filter within the sensor shapes it."
+            f"{found.misfit:.2g}; 1 is expected): vibration, temperature or a filter within the sensor shapes it."
         )
     return found, says
 
 
 def _in_a_row(recording: Recording, rest: Stretch) -> Floats:
-    """Return the readings of one channel over a rest, in unit; NaN for each gap, which jitter is not.
+    """Return the readings of one channel over a rest, in unit, with a NaN for each gap; jitter is not a gap.
 
     One NaN is enough for a gap of any length: differences across it are left out.
     """
@@ -226,22 +226,22 @@ def _in_a_row(recording: Recording, rest: Stretch) -> Floats:
     return np.insert(readings, gaps, np.nan)
 
 
-def _whole(readings: Floats) -> Floats:
-    """Return the longest part of the readings in which none is missing."""
+def _longest_complete(readings: Floats) -> Floats:
+    """Return the longest part of the readings without a missing one."""
     runs = runs_of(np.isfinite(readings))
     first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
     return readings[first : last + 1]
 
 
 def _span_s(recording: Recording, rest: Stretch) -> tuple[float, float]:
-    """Return from when to when, in seconds after the first sample, a rest lasts."""
+    """Return the start and the end of a rest, in seconds after the first sample."""
     times_s = recording.times_s
     return float(times_s[rest.start] - times_s[0]), float(
         times_s[rest.stop - 1] - times_s[0] + recording.timebase.step_s
     )
 
 
-def _believable(recording: Recording) -> Recording:
-    """Take readings that no sensor gives for missing."""
+def _without_impossible(recording: Recording) -> Recording:
+    """Return the recording with impossible readings as missing."""
     beyond = np.abs(recording.samples) > BEYOND_ANY_SENSOR
     return recording.with_samples(np.where(beyond, np.nan, recording.samples)) if beyond.any() else recording

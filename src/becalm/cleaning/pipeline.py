@@ -1,4 +1,4 @@
-"""clean(recording, recipe) -> Cleaned: the main job."""
+"""Clean a recording with a recipe, and adapt recipes to recordings."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ class Cleaned:
     signal : Recording
         The clean channels, (N, m), same names, units and times.
     sigma : Recording
-        One standard uncertainty of each sample, same units; NaN where none can be told.
+        Standard uncertainty (k = 1) of each sample, same units; NaN where it is unknown.
     recipe : Recipe
-        What was decided, enough to do it again.
+        The recipe that was used; it is enough to repeat the cleaning.
     reports : tuple of ChannelReport
-        What was found for each channel, and whether to trust it.
+        The results for each channel, and whether to trust them.
     parts : Recording or None
-        What each channel was split into, (N, p), where it was asked for: "ax_motion", "ax_tone_50Hz".
+        Parts of each channel, (N, p), if `split` was set: "ax_motion", "ax_tone_50Hz".
     verdicts : dict of str to (N,) int8 array
-        What became of each reading of each channel: values of `becalm.core.verdict.Verdict`.
+        The verdict on each reading of each channel: values of `becalm.core.verdict.Verdict`.
     """
 
     signal: Recording
@@ -46,11 +46,11 @@ class Cleaned:
 
     @property
     def describes(self) -> bool:
-        """Whether every channel is described by its model."""
+        """Return whether the model of every channel describes its signal."""
         return all(report.describes for report in self.reports)
 
 
-def clean(  # noqa: PLR0913  (what is wanted, each by its name)
+def clean(  # noqa: PLR0913  (keyword options of the main function)
     recording: Recording,
     recipe: Recipe | None = None,
     *,
@@ -59,22 +59,22 @@ def clean(  # noqa: PLR0913  (what is wanted, each by its name)
     channels: Sequence[str] | None = None,
     split: bool = False,
 ) -> Cleaned:
-    """Clean a recording, by a recipe or by one found in it.
+    """Clean a recording with a recipe, or with one that is identified from it.
 
     Parameters
     ----------
     recording : Recording
         Samples (N, m), NaN where missing. Never modified.
     recipe : Recipe, optional
-        What to do; `tune(recording)` by default.
+        The recipe; `tune(recording)` by default.
     causal : bool, optional
-        Whether estimates know only the past; False by default, or as the recipe says. A recipe tuned
-        for the other mode keeps its numbers, which `tune(..., causal=...)` might choose differently.
+        Whether estimates use only the past; by default the mode of the recipe, or False. A recipe that was tuned
+        for the other mode keeps its parameters; `tune(..., causal=...)` might choose different ones.
     lag_s : float, optional
-        How long each estimate may wait for later readings, in place of none or all of them; with a *small*
-        one a live filter of this kind tells the signal soon, and noisier.
+        How long each estimate may wait for later readings, in seconds; by default it uses none (causal) or all
+        (smoothed). With a *small* lag a live filter returns its estimates sooner, but noisier.
     channels : sequence of str, optional
-        Names of the channels to clean; all, or all of the recipe, by default.
+        Names of the channels to clean; by default all, or all channels of the recipe.
     split : bool
         Whether to return the parts of each channel too: motion, tones, coloured noise.
 
@@ -83,9 +83,9 @@ def clean(  # noqa: PLR0913  (what is wanted, each by its name)
     RecordingError
         If a channel does not exist, or there are no channels or samples.
     RecipeError
-        If the recipe is none, or names a channel that the recording does not have, or in another unit.
+        If `recipe` is not a Recipe, or names a channel that the recording does not have, or has in another unit.
     UsageError
-        If a lag is asked of a causal filter, or no later reading comes within it.
+        If a causal filter is given a lag, or the lag is shorter than one step or too long.
     """
     refuse_empty(recording)
     if not (recipe is None or isinstance(recipe, Recipe)):
@@ -99,24 +99,24 @@ def clean(  # noqa: PLR0913  (what is wanted, each by its name)
     time = chosen.timebase
     with Cleaner(recipe, time.step_s, split=split) as cleaner:
         columns = [np.ascontiguousarray(chosen.channel(name)) for name in chosen.names]
-        (told,) = [*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()]
+        (estimates,) = [*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()]
         reports = cleaner.reports()
     return Cleaned(
-        chosen.with_samples(np.column_stack([channel.signal for channel in told])),
-        chosen.with_samples(np.column_stack([channel.sigma for channel in told])),
+        chosen.with_samples(np.column_stack([channel.signal for channel in estimates])),
+        chosen.with_samples(np.column_stack([channel.sigma for channel in estimates])),
         recipe,
         reports,
-        _parts(chosen, recipe, told) if split else None,
-        {name: channel.verdicts for name, channel in zip(chosen.names, told, strict=True)},
+        _parts(chosen, recipe, estimates) if split else None,
+        {name: channel.verdicts for name, channel in zip(chosen.names, estimates, strict=True)},
     )
 
 
-def _parts(recording: Recording, recipe: Recipe, told: Sequence[EstimatedRows]) -> Recording:
-    """Lay out the parts of each channel, as channels of their own."""
+def _parts(recording: Recording, recipe: Recipe, estimates: Sequence[EstimatedRows]) -> Recording:
+    """Return the parts of each channel as separate channels."""
     names = [(channel.name, part) for channel in recipe.channel for part in channel.parts]
     units = dict(zip(recording.names, recording.units, strict=True))
     return Recording(
-        np.vstack([channel.parts for channel in told]).T,
+        np.vstack([channel.parts for channel in estimates]).T,
         names=[f"{name}_{part}" for name, part in names],
         units=[units[name] for name, _ in names],
         timebase=recording.timebase,
@@ -124,21 +124,21 @@ def _parts(recording: Recording, recipe: Recipe, told: Sequence[EstimatedRows]) 
 
 
 def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = None) -> Recipe:
-    """Return a recipe whose estimates know only the past, or as much more as is asked; as it is, if nothing is.
+    """Return a recipe that filters causally, with a lag, or smooths; unchanged if no option is given.
 
     Parameters
     ----------
     recipe : Recipe
-        What to do; its filters stay.
+        The recipe; its filters stay the same.
     causal : bool, optional
-        Whether estimates shall know only the past (True), or the whole record.
+        Whether estimates use only the past (True), or the whole record (False).
     lag_s : float, optional
-        How long each estimate shall wait for later readings; with a *small* one it comes soon, and noisier.
+        How long each estimate waits for later readings, in seconds; a *small* lag returns it sooner, but noisier.
 
     Raises
     ------
     UsageError
-        If a lag is asked of a causal filter.
+        If a causal filter is given a lag.
     """
     refuse_causal_lag(causal, lag_s)
     if lag_s is not None:
@@ -149,12 +149,12 @@ def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = No
 
 
 def joined(recipes: Sequence[Recipe]) -> Recipe:
-    """Return one recipe for the channels of several recordings: of the first, all else.
+    """Return one recipe with the channels of several recipes; everything else is from the first one.
 
     Parameters
     ----------
     recipes : sequence of Recipe
-        One or more, of different channels.
+        One or more recipes, for different channels.
     """
     return recipes[0].model_copy(update={"channel": tuple(channel for recipe in recipes for channel in recipe.channel)})
 
@@ -162,11 +162,11 @@ def joined(recipes: Sequence[Recipe]) -> Recipe:
 def _narrowed(recipe: Recipe, channels: Sequence[str] | None) -> Recipe:
     if channels is None:
         return recipe
-    known = {channel.name: channel for channel in recipe.channel}
-    missing = [name for name in listed(channels) if name not in known]
+    by_name = {channel.name: channel for channel in recipe.channel}
+    missing = [name for name in listed(channels) if name not in by_name]
     if missing:
-        raise RecipeError(f"The recipe has no channel {missing[0]!r}; it has {', '.join(map(repr, known))}.")
-    return recipe.model_copy(update={"channel": tuple(known[name] for name in listed(channels))})
+        raise RecipeError(f"The recipe has no channel {missing[0]!r}; it has {', '.join(map(repr, by_name))}.")
+    return recipe.model_copy(update={"channel": tuple(by_name[name] for name in listed(channels))})
 
 
 def fitted(
@@ -176,21 +176,21 @@ def fitted(
     *,
     channels: Sequence[str] | None = None,
 ) -> Recipe:
-    """Return a recipe for a recording of these names and units.
+    """Return the recipe for a recording with these channel names and units.
 
     Parameters
     ----------
     recipe : Recipe
-        What to do.
+        The recipe.
     names, units : sequence of str
-        What the recording has.
+        Channel names and units of the recording.
     channels : sequence of str, optional
         Which of the recipe's channels to clean; all by default.
 
     Raises
     ------
     RecipeError
-        If the recipe names a channel that the recording does not have, or in another unit.
+        If the recipe names a channel that the recording does not have, or has in another unit.
     """
     recipe = _narrowed(recipe, channels)
     for channel in recipe.channel:
@@ -204,7 +204,7 @@ def fitted(
             wanted = f"{channel.name}={channel.unit or 'UNIT'}"
             raise RecipeError(
                 f"The recipe has {channel.name!r} in {channel.unit or 'no unit'!r}, the recording in"
-                f" {unit or 'no unit'!r}. Convert or tell it (a file's by --unit {wanted!r}), or tune a recipe on this"
-                " recording."
+                f" {unit or 'no unit'!r}. Convert the channel, give its unit (for a file: --unit {wanted!r}), or tune a"
+                " recipe on this recording."
             )
     return recipe

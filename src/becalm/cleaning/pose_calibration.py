@@ -1,4 +1,4 @@
-"""A recording in which an accelerometer lay in many poses: the rests that calibrate it."""
+"""Find the rests of an accelerometer in many poses, for its calibration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from becalm.identification.rest.detection import SHORTEST_S, find_still
 from becalm.sensors.poses import FEWEST_POSES, Rests
 
 _AXES = 3
-_BLOCKS = 8  # of a rest, whose means tell how well its own is known, whatever remembers within a block
+_BLOCKS = 8  # parts of a rest, whose means give the uncertainty of its mean, even with coloured noise
 
 
 def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
@@ -19,14 +19,14 @@ def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
     Parameters
     ----------
     recording : Recording
-        Its three channels, in readings.
+        Its three channels, as readings.
     shortest_s : float
-        Shortest rest that counts, in seconds; a *small* one trusts short calms.
+        Shortest rest that counts, in seconds; a *small* one also uses short rests.
 
     Returns
     -------
     Rests
-        Of the rests in which eight readings or more of each axis came, and vary.
+        The rests in which each axis has eight readings or more, and its readings vary.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
         If `shortest_s` is not positive.
     """
     if len(recording.names) != _AXES:
-        raise SensorError(f"{len(recording.names)} channels came; a triaxial sensor has three. Select those.")
+        raise SensorError(f"{len(recording.names)} channels came; a triaxial sensor has three. Select these.")
     means, stds = [], []
     for start, stop in find_still(recording, shortest_s).stretches:
         rest = recording.samples[start:stop]
@@ -52,7 +52,7 @@ def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
 
 
 def find_poses(recording: Recording) -> Rests:
-    """Find the rests of a triaxial sensor, as `find_rests` does, and refuse too few.
+    """Find the rests of a triaxial sensor as `find_rests` does, and raise an error if they are too few.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def find_poses(recording: Recording) -> Rests:
     rests = find_rests(recording)
     if len(rests.means) < FEWEST_POSES:
         raise SensorError(
-            f"{len(rests.means)} rests were found, of {FEWEST_POSES} that are needed: "
+            f"{len(rests.means)} rests were found, but {FEWEST_POSES} are needed: "
             f"{find_still(recording).reason} Lay the sensor down in each pose for some seconds."
         )
     return rests

@@ -1,4 +1,4 @@
-"""What a recording in many poses tells of an accelerometer: how much it betters it, and the entry for its file."""
+"""Calibrate an accelerometer from a recording in many poses; report the result and make its sensor file entry."""
 
 from __future__ import annotations
 
@@ -25,31 +25,31 @@ from becalm.sensors.poses import (
 from becalm.sensors.record import COVERAGE
 
 ACCELERATIONS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY}
-"""What an accelerometer can be calibrated in, in m/s^2."""
+"""Units that an accelerometer can be calibrated in, in m/s^2."""
 
 LEAST_GRAVITY, MOST_GRAVITY = 9.780, 9.832
-"""At sea level on the equator and at the poles, in m/s^2."""
+"""Gravity at sea level on the equator and at the poles, in m/s^2."""
 
 
 class PoseReport(NamedTuple):
-    """A calibration by poses, with what speaks for it.
+    """A calibration by poses, with its errors.
 
     Attributes
     ----------
     channels : tuple of three str
-        The axes.
+        Names of the axes.
     raw_unit, unit : str
-        Of readings, and of the result.
+        Units of the readings, and of the result.
     rests : int
-        That were found.
+        Number of rests that were found.
     calibration : PoseCalibration
-        What was found of them.
+        Calibration from these rests.
     before : float
-        Standard deviation of |a| over the rests, in unit: of readings as they came, if they are accelerations; else
-        by one factor for all axes, and the zero that suits it best.
+        Standard deviation of |a| over the rests before calibration, in unit: of the readings, if these are
+        accelerations; else with one factor for all axes, and the best zero for it.
     after, held_out : float
-        The same of the calibration, and root mean square of what each rest lacks of gravity by a calibration without
-        it; NaN where ten rests leave none to spare.
+        The same after calibration; and the root mean square difference from gravity of each rest with a calibration
+        from the others, NaN if there are only ten rests.
     gravity_relative_std : float
         Standard uncertainty (k = 1) of gravity, as a share.
     """
@@ -66,23 +66,23 @@ class PoseReport(NamedTuple):
 
     @property
     def scales(self) -> Floats:
-        """What one reading of each axis is along itself, (3,), in unit."""
+        """Return the scale of each axis along itself, (3,), in unit per reading."""
         return np.diag(self.calibration.matrix)
 
     @property
     def scale_uncertainties_percent(self) -> Floats:
-        """Expanded (k = 2), (3,), gravity's included."""
+        """Return the expanded (k = 2) uncertainty of each scale, (3,), in percent, including that of gravity."""
         relative = np.diag(self.calibration.matrix_std) / np.abs(self.scales)
         return np.asarray(100 * COVERAGE * np.hypot(relative, self.gravity_relative_std))
 
     @property
     def zero_uncertainty(self) -> float:
-        """Expanded (k = 2), of the result of that axis of which it is largest, in unit."""
+        """Return the largest expanded (k = 2) uncertainty of the zero over the axes of the result, in unit."""
         of_axes = np.sqrt(self.calibration.matrix**2 @ self.calibration.bias_std**2)
         return float(COVERAGE * of_axes.max())
 
     def entry(self, calibrated: date) -> TriaxialEntry:
-        """Return what goes into the sensor file, with the day of calibration."""
+        """Return the entry for the sensor file; `calibrated` is the day of calibration."""
         found: Any = self.calibration
         return TriaxialEntry(
             kind="triaxial",
@@ -118,29 +118,29 @@ class PoseReport(NamedTuple):
 
 
 def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | None = None) -> PoseReport:
-    """Calibrate a triaxial accelerometer by a recording in which it was laid down in many poses.
+    """Calibrate a triaxial accelerometer from a recording in which it lay in many poses.
 
     Parameters
     ----------
     recording : Recording
-        Its three channels, all in V, mV, mV/V, counts, g or m/s^2; readings of no told unit count as counts.
+        Its three channels, all in V, mV, mV/V, counts, g or m/s^2; readings without a unit are taken as counts.
     unit : str
-        Of the result: m/s^2 or g.
+        Unit of the result: m/s^2 or g.
     gravity : float, optional
-        Where it lay, in m/s^2, taken as exact; without it standard gravity is taken, and as uncertain as gravity
-        differs from place to place.
+        Local gravity, in m/s^2, without uncertainty. By default standard gravity, with an uncertainty for its
+        variation over the Earth.
 
     Raises
     ------
     SensorError
-        If there are not three channels, too few rests, rests too alike, or a unit or gravity is impossible.
+        If there are not three channels, too few or too similar rests, or a unit or gravity is impossible.
     """
     if unit not in ACCELERATIONS:
-        raise SensorError(f"--unit {unit} is no unit to calibrate in; write --unit m/s^2 or --unit g.")
+        raise SensorError(f"--unit {unit} is not a unit for a calibration; write --unit m/s^2 or --unit g.")
     rests, raw_unit = find_poses(recording), _raw_unit(recording.units)
-    told = STANDARD_GRAVITY if gravity is None else positive("--gravity", gravity, "9.81")
-    width = (MOST_GRAVITY - LEAST_GRAVITY) / np.sqrt(12)  # of an even distribution over places
-    g = told / ACCELERATIONS[unit]
+    gravity_m_s2 = STANDARD_GRAVITY if gravity is None else positive("--gravity", gravity, "9.81")
+    width = (MOST_GRAVITY - LEAST_GRAVITY) / np.sqrt(12)  # standard deviation of a uniform distribution over places
+    g = gravity_m_s2 / ACCELERATIONS[unit]
     found = calibrate_by_length(rests, g)
     return PoseReport(
         channels=(recording.names[0], recording.names[1], recording.names[2]),
@@ -156,14 +156,14 @@ def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | Non
 
 
 def _raw_unit(units: tuple[str, ...]) -> RawUnit:
-    told = sorted(set(units))
+    found = sorted(set(units))
     known: dict[str, RawUnit] = {unit: unit for unit in get_args(RawUnit)} | {"": "counts"}
-    if len(told) != 1 or told[0] not in known:
+    if len(found) != 1 or found[0] not in known:
         raise SensorError(
-            f"The channels are in {', '.join(unit or 'no told unit' for unit in told)}; all three must be in one of "
+            f"The channels are in {', '.join(unit or 'no unit' for unit in found)}; all three must be in one of "
             f"{', '.join(get_args(RawUnit))}."
         )
-    return known[told[0]]
+    return known[found[0]]
 
 
 def _before(means: Floats, raw_unit: str, unit: str, gravity: float) -> float:
@@ -182,7 +182,7 @@ def _held_out(rests: Rests, gravity: float) -> float:
         others = np.arange(len(rests.means)) != one
         try:
             found = calibrate_by_length(Rests(rests.means[others], rests.stds[others]), gravity)
-        except SensorError:  # a pose without which the others are too alike
+        except SensorError:  # without this pose the others are too similar
             return np.nan
         left.append(float(np.linalg.norm(found.acceleration(rests.means[[one]]))) - gravity)
     return float(np.sqrt(np.mean(np.square(left))))

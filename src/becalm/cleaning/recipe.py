@@ -1,4 +1,4 @@
-"""Recipe: what was decided for each channel, as TOML that a person can read and change."""
+"""Recipe: the filter of each channel, as TOML that a person can read and change."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ from becalm.cleaning.recipe_parts import (
 from becalm.cleaning.toml_text import TomlKind
 from becalm.errors import RecipeError
 
-VERSION: Literal[5] = 5  # 1 knew no tones, 2 disturbances, 3 gates, lags, spread, 4 damping, outliers; all are read
+VERSION: Literal[5] = 5  # added: 2 tones, 3 disturbances, 4 gates, lags, spread, 5 damping, outliers; all are read
 
+# Journals and fleets compare the whole text of recipes: with another header a kept stream does not continue.
 _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
@@ -42,7 +43,7 @@ sigma is widened by the share tuning_spread; [channel.calibration] with relative
 does not lower; [channel.timing] with std_s adds to the noise where the signal moves, beyond its included_std."""
 
 
-_KNOWS_NOTHING = 0.95  # of the spread of the readings: nine tenths of their variance are unknown
+_KNOWS_NOTHING = 0.95  # of the standard deviation of the readings: nine tenths of their variance are unexplained
 
 _KIND = TomlKind("recipe", RecipeError)
 
@@ -50,7 +51,7 @@ Mode = Literal["smoothed", "causal", "lagged"]
 
 
 class TunedMotion(NamedTuple):
-    """The numbers of a motion, all there, and what is beside it."""
+    """The parameters of a motion model, with its tones and its coloured noise."""
 
     order: int
     process_noise_density: float
@@ -70,39 +71,40 @@ class ChannelRecipe(FrozenSettings):
     model : {"motion", "constant", "untold"}
         "motion" is filtered; "constant" and "untold" (too few readings) pass unchanged.
     order : int or None
-        Which derivative of the signal is driven by white noise.
+        Order n of the motion: the n-th derivative of the signal is white noise.
     process_noise_density : float or None
         q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
     noise_std : float or None
         Standard deviation of one reading's noise, in unit; a *small* one trusts the readings.
     damped_below_hz : float or None
         Motion slower than this is damped: without readings the signal returns to its own level, and sigma to its own
-        spread. With a *small* one it returns late; None of a motion that does not return.
+        spread. With a *small* value it returns slowly; None for a motion that does not return.
     tuning_spread : float
-        Share by which sigma is wider for what the tuning does not know; a *small* one trusts the tuning.
+        Share by which sigma is larger because the tuning is uncertain; a *small* one trusts the tuning.
     spread_std : float or None
-        Standard deviation of the readings. Where no reading came and sigma is nearly as wide, the model knows nothing,
-        and nothing is told; None tells everywhere.
+        Standard deviation of the readings. Where no reading came and sigma is nearly as large, the model predicts
+        nothing, and there is no estimate; None for an estimate in every row.
     fill : bool
-        Whether its guess is told even there.
+        Whether to return an estimate even there.
     rate_hz : float or None
-        Rate of new readings, in Hz, where it is lower than that of the rows; bandwidth and tests refer to it.
+        Rate of new readings, in Hz, where it is lower than the rate of the rows; bandwidth and tests refer to it.
     coloured_noise : ColouredNoiseRecipe or None
-        Beside the white noise.
+        Coloured noise, in addition to the white noise.
     calibration : CalibrationRecipe or None
-        What is uncertain in the sensor's calibration.
+        Uncertainty of the sensor's calibration.
     timing : TimingRecipe or None
-        What is uncertain in the time of its readings.
+        Uncertainty of the time of its readings.
     tone : tuple of ToneRecipe
-        Oscillations beside the motion.
+        Oscillations that are added to the motion.
     hole : tuple of HoleRecipe
-        What a smoother is worth where readings are missing, for holes of some lengths; without any, what it says.
+        Corrections to a smoother's estimates where readings are missing, for holes of some lengths; without any, its
+        estimates are not corrected.
     gate : GateRecipe or None
-        What leaves spikes out; None believes every reading.
+        The gate that rejects spikes; None uses every reading.
     switching : SwitchingRecipe or None
-        Modes, one of which is in force at a time, in place of the one filter.
+        Modes, one of which is in force at a time, instead of one filter.
     limits : LimitsRecipe or None
-        What the sensor keeps to while it is healthy; None knows no rail and calls no reading stuck.
+        Limits of a healthy sensor; with None no reading is clipped or stuck.
     """
 
     name: str
@@ -119,7 +121,7 @@ class ChannelRecipe(FrozenSettings):
     coloured_noise: ColouredNoiseRecipe | None = None
     calibration: CalibrationRecipe | None = None
     timing: TimingRecipe | None = None
-    tone: Annotated[tuple[ToneRecipe, ...], Field(max_length=32)] = ()  # each two states more
+    tone: Annotated[tuple[ToneRecipe, ...], Field(max_length=32)] = ()  # each adds two states
     hole: Annotated[tuple[HoleRecipe, ...], Field(max_length=16)] = ()
     gate: GateRecipe | None = None
     switching: SwitchingRecipe | None = None
@@ -132,30 +134,30 @@ class ChannelRecipe(FrozenSettings):
         return self
 
     def own_steps(self, step_s: float) -> float:
-        """Return how many steps of a recording its readings lie apart; 1 where a row has one."""
+        """Return how many steps of a recording are between two readings; 1 where every row has a reading."""
         return 1.0 if self.rate_hz is None else max(1.0, 1 / (self.rate_hz * step_s))
 
     @property
     def unknown_from(self) -> float:
-        """Sigma from which on a row without a reading is a hole, in unit; inf where it never is."""
+        """Return the sigma from which a row without a reading has no estimate, in unit; inf if it always has one."""
         return np.inf if self.fill or self.spread_std is None else _KNOWS_NOTHING * self.spread_std
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Names of the parts that the readings are split into, beside the white noise."""
+        """Return the names of the parts of the signal, without the white noise."""
         if self.model != "motion":
             return (self.model,)
         tones = [f"{tone.frequency_hz:.6g}Hz" for tone in self.tone]
         numbered = [f"tone_{tone}" + "_again" * tones[:k].count(tone) for k, tone in enumerate(tones)]
-        beside = [*numbered, *(["coloured_noise"] if self.coloured_noise else [])]
+        others = [*numbered, *(["coloured_noise"] if self.coloured_noise else [])]
         if self.switching is None:
-            return ("motion", *beside)
-        told = beside if any(mode.with_tones for mode in self.switching.mode) else []
-        return ("motion", *told, *(f"probability_{mode.name}" for mode in self.switching.mode))
+            return ("motion", *others)
+        shown = others if any(mode.with_tones for mode in self.switching.mode) else []
+        return ("motion", *shown, *(f"probability_{mode.name}" for mode in self.switching.mode))
 
     @property
     def motion(self) -> TunedMotion | None:
-        """The motion's numbers, or None if the channel passes unchanged."""
+        """Return the parameters of the motion, or None if the channel passes unchanged."""
         if self.model != "motion" or self.order is None or self.process_noise_density is None or self.noise_std is None:
             return None
         return TunedMotion(
@@ -176,11 +178,11 @@ class Origin(FrozenSettings):
     sha256 : str
         Hash of the file; empty if there was none.
     rows : int
-        Samples.
+        Number of samples.
     rate_hz : float
-        Samples per second, 1 over the step.
+        Samples per second: 1 / step.
     becalm : str
-        Version that tuned it.
+        Version of becalm that tuned it.
     """
 
     sha256: str = ""
@@ -190,24 +192,24 @@ class Origin(FrozenSettings):
 
 
 class Recipe(FrozenSettings):
-    """What was decided for a recording.
+    """The filters for the channels of a recording.
 
     Attributes
     ----------
     becalm_recipe : int
         Version of this format.
     mode : {"smoothed", "causal", "lagged"}
-        Whether estimates know the later readings: all, none, or those that come within a lag.
+        Whether estimates use all later readings, none, or those within a lag.
     lag_s : float or None
-        Of "lagged", in seconds; with a *small* one the signal comes soon, and noisier.
+        Lag of the mode "lagged", in seconds; with a *small* one the estimates come sooner, but noisier.
     time : str or None
-        Name of the time column, if it had to be said.
+        Name of the time column, if a person gave it.
     rate_hz : float or None
-        Rate that replaces the time column, if it was said.
+        Rate that replaces the time column, if a person gave it.
     stamps : "as-written" or None
-        Whether stamps that a driver made stay, if it was said; None mends them.
+        "as-written" keeps stamps that a driver made up; None corrects them.
     tuned_on : Origin
-        Where the numbers come from.
+        The recording that the recipe was tuned on.
     channel : tuple of ChannelRecipe
         One for each channel to clean.
     """
@@ -223,13 +225,13 @@ class Recipe(FrozenSettings):
 
     @property
     def nominal_rate_hz(self) -> float:
-        """Readings a second of a stream that does not know its own: what was said, else that of the recording."""
+        """Return the rate for a stream without stamps, in Hz: the given rate, or else that of the tuning recording."""
         return self.rate_hz or self.tuned_on.rate_hz
 
     @field_validator("becalm_recipe")
     @classmethod
     def _as_written_now(cls, _: int) -> int:
-        return VERSION  # of an older one every word is read
+        return VERSION  # every key of an older version can still be read
 
     @model_validator(mode="after")
     def _lag_belongs_to_lagged(self) -> Self:

@@ -1,4 +1,4 @@
-"""The part of a channel's recipe that tells the modes of a filter that switches."""
+"""The tables of a channel's recipe for a filter with several modes (IMM)."""
 
 from __future__ import annotations
 
@@ -10,30 +10,31 @@ from becalm.cleaning.recipe_parts import FrozenSettings, NotNegative, Positive
 
 
 class ModeRecipe(FrozenSettings):
-    """One way in which the signal of a channel may behave.
+    """One mode: one way in which the signal of a channel may behave.
 
     Attributes
     ----------
     name : str
-        As "still".
+        Name of the mode, such as "still".
     order : int
-        Which derivative is driven by white noise.
+        Order n of the motion: the n-th derivative of the signal is white noise.
     process_noise_density : float
         q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
     level_noise_density : float
-        Variance that the level gathers besides, in unit^2/s; a large one lets it jump, while slopes and tones go on.
+        Additional random walk of the level, in unit^2/s; a *large* one lets the level jump, while slopes and tones
+        continue.
     noise_std : float
         Standard deviation of one reading's noise in this mode, in unit.
     lasts_s : float
-        How long it lasts on average, in seconds; a *large* one trusts it to stay.
+        Mean duration of the mode, in seconds; with a *large* one the filter leaves it late.
     then : str
-        The mode that comes after it; "" for any other.
+        The mode that follows it; "" for any other.
     wild_share : float
-        Share of wild readings; a *small* one believes in a switch sooner.
+        Share of outliers among the readings; with a *small* one the filter changes the mode sooner.
     damped_below_hz : float or None
         Motion slower than this is damped, as in the channel's recipe.
     with_tones : bool
-        Whether the channel's tones and coloured noise are there in this mode.
+        Whether this mode has the tones and the coloured noise of the channel.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -49,17 +50,17 @@ class ModeRecipe(FrozenSettings):
 
 
 class SwitchingRecipe(FrozenSettings):
-    """The modes of a filter that switches.
+    """The modes of a filter with several modes (IMM).
 
     Attributes
     ----------
     kind : {"resting", "jumping", "noisy", "spiky", "bursting"}
-        Which bank they are of.
+        Kind of change that the modes describe.
     wild_std : float
-        How far wild readings are spread beyond the noise, in unit; with a *small* one a far reading is a switch rather
-        than wild.
+        Additional standard deviation of outliers, in unit; with a *small* one a far reading is a change of mode rather
+        than an outlier.
     rejects : bool
-        Whether they are left out.
+        Whether outliers are left out.
     mode : tuple of ModeRecipe
         One of them is in force at a time.
     """

@@ -1,4 +1,4 @@
-"""The parts of a channel's recipe: what may be beside its motion, and what surrounds the filter."""
+"""The tables of a channel's recipe: tones, coloured noise, holes, gate, limits, calibration and timing."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
-_MOST_REJECTS = 1 << 31  # in a row: more than are ever waited for
+_MOST_REJECTS = 1 << 31  # in a row: more than any stream has
 
 
 class FrozenSettings(BaseModel):
-    """What a person may write, and nothing else; never changed."""
+    """Settings that a person writes: immutable, and without unknown keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class ToneRecipe(FrozenSettings):
-    """A tone beside the motion: an oscillator that is driven by white noise.
+    """A tone that is added to the motion: an oscillator driven by white noise.
 
     Attributes
     ----------
     frequency_hz : float
-        Where it oscillates.
+        Its frequency, in Hz.
     bandwidth_hz : float
-        Width of its resonance at half the power.
+        Width of its resonance at half the power, in Hz.
     process_noise_density : float
-        Of each of its two states, in unit^2/s; a *small* one lets it change slowly.
+        Process noise of each of its two states, in unit^2/s; with a *small* one the tone changes slowly.
     disturbance : bool
-        Whether it is taken off the signal, as hum is.
+        Whether it is removed from the signal, as mains hum is.
     """
 
     frequency_hz: Positive
@@ -45,12 +45,12 @@ class ToneRecipe(FrozenSettings):
 
 
 class ColouredNoiseRecipe(FrozenSettings):
-    """Noise that remembers itself, beside the white noise: it is taken off the signal.
+    """Coloured noise, AR(p), in addition to the white noise; it is removed from the signal.
 
     Attributes
     ----------
     rate_hz : float
-        Readings a second that it was told at.
+        Rate of the readings that it was identified from, in Hz.
     coefficients : tuple of float
         phi_1, phi_2, ... of e[k] = phi_1 e[k-1] + phi_2 e[k-2] + ... + w[k].
     std : float
@@ -58,23 +58,24 @@ class ColouredNoiseRecipe(FrozenSettings):
     """
 
     rate_hz: Positive
-    coefficients: Annotated[tuple[float, ...], Field(min_length=1, max_length=64)]  # each a state more
+    coefficients: Annotated[tuple[float, ...], Field(min_length=1, max_length=64)]  # each adds a state
     std: Positive
 
 
 class HoleRecipe(FrozenSettings):
-    """What a smoother is worth in holes of one length, as readings showed that were hidden.
+    """Correction of a smoother in holes of one length, measured with hidden readings.
+
+    r is sigma in the hole divided by sigma at the edge of the hole.
 
     Attributes
     ----------
     readings : int
-        How many are missing in such a hole.
+        How many readings are missing in such a hole.
     model_fading : float
-        Of the model's departure from a line across the hole a share is told: sigma beside the hole over sigma, to this
-        power; a *small* one trusts the model.
+        The estimate's departure from a straight line across the hole is divided by r to this power; a *small* one
+        trusts the model.
     sigma_growth : float
-        Sigma is that of the model times (sigma over sigma beside the hole), to this power; a *small* one trusts the
-        model.
+        Sigma is multiplied by r to this power; a *small* one trusts the model.
     """
 
     readings: Annotated[int, Field(ge=2)]
@@ -83,17 +84,17 @@ class HoleRecipe(FrozenSettings):
 
 
 class GateRecipe(FrozenSettings):
-    """What leaves spikes out, and follows steps.
+    """An innovation gate that rejects spikes and follows steps.
 
     Attributes
     ----------
     false_alarms_per_hour : float
-        Good readings that are taken for spikes; a *small* one trusts the readings.
+        Good readings that are rejected as spikes, per hour; a *small* one trusts the readings.
     agree : int
-        So many rejected readings in a row that agree with each other are a step, and followed; with a *small* one
-        sooner, but spikes that agree by chance are followed too.
+        So many rejected readings in a row that agree with each other are a step, and the filter follows it. A *small*
+        one follows steps sooner, but also spikes that agree by chance.
     at_most : int
-        So many rejected readings in a row are believed whatever they are; a *small* one trusts the readings.
+        After so many rejected readings in a row the filter follows them in any case; a *small* one trusts the readings.
     """
 
     false_alarms_per_hour: Positive = 1.0
@@ -103,53 +104,53 @@ class GateRecipe(FrozenSettings):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if self.at_most < self.agree:
-            raise ValueError("at_most is less than agree; as many rejects in a row are needed at least")
+            raise ValueError("at_most is less than agree; give agree or more")
         return self
 
 
 class LimitsRecipe(FrozenSettings):
-    """What a channel keeps to while its sensor is healthy.
+    """Limits of a channel while its sensor is healthy.
 
     Attributes
     ----------
     low, high : float or None
-        The rails, in unit: readings there or beyond are clipped, and count as missing.
+        Saturation limits, in unit: readings at or beyond them are clipped, and count as missing.
     resolution : float or None
-        The step between two codes, in unit; None where readings lie on no lattice.
+        Difference between two neighbouring codes, in unit; None where readings are not quantised.
     rounding_std : float or None
-        What the steps between codes leave in the signal, in unit, however long it is averaged; it widens sigma.
+        Quantisation error that averaging does not remove, in unit; it widens sigma.
     stuck_readings : int or None
-        From so many equal readings in a row on they count as missing; a *small* one finds a stuck channel
-        sooner, and calls slow signals stuck.
+        Number of equal readings in a row from which they count as missing; a *small* one finds a stuck channel
+        sooner, but also calls slow signals stuck.
     even_time : bool or None
-        Whether rows came in even time, so that one can be late.
+        Whether rows came at even intervals, so that one can be late.
     gap_steps : float or None
-        More steps than this since the row before are a gap; 1.5 by default.
+        More steps than this since the previous row are a gap; 1.5 by default.
     largest : float or None
-        Readings of a greater magnitude, in unit, are none, and count as missing; None for 1e100.
+        Readings of a greater magnitude, in unit, are invalid and count as missing; None for 1e100.
     outlier_distance : float or None
-        Readings farther than this, in unit, and than 8 times their middle spread, from the median of three readings on
-        each side are gross outliers of a smoother, or of a lag of 13 rows or more, and count as missing; a *small* one
-        finds more that are motion, None finds none.
+        For a smoother, or a lag of 13 rows or more: readings farther than this, in unit, and than 8 times their middle
+        spread, from the median of three readings on each side are gross outliers, and count as missing. A *small* one
+        also rejects motion; None finds no outliers.
     causal_outlier_distance : float or None
-        The same, from the six readings before, of a filter that waits for none after, or for too few.
+        The same for a causal filter or a shorter lag: the distance from the six previous readings.
     plausible_low, plausible_high : float or None
         Range of plausible readings, in unit: outside it a first or a single reading is a gross outlier, and an estimate
-        ran away; a *narrow* one trusts the record that it was tuned on.
+        is a runaway; a *narrow* one trusts the record that it was tuned on.
     repeats_are_one : bool or None
-        Whether equal readings in a row count as one, of which all are gross outliers, or none.
+        Whether equal readings in a row count as one: all of them are gross outliers, or none.
     blank : float or None
-        What is written where there is no reading, in unit; it counts as missing.
+        Value that is written where there is no reading, in unit; it counts as missing.
     far_from_0 : float or None
         A 0 whose neighbours are all farther away than this, in unit, counts as missing, until it lasts 128 rows, unless
-        it is amid what is plausible; a *small* one leaves out more of them, 0 none. It goes with `outlier_distance`, or
-        the causal one; by default it is a 36th of what is plausible, where equal readings in a row count as one.
+        0 is well inside the plausible range. A *small* one leaves out more of them, 0 none. It needs `outlier_distance`
+        or the causal one; by default it is a 36th of the plausible range, where equal readings in a row count as one.
     drift_threshold : float or None
-        Of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, and more that are
-        none; None tells no drift.
+        Threshold of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, with more false
+        alarms; None reports no drift.
     dead_variance : float or None
-        Variance of a window of innovations, of the expected one, below which the channel is dead; a *small*
-        one lets it rest, None tells no death.
+        Variance of a window of innovations, as a share of the expected one, below which the channel is dead; a *small*
+        one allows quieter signals, None reports no dead channel.
     """
 
     low: Finite | None = None
@@ -173,27 +174,29 @@ class LimitsRecipe(FrozenSettings):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if self.low is not None and self.high is not None and self.low >= self.high:
-            raise ValueError("low is not below high; a range goes from low to high")
+            raise ValueError("low is not below high; give a low that is less than high")
         if self.far_from_0 and not (self.outlier_distance or self.causal_outlier_distance):
             raise ValueError("far_from_0 came alone; give outlier_distance or causal_outlier_distance as well")
         return self
 
 
 class TareRecipe(FrozenSettings):
-    """A zero that was taken while the recording was read: an event, told here and taken anew from the readings.
+    """A zero that was measured while the recording was read.
+
+    It records an event: each reading of the file measures the zero again.
 
     Attributes
     ----------
     start_s, stop_s : float
-        The stretch, in seconds after the first row.
+        Stretch that the zero was measured in, in seconds after the first row.
     reading, reading_std : float, float or None
-        What was read without load, and its standard uncertainty, in raw_unit; None where readings did not vary.
+        Mean reading without load, and its standard uncertainty, in raw_unit; None where readings did not vary.
     raw_unit : str
-        Of the readings.
+        Unit of the readings.
     readings : int
-        In the stretch.
+        Number of readings in the stretch.
     temperature_degc : float or None
-        Of the sensor then, where it is known.
+        Temperature of the sensor then, in degrees Celsius; None where it is unknown.
     """
 
     start_s: NotNegative
@@ -206,7 +209,7 @@ class TareRecipe(FrozenSettings):
 
 
 class CalibrationRecipe(FrozenSettings):
-    """What is uncertain in the sensor's calibration: one error for all samples, which averaging does not lower.
+    """Uncertainty of the sensor's calibration: one error for all samples, which averaging does not reduce.
 
     Attributes
     ----------
@@ -215,7 +218,7 @@ class CalibrationRecipe(FrozenSettings):
     offset_std : float
         Standard uncertainty (k = 1) of the zero, in unit; a *small* one trusts it.
     tare : TareRecipe or None
-        The zero that was taken.
+        The zero that was measured.
     """
 
     relative_std: NotNegative = 0.0
@@ -224,7 +227,7 @@ class CalibrationRecipe(FrozenSettings):
 
 
 class TimingRecipe(FrozenSettings):
-    """What is uncertain in the time of readings: noise where the signal moves.
+    """Uncertainty of the time of readings: it adds noise where the signal moves.
 
     Attributes
     ----------
@@ -232,7 +235,7 @@ class TimingRecipe(FrozenSettings):
         Standard uncertainty (k = 1) of the time of each reading, independent of the others, in seconds; a *small* one
         trusts the stamps.
     included_std : float
-        What of it noise_std holds already, in unit, as a root mean square; 0 where the noise was told at rest.
+        Part of it that noise_std already includes, root mean square, in unit; 0 where noise_std was measured at rest.
     """
 
     std_s: Positive

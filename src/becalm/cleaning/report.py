@@ -1,4 +1,4 @@
-"""What was found and done for one channel, and whether to trust it."""
+"""The report of one channel: its filter, the faults of its sensor, and whether to trust the result."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from becalm.cleaning.judging import Judgement
 
 @dataclass(frozen=True)
 class ModeReport:
-    """One mode of a filter that switches.
+    """One mode of a filter with several modes.
 
     Attributes
     ----------
     share : float
-        Of the record, in which it was in force.
+        Share of the record in which it was in force.
     bandwidth_hz, lag_s : float or None
-        Once it is in force for long: as of a filter that does not switch.
+        As for a fixed filter, once the mode has been in force for long.
     noise_left : float or None
-        Then, standard deviation of the noise that passes, in unit.
+        Standard deviation of the noise that passes then, in unit.
     """
 
     share: float
@@ -32,7 +32,7 @@ class ModeReport:
 
 @dataclass(frozen=True)
 class ChannelReport(Judgement):
-    """What was found and done for one channel, beside the judgement.
+    """The filter, the faults and the judgement of one channel.
 
     Attributes
     ----------
@@ -41,40 +41,40 @@ class ChannelReport(Judgement):
     model : str
         "motion", "constant" or "untold".
     order : int or None
-        Order of the motion.
+        Order of the motion model.
     tones_hz, removed_hz : tuple of float
-        Frequencies of the tones beside it: of the signal, and of disturbances that were taken off.
+        Frequencies of tones: of the signal, and of disturbances that were removed.
     noise_std, coloured_std : float or None
-        Standard deviation of one reading's white noise, of a bank in its calmest mode, and of its coloured noise, in
-        unit.
+        Standard deviation of one reading's white noise (with several modes: in the calmest one), and of its coloured
+        noise, in unit.
     q_over_r : float or None
         Ratio of process to measurement noise, per step.
     bandwidth_hz, lag_s : float or None
-        -3 dB bandwidth, and lag, as `core.response.Response` has them.
+        -3 dB bandwidth, and lag, as in `becalm.core.steady.response.Response`.
     delay_s : float or None
-        How much later a row is told, if it waits for readings after it; bandwidth and lag are not told then.
+        Delay of a filter that waits for later readings; bandwidth and lag are None then.
     independence_s : float or None
         How far apart samples must be for their errors to count as independent: the mean over T seconds has
         the random uncertainty sigma sqrt(independence_s / T), and never more than sigma.
     tuning_spread : float or None
-        Share by which sigma is wider for what the tuning does not know.
+        Share by which sigma is larger because the tuning is uncertain.
     calibration_std : float or None
-        What the calibration adds, as a root of a sum of squares, at the mean magnitude of the signal, in unit; no
-        averaging lowers it. None where the recipe tells no calibration.
+        Uncertainty of the calibration, as a root of a sum of squares, at the mean magnitude of the signal, in unit;
+        averaging does not reduce it. None where the recipe has no calibration.
     timing_share : float or None
-        By which share sigma is wider for an uncertain time of readings, at most; None where the recipe tells none.
+        Largest share by which sigma grows for an uncertain time of readings; None where the recipe has no timing.
     modes : dict of str to ModeReport
-        Of a filter that switches, which has neither one bandwidth nor one lag.
+        Modes of a filter with several modes, which has neither one bandwidth nor one lag.
     log_likelihood : float or None
-        Of the readings, given the recipe.
+        Log-likelihood of the readings, given the recipe.
     settled_row : int or None
-        The first row whose gain was the settled one.
+        First row with the steady-state gain.
     verdicts : dict
         How many readings were used, missing, and so on.
     advice : tuple of str
-        What these say is to be looked at.
+        What to do about these verdicts.
     faults : tuple of Fault
-        What was wrong with the sensor, or with the time of its rows, and when first.
+        Faults of the sensor, or of the time of its rows, and when each came first.
     """
 
     name: str = ""
@@ -102,8 +102,8 @@ class ChannelReport(Judgement):
 
     def as_dict(self) -> dict[str, object]:
         """Return the report for JSON; what is unknown is None."""
-        told = {key: _finite(value) for key, value in asdict(self).items() if key != "lagged"}
-        return told | {"describes": self.describes}
+        values = {key: _finite(value) for key, value in asdict(self).items() if key != "lagged"}
+        return values | {"describes": self.describes}
 
 
 def _finite(value: object) -> object:

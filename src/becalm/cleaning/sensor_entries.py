@@ -1,4 +1,4 @@
-"""What a person writes about a sensor, one settings type for each kind, and the record that it makes."""
+"""The entries of a sensor file, one settings type for each kind of sensor, and their records."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class AccelerometerEntry(OneChannel):
     Attributes
     ----------
     sensitivity_mv, sensitivity_uncertainty_mv : float
-        In mV per unit, and expanded (k = 2).
+        Sensitivity, in mV per unit, and its expanded (k = 2) uncertainty.
     bias_mv : float
-        What it puts out at 0.
+        Its output at 0, in mV.
     """
 
     kind: Literal["accelerometer"]
@@ -36,29 +36,29 @@ class AccelerometerEntry(OneChannel):
     bias_mv: Finite = 0.0
 
     def record(self) -> SensorRecord:
-        """Make the record."""
-        told = Sensitivity(self.sensitivity_mv, f"mV/{self.unit}", self.sensitivity_uncertainty_mv)
+        """Return the sensor record."""
+        sensitivity = Sensitivity(self.sensitivity_mv, f"mV/{self.unit}", self.sensitivity_uncertainty_mv)
         one = Accelerometer(sensitivity_matrix([self.sensitivity_mv / 1e3]), np.array([self.bias_mv / 1e3]))
-        return SensorRecord(**self.shared(), conversion=one, reading_size=self.volts(), sensitivities=(told,))
+        return SensorRecord(**self.shared(), conversion=one, reading_size=self.volts(), sensitivities=(sensitivity,))
 
 
 class TriaxialEntry(SensorEntryBase):
-    """A triaxial accelerometer: by its sheet, or as its rests in many poses calibrated it.
+    """A triaxial accelerometer, calibrated by its data sheet or by its rests in many poses.
 
     Attributes
     ----------
     channels : tuple of three str
-        Its axes.
+        Channels of its axes.
     sensitivity_mv, sensitivity_uncertainty_mv, bias_mv : tuple of three float
-        As of an accelerometer, each axis along itself.
+        As for an accelerometer, each axis along itself.
     cross_axis_percent : three tuples of three float, or None
-        What each axis (a tuple) hears of each direction, in percent of its own sensitivity.
+        Sensitivity of each axis (a tuple) to each direction, in percent of its own sensitivity.
     correction : three tuples of three float, or None
-        In place of sensitivities: a = correction (readings - bias), in unit per reading.
+        Instead of sensitivities: a = correction (readings - bias), in unit per reading.
     bias : tuple of three float
-        In readings, beside `correction`.
+        Zero of each axis, in readings, with `correction`.
     scale_uncertainty_percent : tuple of three float
-        Expanded (k = 2), of each axis, beside `correction`.
+        Expanded (k = 2) uncertainty of each scale, with `correction`.
     """
 
     kind: Literal["triaxial"]
@@ -73,32 +73,32 @@ class TriaxialEntry(SensorEntryBase):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its three channels."""
+        """Return its three channels."""
         return self.channels
 
     def record(self) -> SensorRecord:
-        """Make the record."""
+        """Return the sensor record."""
         by_sheet = {"sensitivity_uncertainty_mv", "cross_axis_percent", "bias_mv"} & self.model_fields_set
         if self.correction is not None and self.sensitivity_mv is None and not by_sheet:
             return self._corrected(Accelerometer.corrected_by(self.correction, self.bias))
         by_poses = {"bias", "scale_uncertainty_percent"} & self.model_fields_set
         if self.sensitivity_mv is None or self.correction is not None or by_poses:
             raise ValueError("give either sensitivity_mv, with bias_mv, or correction, with bias in readings")
-        heard = sensitivity_matrix(np.array(self.sensitivity_mv) / 1e3, self.cross_axis_percent)
-        told = tuple(
+        matrix = sensitivity_matrix(np.array(self.sensitivity_mv) / 1e3, self.cross_axis_percent)
+        by_axis = tuple(
             Sensitivity(value, f"mV/{self.unit}", u)
             for value, u in zip(self.sensitivity_mv, self.sensitivity_uncertainty_mv, strict=True)
         )
-        three = Accelerometer(heard, np.array(self.bias_mv) / 1e3)
-        return SensorRecord(**self.shared(), conversion=three, reading_size=self.volts(), sensitivities=told)
+        conversion = Accelerometer(matrix, np.array(self.bias_mv) / 1e3)
+        return SensorRecord(**self.shared(), conversion=conversion, reading_size=self.volts(), sensitivities=by_axis)
 
     def _corrected(self, found: Accelerometer) -> SensorRecord:
-        sizes = np.linalg.norm(found.sensitivity, axis=1).tolist()  # of each axis, whichever way it points
-        told = tuple(
+        sizes = np.linalg.norm(found.sensitivity, axis=1).tolist()  # of each axis, in whatever direction it points
+        by_axis = tuple(
             Sensitivity(size, f"{self.raw_unit}/{self.unit}", percent / 100 * size)
             for size, percent in zip(sizes, self.scale_uncertainty_percent, strict=True)
         )
-        return SensorRecord(**self.shared(), conversion=found, sensitivities=told)
+        return SensorRecord(**self.shared(), conversion=found, sensitivities=by_axis)
 
 
 class LoadCellEntry(OneChannel):
@@ -107,9 +107,9 @@ class LoadCellEntry(OneChannel):
     Attributes
     ----------
     rated_output_uncertainty_mv_per_v : float
-        Expanded (k = 2).
+        Expanded (k = 2) uncertainty of the rated output.
     capacity : float
-        In unit.
+        Rated load, in unit.
     """
 
     kind: Literal["load cell"]
@@ -121,11 +121,11 @@ class LoadCellEntry(OneChannel):
     excitation_v: Positive | None = None
 
     def record(self) -> SensorRecord:
-        """Make the record."""
+        """Return the sensor record."""
         cell = LoadCell(self.rated_output_mv_per_v, self.capacity, self.zero_balance_mv_per_v, self.excitation_v)
-        told = Sensitivity(self.rated_output_mv_per_v, "mV/V", self.rated_output_uncertainty_mv_per_v)
+        sensitivity = Sensitivity(self.rated_output_mv_per_v, "mV/V", self.rated_output_uncertainty_mv_per_v)
         size = 1e3 * self.ratio(self.excitation_v)
-        return SensorRecord(**self.shared(), conversion=cell, reading_size=size, sensitivities=(told,))
+        return SensorRecord(**self.shared(), conversion=cell, reading_size=size, sensitivities=(sensitivity,))
 
 
 class CurveEntry(OneChannel):
@@ -134,14 +134,14 @@ class CurveEntry(OneChannel):
     Attributes
     ----------
     coefficients : tuple of float
-        Of readings in raw_unit to the power of 0, 1, 2, ...
+        Coefficients of the powers 0, 1, 2, ... of a reading in raw_unit.
     """
 
     kind: Literal["polynomial"]
     coefficients: tuple[Finite, ...]
 
     def record(self) -> SensorRecord:
-        """Make the record."""
+        """Return the sensor record."""
         return SensorRecord(**self.shared(), conversion=CalibrationCurve(self.coefficients))
 
 

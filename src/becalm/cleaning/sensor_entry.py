@@ -1,4 +1,4 @@
-"""What a person writes about any sensor: its units, its converter, its full scale, and what else a sheet says."""
+"""The settings that all kinds of sensors have: units, converter, full scale and data sheet."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RawUnit = Literal["V", "mV", "mV/V", "counts", "g", "m/s^2"]
 
 
 class SheetEntry(FrozenSettings):
-    """`becalm.sensors.record.Sheet`, as it is written; each line may be left out."""
+    """The data sheet of a sensor, see `becalm.sensors.record.Sheet`; each key is optional."""
 
     manufacturer: str = ""
     model: str = ""
@@ -45,27 +45,27 @@ class SheetEntry(FrozenSettings):
     @model_validator(mode="after")
     def _damping_is_of_a_resonance(self) -> Self:
         if self.damping_ratio is not None and self.resonance_hz is None:
-            raise ValueError("damping_ratio belongs to resonance_hz; give both, or leave it out")
+            raise ValueError("damping_ratio needs resonance_hz; give both, or leave it out")
         return self
 
 
 class SensorEntryBase(FrozenSettings, ABC):
-    """What every kind has.
+    """The common settings of every kind of sensor.
 
     Attributes
     ----------
     raw_unit : {"V", "mV", "mV/V", "counts", "g", "m/s^2"}
-        Of the readings that come; the last two where a `correction` betters what an accelerometer tells already.
+        Unit of the readings; the last two only with a `correction` of an already calibrated accelerometer.
     unit : str
-        Of the result.
+        Unit of the result.
     span_v, bits : float, int or None
-        Of the converter whose counts come: from its least to its greatest input, and its resolution.
+        Converter of counts: voltage from its least to its greatest input, and its resolution in bits.
     lowest_reading, highest_reading : float or None
-        Full scale, in raw_unit; from 0.999 of it readings are clipped, and count as missing.
+        Full scale, in raw_unit; readings beyond 0.999 of it are clipped, and count as missing.
     zero_uncertainty : float
-        Expanded (k = 2), of the result at rest, in unit; a *small* one trusts the zero.
+        Expanded (k = 2) uncertainty of the result at rest, in unit; a *small* one trusts the zero.
     sheet : SheetEntry
-        What else its sheet says.
+        Its data sheet.
     """
 
     raw_unit: RawUnit
@@ -85,19 +85,19 @@ class SensorEntryBase(FrozenSettings, ABC):
     @property
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """The channels that the sensor feeds."""
+        """Return the channels of the sensor."""
 
     @abstractmethod
     def record(self) -> SensorRecord:
-        """Make the record; every fault is a ValueError, and a sentence."""
+        """Return the sensor record; raise a ValueError with a sentence if the entry is wrong."""
 
     def shared(self) -> dict[str, Any]:
-        """Return what is the same in the records of all kinds."""
+        """Return the fields that the records of all kinds have."""
         low, high = self.lowest_reading, self.highest_reading
         if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
-            raise ValueError("full scale goes from lowest_reading up to highest_reading; give both, or neither")
+            raise ValueError("lowest_reading must be less than highest_reading; give both, or neither")
         if self.raw_unit != "counts" and (self.span_v is not None or self.bits is not None):
-            raise ValueError('span_v and bits belong to raw_unit = "counts"; leave them out')
+            raise ValueError('span_v and bits are only for raw_unit = "counts"; leave them out')
         return {
             "channels": self.names,
             "raw_unit": self.raw_unit,
@@ -111,12 +111,12 @@ class SensorEntryBase(FrozenSettings, ABC):
         """Return the volts of one reading."""
         if self.raw_unit == "counts":
             if self.span_v is None or self.bits is None:
-                raise ValueError('raw_unit = "counts" needs the converter\'s span_v and bits, as 10.0 and 16')
+                raise ValueError('raw_unit = "counts" needs the converter\'s span_v and bits, such as 10.0 and 16')
             return volts_per_count(self.span_v, self.bits)
         if self.raw_unit == "mV/V":
-            raise ValueError('raw_unit = "mV/V" belongs to bridges and load cells; give volts or counts')
+            raise ValueError('raw_unit = "mV/V" is only for bridges and load cells; give volts or counts')
         if self.raw_unit not in _VOLTS:
-            raise ValueError(f'raw_unit = "{self.raw_unit}" belongs to a triaxial sensor with correction; give volts')
+            raise ValueError(f'raw_unit = "{self.raw_unit}" is only for a triaxial sensor with correction; give volts')
         return _VOLTS[self.raw_unit]
 
     def ratio(self, excitation_v: float | None) -> float:
@@ -124,33 +124,33 @@ class SensorEntryBase(FrozenSettings, ABC):
         if self.raw_unit == "mV/V":
             return 1e-3
         if excitation_v is None:
-            raise ValueError(f'raw_unit = "{self.raw_unit}" needs excitation_v, as 5.0; readings in mV/V do not')
+            raise ValueError(f'raw_unit = "{self.raw_unit}" needs excitation_v, such as 5.0; readings in mV/V do not')
         return self.volts() / excitation_v
 
 
 class OneChannel(SensorEntryBase):
-    """A sensor of one channel.
+    """A sensor with one channel.
 
     Attributes
     ----------
     tare : str or None
-        Where it carried no load, to take its zero there: "0s:20s" are the first 20 s after the first row. The
-        stretch must be quiet. An accelerometer's zero takes gravity with it.
+        Stretch without load in which its zero is measured: "0s:20s" is the first 20 s after the first row. The
+        stretch must be quiet. The zero of an accelerometer includes gravity.
     """
 
     channel: Name
     tare: str | None = None
-    zero_line: ClassVar[str] = ""  # what tells the zero in place of a tare
+    zero_line: ClassVar[str] = ""  # key that gives the zero without a tare
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The one channel."""
+        """Return the one channel."""
         return (self.channel,)
 
     def shared(self) -> dict[str, Any]:
-        """Return what is the same in the records of all kinds, and the stretch of the tare."""
+        """Return the fields that the records of all kinds have, and the stretch of the tare."""
         if self.tare is not None and self.zero_line in self.model_fields_set:
-            raise ValueError(f"tare takes the zero that {self.zero_line} tells; give one of them")
+            raise ValueError(f"tare and {self.zero_line} both give the zero; give only one of them")
         return super().shared() | {"tare_s": None if self.tare is None else _span_s(self.tare)}
 
 
@@ -159,6 +159,6 @@ def _span_s(text: str) -> tuple[float, float]:
     span_s = stretch_s(text)
     if span_s is None:
         raise ValueError(
-            f'tare = "{text}" is no stretch of time; write START:STOP after the first row, as "0s:20s" or "1min:2min"'
+            f'tare = "{text}" is not a stretch of time; write START:STOP after the first row, such as "0s:20s"'
         )
     return span_s

@@ -1,4 +1,4 @@
-"""A file of sensors, as TOML that a person writes: one `[[sensor]]` each."""
+"""Read and write sensor files: TOML with one `[[sensor]]` table for each sensor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.errors import SensorError
 from becalm.sensors.record import SensorRecord
 
 _KIND = TomlKind("sensor file", SensorError)
-_WAY_OUT = "Each sensor begins with [[sensor]] and says its kind, channel, raw_unit and unit."
+_WAY_OUT = "Each sensor starts with [[sensor]] and has kind, channel, raw_unit and unit."
 
 
 class _Sensors(FrozenSettings):
@@ -28,12 +28,12 @@ class _Sensors(FrozenSettings):
         names = [name for sensor in self.sensor for name in sensor.names]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError(f"the channel {twice[0]!r} is named twice; a channel has one sensor")
+            raise ValueError(f"the channel {twice[0]!r} has two sensors; give it one")
         return self
 
 
 def load_sensors(path: str | Path) -> tuple[SensorRecord, ...]:
-    """Read the sensors of a file, in its order.
+    """Read the sensors of a file, in the order of the file.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def load_sensors(path: str | Path) -> tuple[SensorRecord, ...]:
 
 
 def to_toml(entries: Iterable[SensorEntry], comment: str = "") -> str:
-    """Write sensors as TOML, below a comment; what is as by default is left out."""
+    """Return sensors as TOML, below a comment; default values are left out."""
     document, sensors = tomlkit.document(), tomlkit.aot()
     for line in comment.splitlines():
         document.add(tomlkit.comment(line))
@@ -56,10 +56,10 @@ def to_toml(entries: Iterable[SensorEntry], comment: str = "") -> str:
 
 
 def due_warnings(records: Iterable[SensorRecord], today: date) -> tuple[str, ...]:
-    """Say of each sensor that is due for calibration since when, a sentence each; nothing is refused for it."""
+    """Return a sentence for each sensor that was due for calibration before `today`; this is only a warning."""
     return tuple(
         f"The sensor of {', '.join(record.channels)}{_serial(record)} was due for calibration on {record.sheet.due}; "
-        "its sensitivity and its uncertainty may no longer hold."
+        "its sensitivity and its uncertainty may no longer be valid."
         for record in records
         if record.sheet.is_due(today)
     )

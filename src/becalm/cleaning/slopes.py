@@ -1,4 +1,4 @@
-"""How fast a clean signal changes, row by row, and what that makes of an uncertain time."""
+"""Compute the slope of a clean signal, and the noise that an uncertain time adds to it."""
 
 from __future__ import annotations
 
@@ -10,57 +10,57 @@ from becalm.cleaning.recipe_parts import TimingRecipe
 from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
 
-_WORTH_SAYING = 0.001
+_NOTICEABLE = 0.001
 
 
 class Slopes:
-    """Backward differences of a signal that comes in parts; where it is cut changes no bit.
+    """Backward differences of a signal that comes in blocks; the division into blocks does not change the result.
 
     Parameters
     ----------
     step_s : float
-        The step that elapsed steps are counted in, in seconds.
+        Length of one step, in seconds; elapsed time is counted in steps.
     """
 
     def __init__(self, step_s: float) -> None:
         self._step_s, self._last, self._slope = step_s, np.nan, 0.0
 
     def of(self, signal: Floats, elapsed: Floats) -> Floats:
-        """Return the slope at the next rows, (B,), in units a second; of a repeated time, or unknown, the one before.
+        """Return the slope at the next rows, (B,), in unit/s; the previous one where a time repeats or a row is NaN.
 
         Parameters
         ----------
         signal : (B,) float array
-            What is clean.
+            The clean signal.
         elapsed : (B,) float array
-            Steps since the row before.
+            Steps since the previous row.
         """
         if not len(signal):
             return np.empty(0)
         risen = np.diff(signal, prepend=self._last)
-        known = (elapsed > 0.0) & np.isfinite(risen)
-        slopes = np.divide(risen, elapsed * self._step_s, out=np.full(len(signal), self._slope), where=known)
-        latest = np.maximum.accumulate(np.where(known, np.arange(len(signal)), -1))
+        valid = (elapsed > 0.0) & np.isfinite(risen)
+        slopes = np.divide(risen, elapsed * self._step_s, out=np.full(len(signal), self._slope), where=valid)
+        latest = np.maximum.accumulate(np.where(valid, np.arange(len(signal)), -1))
         slopes = np.where(latest >= 0, slopes[latest], self._slope)
         self._last, self._slope = float(signal[-1]), float(slopes[-1])
         return slopes
 
     def saved(self) -> Floats:
-        """Return what moves."""
+        """Return the state as an array."""
         return np.array([self._last, self._slope])
 
     def restore(self, moved: Floats) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         self._last, self._slope = moved.tolist()
 
 
 class TimingNoise:
-    """Widens sigma by what an uncertain time adds to the noise.
+    """Widens sigma by the noise that an uncertain time adds.
 
     Parameters
     ----------
     timing : TimingRecipe
-        What is uncertain.
+        Uncertainty of the time.
     noise_std : float
         Standard deviation of a reading's noise, in unit.
     step_s : float
@@ -74,11 +74,11 @@ class TimingNoise:
         """The largest share that was added to sigma so far."""
 
     def push(self, elapsed: Floats) -> None:
-        """Take the steps before rows that will be told, (B,)."""
+        """Take the steps before each of the next rows, (B,)."""
         self._elapsed.append(elapsed)
 
     def widened(self, told: EstimatedRows) -> EstimatedRows:
-        """Return rows with the sigma that they have."""
+        """Return rows with sigma widened by the uncertain time."""
         slopes = self._slopes.of(told.signal, self._taken(len(told.signal)))
         more = (slopes * self._timing.std_s) ** 2 - self._timing.included_std**2
         wider = np.sqrt(1.0 + np.maximum(more, 0.0) / self._variance)
@@ -86,11 +86,11 @@ class TimingNoise:
         return told._replace(sigma=wider * told.sigma)
 
     def saved(self) -> dict[str, Floats]:
-        """Return what sigma depends on, as arrays."""
+        """Return the state as arrays."""
         return {"timing_slopes": self._slopes.saved(), "timing_elapsed": np.concatenate([*self._elapsed, np.empty(0)])}
 
     def restore(self, arrays: Mapping[str, Floats]) -> None:
-        """Take over what `saved` returned."""
+        """Restore the state that `saved` returned."""
         self._slopes.restore(arrays["timing_slopes"])
         self._elapsed = [arrays["timing_elapsed"]]
 
@@ -101,7 +101,7 @@ class TimingNoise:
 
 
 def said_of_times(timing: TimingRecipe | None, share: float) -> list[str]:
-    """Say what uncertain times add to sigma, in a sentence, where that is worth one."""
-    if timing is None or share < _WORTH_SAYING:
+    """Return a sentence on what uncertain times add to sigma, if it is noticeable."""
+    if timing is None or share < _NOTICEABLE:
         return []
-    return [f"Times uncertain by {1e6 * timing.std_s:.3g} us add up to {share:.1%} to sigma."]
+    return [f"An uncertainty of {1e6 * timing.std_s:.3g} us in time increases sigma by up to {share:.1%}."]

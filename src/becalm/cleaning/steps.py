@@ -1,4 +1,4 @@
-"""A channel's numbers in seconds, as recipes tell them, and in steps, as filters use them."""
+"""Convert the parameters of a channel between seconds (recipes) and steps (filters)."""
 
 from __future__ import annotations
 
@@ -19,18 +19,21 @@ from becalm.identification.likelihood import Tuning
 from becalm.identification.spectrum import ToneOscillator
 
 _SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles a step
-_LEAST_DAMPING = 1e-12  # cycles a step: less is none
-_APART = 1e-6  # of a frequency: nearer tones are one
-_LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: beyond, every reading is ignored or believed
+_LEAST_DAMPING = 1e-12  # cycles a step: smaller values are refused
+_APART = 1e-6  # of a frequency: tones that are closer cannot be distinguished
+_LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: outside, every reading is ignored or fully trusted
 _SAME_RATE = 1e-3
 SOON = 3
-"""Readings: with a lag up to this a filter's tuning errs less, beyond it a smoother's (`benchmarks/fixed_lag.py`)."""
+"""Lag in readings up to which the tuning of a causal filter has a smaller error than the tuning of a smoother.
 
-_WHOLE = 1e-6  # of a step: by so much a lag may fall short of a reading that it counts
+Measured by `benchmarks/fixed_lag.py`.
+"""
+
+_WHOLE = 1e-6  # of a step: tolerance when a lag is rounded down to whole readings
 
 
 def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: float = 0.0) -> ChannelRecipe:
-    """Return the recipe of a channel that was tuned in steps, and whose sigma is wider by a share."""
+    """Return the recipe of a channel that was tuned in steps; `spread` is its `tuning_spread`."""
     noise = tuning.coloured
     return ChannelRecipe(
         name=name,
@@ -50,15 +53,16 @@ def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: floa
     )
 
 
-@lru_cache(maxsize=256)  # a channel is opened again and again while it is tuned
+@lru_cache(maxsize=256)  # tuning opens the same channel many times
 def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
-    """Return the numbers of a recipe in steps.
+    """Return the parameters of a recipe in steps.
 
     Raises
     ------
     RecipeError
-        If they make no filter at this step: a number is out of float64's reach, a tone is too quick or
-        too wide to be read, or coloured noise was told at another rate or grows for ever.
+        If they do not make a valid filter at this step: a number is out of the range of float64, a tone is too fast
+        or too wide for the rate, two tones cannot be distinguished, the damping is out of range, or coloured noise
+        was identified at another rate or is unstable.
     """
     with np.errstate(all="ignore"):
         variance = float(np.float64(tuned.noise_std) ** 2)
@@ -66,8 +70,9 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     possible = 1e-250 < variance < 1e250 and (density == 0 or _LEAST_RATIO < density / variance < _GREATEST_RATIO)
     if not possible or (density == 0 and tuned.process_noise_density > 0):
         raise RecipeError(
-            f"process_noise_density = {tuned.process_noise_density:.3g} and noise_std = {tuned.noise_std:.3g} make"
-            f" no filter at {1 / step_s:.6g} Hz; mend them in the recipe, or tune one on this recording."
+            f"process_noise_density = {tuned.process_noise_density:.3g} and noise_std = {tuned.noise_std:.3g} do"
+            f" not make a valid filter at {1 / step_s:.6g} Hz; correct them in the recipe, or tune one on"
+            " this recording."
         )
     _refuse_twins(tuned.tones)
     lines = tuple(_tone_in_steps(tone, variance, step_s) for tone in tuned.tones)
@@ -75,39 +80,39 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     damping = _damping_in_steps(tuned.damped_below_hz, step_s)
     found = Tuning(tuned.order, density / variance, variance, 0, lines=lines, coloured=coloured, damping=damping)
     try:
-        found.component  # noqa: B018  (refuses noise that grows for ever)
+        found.component  # noqa: B018  (refuses unstable noise)
     except ModelError as cause:
-        raise RecipeError(f"The recipe's coloured noise makes no filter: {cause}") from cause
+        raise RecipeError(f"The recipe's coloured noise does not make a valid filter: {cause}") from cause
     return found
 
 
 def gate_of(told: GateRecipe, step_s: float) -> Gate:
-    """Return the gate of a recipe at this step."""
+    """Return the innovation gate of a recipe at this step."""
     return Gate(threshold_for(told.false_alarms_per_hour, 1 / step_s), told.agree, told.at_most)
 
 
 def lag_in_rows(lag_s: float, step_s: float) -> int:
-    """Return how many later readings come within a lag.
+    """Return a lag as a number of later readings.
 
     Parameters
     ----------
     lag_s : float
-        In seconds; one that falls short of a reading by a millionth of a step still counts it.
+        In seconds; a reading counts if the lag is at most a millionth of a step too short for it.
     step_s : float
         One step, in seconds.
 
     Raises
     ------
     UsageError
-        If none does, or the lag is no number.
+        If the lag is shorter than one step, longer than `LONGEST_LAG` readings, or not a number.
     """
     if not isinstance(lag_s, Real):
-        raise UsageError(f"lag_s = {lag_s!r} is no number; give seconds, as in lag_s=0.01.")
+        raise UsageError(f"lag_s = {lag_s!r} is not a number; give seconds, as in lag_s=0.01.")
     rows = np.floor(float(lag_s) / step_s + _WHOLE)
     if not 1 <= rows <= LONGEST_LAG:
         raise UsageError(
             f"lag_s = {lag_s:.6g} is {rows:.6g} readings at {1 / step_s:.6g} Hz; give {step_s:.6g} to"
-            f" {LONGEST_LAG * step_s:.6g} s, or let the filter be causal, or smooth."
+            f" {LONGEST_LAG * step_s:.6g} s, or use a causal filter or a smoother."
         )
     return int(rows)
 
@@ -116,7 +121,7 @@ def _refuse_twins(tones: Sequence[ToneRecipe]) -> None:
     for low, high in pairwise(sorted(tone.frequency_hz for tone in tones)):
         if high - low <= _APART * high:
             raise RecipeError(
-                f"The recipe has two tones at {low:.9g} and {high:.9g} Hz, which cannot be told apart; leave one out."
+                f"The recipe has two tones at {low:.9g} and {high:.9g} Hz, which cannot be distinguished; remove one."
             )
 
 
@@ -134,8 +139,9 @@ def _damping_in_steps(damped_below_hz: float | None, step_s: float) -> float:
         return 0.0
     if not _LEAST_DAMPING < damped_below_hz * step_s < _QUICKEST:
         raise RecipeError(
-            f"damped_below_hz = {damped_below_hz:.3g} makes no filter at {1 / step_s:.6g} Hz, which has to be more than"
-            " twice as much; mend it in the recipe, or tune one on this recording."
+            f"damped_below_hz = {damped_below_hz:.3g} does not make a valid filter at {1 / step_s:.6g} Hz. It must be"
+            f" more than {_LEAST_DAMPING / step_s:.3g} Hz and less than {_QUICKEST / step_s:.6g} Hz, half of the rate;"
+            " correct it in the recipe, or tune one on this recording."
         )
     return 2 * np.pi * damped_below_hz * step_s
 
@@ -145,12 +151,13 @@ def _tone_in_steps(tone: ToneRecipe, variance: float, step_s: float) -> ToneOsci
     if not (_SLOWEST < tone.frequency_hz * step_s < _QUICKEST and tone.bandwidth_hz * step_s < _WIDEST):
         raise RecipeError(
             f"The recipe has a tone at {tone.frequency_hz:.6g} Hz, {tone.bandwidth_hz:.6g} Hz wide, which"
-            f" {1 / step_s:.6g} readings a second cannot tell; leave it out, or tune a recipe on this recording."
+            f" a rate of {1 / step_s:.6g} Hz cannot resolve; remove it, or tune a recipe on this recording."
         )
     if not _LEAST_RATIO < ratio < _GREATEST_RATIO:
         raise RecipeError(
             f"The tone at {tone.frequency_hz:.6g} Hz with process_noise_density = {tone.process_noise_density:.3g}"
-            f" and noise_std = {np.sqrt(variance):.3g} makes no filter at {1 / step_s:.6g} Hz; mend the recipe."
+            f" and noise_std = {np.sqrt(variance):.3g} does not make a valid filter at {1 / step_s:.6g} Hz; correct the"
+            " recipe."
         )
     return ToneOscillator(
         angle=2 * np.pi * tone.frequency_hz * step_s,
@@ -165,7 +172,8 @@ def _coloured_in_steps(noise: ColouredNoiseRecipe | None, step_s: float) -> Colo
         return None
     if abs(noise.rate_hz * step_s - 1) > _SAME_RATE:
         raise RecipeError(
-            f"The recipe's coloured noise was told at {noise.rate_hz:.6g} Hz, and means nothing at {1 / step_s:.6g} Hz;"
+            f"The recipe's coloured noise was identified at {noise.rate_hz:.6g} Hz and is not valid at"
+            f" {1 / step_s:.6g} Hz;"
             " tune a recipe on this recording."
         )
     return ColouredNoise(noise.coefficients, noise.std**2)

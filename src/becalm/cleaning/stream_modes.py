@@ -1,4 +1,4 @@
-"""How probable the modes of a stream's channels are: those of all that switch, one channel after the other."""
+"""Collect the mode probabilities of a stream, one channel with modes after the other."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
 
 NO_MODES: Floats = np.empty((0, 0))
-"""What is told where no channel switches, of any number of rows."""
+"""Mode probabilities where no channel has modes, for any number of rows."""
 
 
 def modes_in(channel: ChannelRecipe) -> int:
-    """Return how many modes a channel switches between; 0 of one that does not."""
+    """Return how many modes a channel has; 0 for one fixed filter."""
     return 0 if channel.switching is None or channel.motion is None else len(channel.switching.mode)
 
 
 def with_modes(told: EstimatedRows, modes: int) -> list[EstimatedRows]:
-    """Return rows that wait with so many modes, if any wait; of those that an older becalm kept none is known."""
+    """Return waiting rows, if any, with so many modes; their probabilities are NaN if an older version saved them."""
     unknown = np.full((modes, len(told.signal)), np.nan)
     return [told if len(told.parts) == modes else told._replace(parts=unknown)] if len(told.signal) else []
 
 
 def modes_of(told: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:
-    """Return (R, K) of rows of channels that have so many modes each; no channel is no row."""
+    """Return probabilities (R, K) for the rows of channels with so many modes each; (0, K) without channels."""
     if not any(modes):
         return NO_MODES
     if not told or not len(next(iter(told.values())).signal):
@@ -35,9 +35,9 @@ def modes_of(told: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:
 
 
 def handed_over(share: Floats, before: Floats, after: Floats) -> Floats:
-    """Return probabilities (R, K) while one filter gives way to another, whose share is (R, 1) of each row.
+    """Return mode probabilities (R, K) while a new filter replaces an old one; `share` (R, 1) is that of the new one.
 
-    They are those of the filter that is told more; where the two have other modes, only the later one's are known.
+    They are those of the filter with the larger share. If the two have different modes, only the new one's are known.
     """
     if not after.shape[1]:
         return NO_MODES

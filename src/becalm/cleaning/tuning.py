@@ -1,4 +1,4 @@
-"""tune(recording) -> Recipe: the noise of each channel identified, its filter chosen."""
+"""Tune a recipe on a recording: identify the noise of each channel and choose its filter."""
 
 from __future__ import annotations
 
@@ -35,33 +35,34 @@ from becalm.identification.trust.tuning_spread import tuning_spread
 from becalm.identification.wishes.dial import Dial, may_judge, turn
 from becalm.installation import load_scipy, version
 
-_NEARLY_EMPTY = 64  # readings, below which a channel need not tell its noise at rest
+_NEARLY_EMPTY = 64  # readings: a channel with fewer may have too few at rest
 
 Progress = Callable[[str], None]
 
 
 class Wishes(NamedTuple):
-    """What a person asks or knows; everything else the recording tells.
+    """What a person asks for or knows; everything else is identified from the recording.
 
     Attributes
     ----------
     dial : Dial or None
-        A lag, a bandwidth or a noise gain that every filter shall have.
+        A lag, a bandwidth or a noise gain that every filter must have.
     still_s : tuple of (float, float)
-        Where the sensor lay still, from and to in seconds after the first row: the noise is told there.
+        Stretches in which the sensor lay still, each from and to, in seconds after the first row: the noise is
+        measured there.
     rest : Recording or None
-        The recording that those seconds count in, where it is another one, of the same channels.
+        Recording of the same channels that `still_s` refers to; by default the one that is tuned on.
     removed_hz : tuple of float
-        Frequencies of tones to take off, as of mains hum.
+        Frequencies of tones to remove, such as mains hum.
     lag_s : float or None
-        How long each estimate may wait for later readings; with a *small* one it comes soon, and noisier.
+        How long each estimate may wait for later readings, in seconds; a *small* lag returns it sooner, but noisier.
     robust : bool
-        Whether many readings are wild, one in a hundred to one in ten, and shall be left out.
+        Whether many readings, one in a hundred to one in ten, are outliers that must be left out.
     fill : bool
-        Whether the best guess is told in holes of which the model knows nothing, too.
+        Whether to return an estimate even in holes in which the model predicts nothing.
     time_std_s : float or None
         Standard uncertainty (k = 1) of the time of each reading, independent of the others: jitter of the sampling
-        clock, in seconds. None takes it from the last digit of stamps that are no even grid.
+        clock, in seconds. None takes it from the last digit of the stamps, unless they are an even grid.
     """
 
     dial: Dial | None = None
@@ -78,15 +79,15 @@ NO_WISHES = Wishes()
 
 
 class ChannelTuning(NamedTuple):
-    """What was found for one channel."""
+    """The result of tuning one channel."""
 
-    channel: ChannelRecipe  # what was decided
-    choice: Choice  # what it was chosen among
-    believed: Evidence  # the readings that told it
+    channel: ChannelRecipe  # the tuned recipe
+    choice: Choice  # the candidates that it was chosen from
+    believed: Evidence  # the readings that it was tuned on
 
 
 class Tuned(NamedTuple):
-    """A recipe, and what was found for each of its channels on the way."""
+    """A recipe, and the tuning results of its channels."""
 
     recipe: Recipe
     found: tuple[ChannelTuning, ...]
@@ -100,28 +101,28 @@ def tune(
     wishes: Wishes = NO_WISHES,
     progress: Progress | None = None,
 ) -> Recipe:
-    """Identify the noise of each channel and choose its filter; nothing needs to be asked.
+    """Identify the noise of each channel and choose its filter; no option is required.
 
     Parameters
     ----------
     recording : Recording
         Samples (N, m), NaN where missing.
     causal : bool
-        Whether the recipe shall filter (True) or smooth.
+        Whether the recipe is for a causal filter (True) or a smoother.
     channels : sequence of str, optional
         Names of the channels to clean; all by default.
     wishes : Wishes
-        A dial, where the sensor lay still, tones to take off; by default the recording decides.
+        A dial, where the sensor lay still, tones to remove; by default all is identified from the recording.
     progress : callable, optional
         Called with a channel's name when it is done.
 
     Raises
     ------
     RecordingError
-        If a channel does not exist, or there are no channels or samples, or too few where the sensor is
-        said to be still.
+        If a channel does not exist, or there are no channels or samples, or too few where `still_s` says that
+        the sensor lay still.
     UsageError
-        If no filter has what the dial asks, or wishes do not go together.
+        If no filter can have what the dial asks for, or wishes contradict each other.
     """
     return explore(recording, causal=causal, channels=channels, wishes=wishes, progress=progress).recipe
 
@@ -134,7 +135,7 @@ def explore(
     wishes: Wishes = NO_WISHES,
     progress: Progress | None = None,
 ) -> Tuned:
-    """Do as `tune`, and tell what each filter was chosen among, too."""
+    """Tune as `tune` does, and return the candidates of each channel as well."""
     refuse_empty(recording)
     chosen = recording if channels is None else recording.select(listed(channels))
     refuse_empty(chosen)
@@ -148,7 +149,7 @@ def explore(
     try:
         found = tuple(pool.map(one, chosen.names))
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)  # who stops it need not wait for the others
+        pool.shutdown(wait=False, cancel_futures=True)  # after an interruption, do not wait for the other channels
     origin = Origin(rows=len(chosen), rate_hz=chosen.rate_hz, becalm=version())
     mode: Mode = "causal" if causal else "smoothed" if wishes.lag_s is None else "lagged"
     recipe = Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=tuple(one.channel for one in found))
@@ -157,124 +158,126 @@ def explore(
 
 
 def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> ChannelTuning:
-    found = _found(recording, causal, wishes, name)
-    if not causal and wishes.lag_s is None and found.channel.motion is not None:
-        hole = holes_shown(found.channel, found.believed, recording.timebase.step_s)
-        found = found._replace(channel=found.channel.model_copy(update={"hole": hole}))
+    tuned = _identify_channel(recording, causal, wishes, name)
+    if not causal and wishes.lag_s is None and tuned.channel.motion is not None:
+        hole = holes_shown(tuned.channel, tuned.believed, recording.timebase.step_s)
+        tuned = tuned._replace(channel=tuned.channel.model_copy(update={"hole": hole}))
     progress(name)
-    return found
+    return tuned
 
 
-def _found(recording: Recording, causal: bool, wishes: Wishes, name: str) -> ChannelTuning:
+def _identify_channel(recording: Recording, causal: bool, wishes: Wishes, name: str) -> ChannelTuning:
     time, unit = recording.timebase, recording.units[recording.names.index(name)]
-    known = PriorKnowledge(
+    prior = PriorKnowledge(
         _rest_noise(wishes.rest or recording, name, wishes.still_s) if wishes.still_s else None,
         tuple(2 * np.pi * frequency * time.step_s for frequency in wishes.removed_hz),
     )
-    told, elapsed = GateRecipe(), time.elapsed_steps
-    gate = gate_of(told, time.step_s)
+    gate_recipe, elapsed = GateRecipe(), time.elapsed_steps
+    gate = gate_of(gate_recipe, time.step_s)
     readings, outliers, limits = find_healthy(recording.channel(name), elapsed, time.step_s, causal=causal)
-    choice, gated = choose_gated(readings, elapsed, gate, causal, known)
+    choice, gated = choose_gated(readings, elapsed, gate, causal, prior)
     evidence = Evidence.of(readings, elapsed)
     if choice.tuning is None or choice.motion is None:
         return ChannelTuning(ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits), choice, evidence)
-    found, spread = choice.tuning, 0.0
+    tuning, spread = choice.tuning, 0.0
     if wishes.dial is not None:
-        found = turn(choice.motion, wishes.dial, time.step_s, causal)
-        gated = gated and may_judge(found, choice.tuning)
+        tuning = turn(choice.motion, wishes.dial, time.step_s, causal)
+        gated = gated and may_judge(tuning, choice.tuning)
     unknown = {"spread_std": spread_std(evidence), "fill": wishes.fill}
-    limits = with_rounding(limits, found, readings, causal=causal)
-    foretold = forecasts(found, readings, elapsed, gate if gated else None)
-    if wishes.dial is None:  # what a person asked for is no estimate: it has no spread, and nothing replaces it
+    limits = with_rounding(limits, tuning, readings, causal=causal)
+    predicted = forecasts(tuning, readings, elapsed, gate if gated else None)
+    if wishes.dial is None:  # a dial is not an estimate: it has no spread, and modes do not replace it
         if not wishes.still_s and not wishes.removed_hz:
-            spikes = None if wishes.robust else bool(foretold.rejected.any())
+            spikes = None if wishes.robust else bool(predicted.rejected.any())
             all_readings = Evidence.of(np.where(np.isfinite(outliers), outliers, readings), elapsed)
             own = evidence.own_step
             seen, every = evidence.counted_in(own), all_readings.counted_in(own)
-            switched = _switched(found.counted_in(own), seen, causal, spikes, every)
+            switched = _switched(tuning.counted_in(own), seen, causal, spikes, every)
             if switched is not None:
                 modes = modes_in_seconds(switched.kind, switched.switching, own * time.step_s)
                 switching = in_seconds(name, unit, switched.tuning.counted_in(1 / own), time.step_s)
                 more = {"switching": modes, "limits": limits, **unknown}
                 return ChannelTuning(switching.model_copy(update=more), choice, evidence)
-        evidence = Evidence.of(np.where(foretold.rejected, np.nan, readings), elapsed) if gated else evidence
-        own = 1.0 if found.coloured else evidence.own_step
-        steps = found.counted_in(own), evidence.counted_in(own)
-        spread = tuning_spread(*steps, causal, noise_known=known.noise is not None)
-    limits = with_alarms(limits, found, foretold.normalised, causal=causal, step_s=time.step_s)
-    own_hz = 1 / (evidence.own_step * time.step_s) if evidence.own_step > 1 and not found.coloured else None
-    beside = {"gate": told if gated else None, "limits": limits, "rate_hz": own_hz, **unknown}
-    return ChannelTuning(in_seconds(name, unit, found, time.step_s, spread).model_copy(update=beside), choice, evidence)
+        evidence = Evidence.of(np.where(predicted.rejected, np.nan, readings), elapsed) if gated else evidence
+        own = 1.0 if tuning.coloured else evidence.own_step
+        steps = tuning.counted_in(own), evidence.counted_in(own)
+        spread = tuning_spread(*steps, causal, noise_known=prior.noise is not None)
+    limits = with_alarms(limits, tuning, predicted.normalised, causal=causal, step_s=time.step_s)
+    own_hz = 1 / (evidence.own_step * time.step_s) if evidence.own_step > 1 and not tuning.coloured else None
+    others = {"gate": gate_recipe if gated else None, "limits": limits, "rate_hz": own_hz, **unknown}
+    return ChannelTuning(
+        in_seconds(name, unit, tuning, time.step_s, spread).model_copy(update=others), choice, evidence
+    )
 
 
 def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | None, wild: Evidence) -> Switched | None:
-    """Find modes for a channel; `spikes` tells whether a gate leaves some out, None that many are to be left out."""
+    """Find modes for a channel; `spikes`: whether a gate rejects some readings, None to leave out many outliers."""
     if spikes is None:
         return choose_robust(tuning, evidence, causal)
     return find_switching(tuning, evidence, causal, spikes, wild)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
-    """Tell a channel's noise where it lay still; in uneven time all of it counts as white. None where there is none."""
+    """Measure a channel's noise at rest, in uneven time as white noise; None if all readings at rest are equal."""
     readings, elapsed = judge(rest.channel(name)).readings, rest.timebase.elapsed_steps
     parts = [slice(*stretch) for stretch in said_still(rest, still_s).stretches]
     if not any(np.nanstd(readings[part]) > 0 for part in parts if np.isfinite(readings[part]).any()):
         return None
     try:
-        found = fit_noise([readings[part] for part in parts])
+        noise = fit_noise([readings[part] for part in parts])
     except RecordingError as cause:
         if np.isfinite(readings).sum() < _NEARLY_EMPTY:
-            return None  # as of any other recording
+            return None  # its noise is identified as without rests
         raise RecordingError(f"{name}: {cause}") from cause
     even = all(np.array_equal(elapsed[part][1:], np.round(elapsed[part][1:])) for part in parts)
-    if even or found.coloured is None:
-        return found
-    return NoiseModel(found.white_variance + found.coloured.variance, None, found.drift_density, found.count)
+    if even or noise.coloured is None:
+        return noise
+    return NoiseModel(noise.white_variance + noise.coloured.variance, None, noise.drift_density, noise.count)
 
 
 def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
     removed, rate_hz = wishes.removed_hz, recording.rate_hz
     if wishes.robust and (wishes.dial is not None or wishes.still_s or removed):
-        raise UsageError("A robust filter finds its own noise and has no dial or tones; ask for one thing at a time.")
+        raise UsageError("A robust filter has no dial, rests or tones; ask for one thing at a time.")
     if removed and (wishes.dial is not None or wishes.still_s):
-        raise UsageError("Tones are taken off only where the recording decides the rest; ask for one at a time.")
+        raise UsageError("Tones are removed only if the recording decides everything else; ask for one at a time.")
     if len(removed) > MOST_TONES:
-        raise UsageError(f"{len(removed)} tones to take off are too many; name up to {MOST_TONES}.")
+        raise UsageError(f"{len(removed)} tones to remove are too many; give up to {MOST_TONES}.")
     if removed and not all(0 < frequency < rate_hz / 2 for frequency in removed):
         raise UsageError(
-            f"Tones to take off lie between 0 and {rate_hz / 2:.6g} Hz, half of the rate;"
+            f"Tones to remove must be between 0 and {rate_hz / 2:.6g} Hz, half of the rate;"
             f" {', '.join(f'{frequency:.6g}' for frequency in removed)} Hz came."
         )
     if removed and _longest_even(recording) < FEWEST_FOR_TONES:
         raise UsageError(
-            f"To take off tones, {FEWEST_FOR_TONES} rows in even time without a gap are needed;"
+            f"To remove tones, {FEWEST_FOR_TONES} rows at an even rate without a gap are needed;"
             f" {'no stretch is so even' if len(recording) >= FEWEST_FOR_TONES else f'{len(recording)} rows came'}."
-            " Give a longer recording, or with --rate the rate at which the rows were taken."
+            " Give a longer recording, or give the rate of the rows with --rate."
         )
 
 
 def _longest_even(recording: Recording) -> int:
-    """Return how many rows come in even time, but for short holes, at the most."""
+    """Return the length of the longest stretch at an even rate, in rows; short holes are allowed."""
     rows = Evidence.of(np.zeros(len(recording)), recording.timebase.elapsed_steps)
     return max(len(rows.z[part]) for part in (nearly_complete(rows), *rows.even))
 
 
 def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
-    """Whether the likelihood of the next reading tunes, as of a causal filter, or what a smoother is tuned by.
+    """Return whether to tune as for a causal filter (likelihood of the next reading), or as for a smoother.
 
     Parameters
     ----------
     causal : bool
-        Whether estimates know only the past.
+        Whether estimates use only the past.
     lag_s : float or None
-        How long each waits for later readings, in seconds; None where it is not said.
+        How long each estimate waits for later readings, in seconds; None without a lag.
     step_s : float
         One step, in seconds.
 
     Raises
     ------
     UsageError
-        If a lag is asked of a causal filter, or no later reading comes within it.
+        If a causal filter is given a lag, or the lag is shorter than one step or too long.
     """
     if lag_s is None:
         return causal
@@ -283,13 +286,13 @@ def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
 
 
 def refuse_causal_lag(causal: bool | None, lag_s: float | None) -> None:
-    """Raise a UsageError where a lag is asked of a causal filter."""
+    """Raise a UsageError if a causal filter is given a lag."""
     if causal and lag_s is not None:
-        raise UsageError("A causal filter waits for no later reading; ask for a lag, or for a causal filter.")
+        raise UsageError("A causal filter uses no later reading; give a lag, or choose a causal filter, not both.")
 
 
 def refuse_empty(recording: Recording) -> None:
-    """Raise a RecordingError where there is nothing to clean."""
+    """Raise a RecordingError if there is nothing to clean."""
     if not isinstance(recording, Recording):
         raise RecordingError(
             f"A Recording is needed; {type(recording).__name__} came. Make one: becalm.Recording(samples, rate_hz=...)."
@@ -301,9 +304,9 @@ def refuse_empty(recording: Recording) -> None:
 
 
 def listed(channels: Sequence[str]) -> list[str]:
-    """Return names as a list; one alone may come as it is."""
+    """Return names as a list; a single name may be a str."""
     return [channels] if isinstance(channels, str) else list(channels)
 
 
 def _silent(_: str) -> None:
-    """Say nothing."""
+    """Ignore progress."""

@@ -1,1 +1,1 @@
-"""A thin sheet over all of it: data to stdout, talk to stderr, exit codes on the errors."""
+"""The command line: data on stdout, messages on stderr, exit codes from the exceptions."""

@@ -1,4 +1,4 @@
-"""The app: a page to tune on, served from here until a signal ends it."""
+"""Run the app: serve the tuner page until a signal stops it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 
 class TunerFolder(NamedTuple):
-    """Whose files may be opened, which is opened first, and what was said of its time."""
+    """The folder whose files may be opened, the file to open first, and its time options."""
 
     folder: Path
     file: Path | None
@@ -34,7 +34,7 @@ class TunerFolder(NamedTuple):
 
 
 class PageAddress(NamedTuple):
-    """Where the page is served, and who keeps its token; without a port the usual one, or any if that is taken."""
+    """The address of the page and the file of its token; without a port, the default one or any free one."""
 
     host: str
     port: int | None
@@ -42,47 +42,47 @@ class PageAddress(NamedTuple):
 
 
 def place_of(file: Path | None, folder: Path | None, options: ReadOptions) -> TunerFolder:
-    """Read which files a person wants to work on.
+    """Return the folder and the file that a person wants to work on.
 
     Raises
     ------
     InputError
-        If the file or the folder is not there.
+        If the file or the folder does not exist.
     UsageError
-        If the time of no file was told.
+        If there are time options, but no file.
     """
     if file is None and options != ReadOptions():
-        raise UsageError("--rate and --time are of a file; name it, or give its rate on the page.")
+        raise UsageError("--rate and --time need a FILE; name one, or give its rate on the page.")
     if file is not None and not file.exists():
-        raise InputError(f"{file} is not there; name a recording, or leave it out and choose one on the page.")
+        raise InputError(f"{file} does not exist; name a recording, or leave it out and choose one on the page.")
     chosen = folder or (Path() if file is None else file.parent)
     if not chosen.is_dir():
-        raise InputError(f"{chosen} is no folder; name one with --folder.")
+        raise InputError(f"{chosen} is not a folder; name one with --folder.")
     return TunerFolder(chosen, file, options)
 
 
 def bytes_of(text: str) -> int:
-    """Read how large a file may be.
+    """Return the largest size of a file, in bytes.
 
     Raises
     ------
     UsageError
-        If it is no positive number with its unit.
+        If it is not a positive number with its unit.
     """
-    written = _SIZE.fullmatch(text.strip())
-    limit = int(float(written["number"]) * _BYTES[written["unit"].lower()]) if written else 0
+    match = _SIZE.fullmatch(text.strip())
+    limit = int(float(match["number"]) * _BYTES[match["unit"].lower()]) if match else 0
     if limit < 1:
-        raise UsageError(f"--upload-limit {text} is no size; write a number and then kB, MB or GB, as 2GB.")
+        raise UsageError(f"--upload-limit {text} is not a size; write a number and then kB, MB or GB, such as 2GB.")
     return limit
 
 
 def run(place: TunerFolder, where: PageAddress, limit_bytes: int, *, browser: bool) -> None:
-    """Serve the page until a signal comes; a second one ends at once.
+    """Serve the page until a signal comes; a second signal ends the process at once.
 
     Raises
     ------
     UsageError
-        If a library that serves pages is not here, the port cannot be had, or the token's file is none.
+        If a library that serves pages is not installed, the port cannot be used, or the token file is not one.
     """
     need_app()
     from becalm.web.access import Access, token_of
@@ -91,7 +91,7 @@ def run(place: TunerFolder, where: PageAddress, limit_bytes: int, *, browser: bo
     from becalm.web.tuner import Tuner
 
     token = token_of(where.token_file)
-    with _listening(where) as listener:
+    with _open_listener(where) as listener:
         access = Access(where.host, listener.getsockname()[1], token)
         tuner = Tuner(place.folder, place.file, limit_bytes, place.options)
         stopped = _hear_signals()
@@ -101,26 +101,26 @@ def run(place: TunerFolder, where: PageAddress, limit_bytes: int, *, browser: bo
                 if access.warning is not None:
                     stderr.print(access.warning)
                 if browser:
-                    _show(access.ticket())
-                while not stopped.wait(1):  # where signals do not interrupt a wait, they are heard between two
+                    _open_browser(access.ticket())
+                while not stopped.wait(1):  # a timeout, because on some systems signals do not interrupt a wait
                     pass
         finally:
             tuner.close()
 
 
-def _listening(where: PageAddress) -> socket.socket:
+def _open_listener(where: PageAddress) -> socket.socket:
     from becalm.web.serving import TakenError, listen
 
     if where.port is not None:
         return listen(where.host, where.port)
     try:
         return listen(where.host, DEFAULT_PORT)
-    except TakenError:  # as by another becalm
+    except TakenError:  # for example by another becalm
         return listen(where.host, 0)
 
 
 def _hear_signals() -> threading.Event:
-    """Return what a first signal sets; a second one ends at once."""
+    """Return an event that the first signal sets; a second signal ends the process at once."""
     stopped = threading.Event()
     end = beside(stopped.set)
 
@@ -134,8 +134,8 @@ def _hear_signals() -> threading.Event:
     return stopped
 
 
-def _show(address: str) -> None:
-    """Open the page in a browser with a window; one in the terminal would take that from becalm."""
+def _open_browser(address: str) -> None:
+    """Open the page in a browser, but not in a text browser, which would take over the terminal."""
     windows = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")))
     if windows:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

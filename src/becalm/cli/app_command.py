@@ -1,4 +1,4 @@
-"""`becalm app`: its options, each with its one help text."""
+"""Define `becalm app` and its options."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ UploadLimit = Annotated[str, typer.Option("--upload-limit", metavar="2GB", help=
 NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Do not open a browser; print the address only.")]
 
 
-def open_app(  # noqa: PLR0913  (the contract's options)
+def open_app(  # noqa: PLR0913  (one argument for each option)
     file: Opened = None,
     rate: o.Rate = None,
     time: o.Time = None,

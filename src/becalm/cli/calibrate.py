@@ -1,4 +1,4 @@
-"""An accelerometer calibrated by its rests in many poses: a table on stderr, and the sensor's file."""
+"""Calibrate an accelerometer from rests in many poses; print a table on stderr and write its sensor file."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from becalm.sensors.record import COVERAGE
 _AXES = 3
 
 
-def run(file: Path, said: Said, output: Path, unit: str, gravity: float | None, *, as_json: bool) -> None:  # noqa: PLR0913  (the contract's options)
+def run(file: Path, said: Said, output: Path, unit: str, gravity: float | None, *, as_json: bool) -> None:  # noqa: PLR0913  (one argument for each option)
     """Calibrate the accelerometer of a file, and write its sensor file.
 
     Raises
     ------
     UsageError
-        If the file does not hold just three channels and none were named.
+        If there are not exactly three channels.
     SensorError
-        If its rests are too few or too alike, or a unit or gravity is impossible.
+        If its rests are too few or too similar, or a unit or gravity is impossible.
     """
     refuse_overwriting(file, output)
     refuse_unwritable(output)
@@ -39,29 +39,29 @@ def run(file: Path, said: Said, output: Path, unit: str, gravity: float | None, 
         if len(source.names) != _AXES:
             raise UsageError(
                 f"{len(source.names)} channels came ({', '.join(source.names)}); an accelerometer has three axes. "
-                "Name those with --channels x,y,z."
+                "Choose them with --channels x,y,z."
             )
         tell_notes(source)
         recording = beginning(source)
         cut = cut_short(source, recording)
         try:
-            found = report_poses(recording, unit, gravity)
+            report = report_poses(recording, unit, gravity)
         except SensorError as cause:
             raise SensorError(f"{cause}{cut}") from cause
     today = datetime.now().astimezone().date()
     write_text(
-        output, to_toml([found.entry(today)], f"Calibrated by becalm: {found.rests} rests of {shown_name(file)}.")
+        output, to_toml([report.entry(today)], f"Calibrated by becalm: {report.rests} rests of {shown_name(file)}.")
     )
     if as_json:
-        print(json.dumps({"file": str(file), "output": str(output), **found.as_dict()}, indent=2))  # noqa: T201
-    _show(found, gravity)
+        print(json.dumps({"file": str(file), "output": str(output), **report.as_dict()}, indent=2))  # noqa: T201
+    _show(report, gravity)
     if cut:
         stderr.print(cut.strip())
     typer.echo(f"Wrote {output}. Use it with: becalm clean {file} -o OUT --sensors {output}", err=True)
 
 
 def _show(found: PoseReport, gravity: float | None) -> None:
-    """Show the axes, how |a| spread before and after, and what is not known."""
+    """Print the axes, the standard deviation of |a| before and after, and what remains uncertain."""
     raw, unit, calibration = found.raw_unit, found.unit, found.calibration
     table = Table(box=None, pad_edge=False)
     for heading in (
@@ -85,17 +85,17 @@ def _show(found: PoseReport, gravity: float | None) -> None:
         )
     stderr.print(f"{found.rests} rests found.")
     stderr.print(table)
-    how = "as read" if raw in ("g", "m/s^2") else "one factor for all axes, and its best zero"
-    stderr.print(f"|a| over the rests spreads by {found.before:.3g} {unit} before ({how}), {found.after:.3g} after.")
+    how = "as read" if raw in ("g", "m/s^2") else "with one factor for all axes, and the best zero"
+    stderr.print(f"Spread of |a| over the rests: {found.before:.3g} {unit} before ({how}), {found.after:.3g} after.")
     if np.isfinite(found.held_out):
-        stderr.print(f"Each rest held out of its calibration: {found.held_out:.3g} {unit} from gravity, rms.")
+        stderr.print(f"Each rest with a calibration from the others: {found.held_out:.3g} {unit} from gravity, rms.")
     if calibration.excess > 1:
         stderr.print(
             f"Rests differ from the model {calibration.excess:.2g} times as much as their noise; the uncertainties of "
-            "bias and scale are as much larger."
+            "bias and scale are increased by this factor."
         )
     if gravity is None:
         stderr.print(
-            f"Gravity is taken to be {STANDARD_GRAVITY} m/s^2, and to be uncertain as it goes from {LEAST_GRAVITY} at "
-            f"the equator to {MOST_GRAVITY} at the poles; where it is known, say --gravity."
+            f"Gravity is assumed to be {STANDARD_GRAVITY} m/s^2, with an uncertainty for its range from"
+            f" {LEAST_GRAVITY} at the equator to {MOST_GRAVITY} at the poles; if it is known, give it with --gravity."
         )

@@ -1,4 +1,4 @@
-"""A file cleaned: what is asked is checked first, then all of it is written, or nothing."""
+"""Clean a file: check all options first, then write all outputs or none."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class CleanOptions(NamedTuple):
-    """What is asked of the filters."""
+    """The options for the filters."""
 
     recipe: Path | None
     causal: bool
@@ -37,7 +37,7 @@ class CleanOptions(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What is to be written."""
+    """The options for the outputs."""
 
     output: Path
     split: bool
@@ -47,20 +47,20 @@ class Outputs(NamedTuple):
 
     @property
     def recipe(self) -> Path:
-        """Where the recipe goes."""
+        """Return the path of the recipe."""
         return recipe_beside(self.output)
 
 
 def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_json: bool) -> bool:
-    """Clean a file; return whether every channel is described by its model."""
-    output, beside, asked = outputs.output, outputs.recipe, asking.asked
-    if asking.recipe is not None and asked.anything:
-        raise UsageError("A recipe has its filters already; leave --recipe out to ask for others, or ask for nothing.")
+    """Clean a file; return whether the model of every channel describes its signal."""
+    output, recipe_path, filters = outputs.output, outputs.recipe, asking.asked
+    if asking.recipe is not None and filters.anything:
+        raise UsageError("A recipe already has its filters; give either --recipe, or options for new filters.")
     picturing = Picturing(output, outputs.report, outputs.figures)
     format_to_write(output)
-    refuse_overwriting(file, output, beside)
+    refuse_overwriting(file, output, recipe_path)
     picturing.refuse_overwriting(file, asking.recipe)
-    refuse_unwritable(output, beside, *picturing.paths)
+    refuse_unwritable(output, recipe_path, *picturing.paths)
     given = load(asking.recipe)
     said = said if given is None else said.or_as(given)
     with open_every(file, said) as opened:
@@ -68,21 +68,21 @@ def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_js
         refuse_times(output, [source.group for source in sources])
         for source in sources:
             refuse_columns(output, source.schema)
-        recipes = [_decided(source, said, asking, given) for source in sources]
+        recipes = [_recipe_for(source, said, asking, given) for source in sources]
         recipe = joined(recipes)
         for source in sources:
             refuse_taken(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
-        if asking.recipe is not None and is_same(beside, asking.recipe) and recipe != given:
-            raise UsageError(f"{beside} is the recipe itself and would change; name another output with -o.")
+        if asking.recipe is not None and is_same(recipe_path, asking.recipe) and recipe != given:
+            raise UsageError(f"{recipe_path} is the given recipe and would change; give another output with -o.")
         text, gatherings = recipe.to_toml(), picturing.gatherings(sources, recipes)
         done: list[Done] = []
         with (
-            text_in_waiting(beside, text),
+            text_in_waiting(recipe_path, text),
             open_output(output, {"becalm.recipe": text}) as out,
             progress("cleaning", sum(source.rows for source in sources)) as step,
         ):
             for source, part, gathering in zip(sources, recipes, gatherings, strict=True):
-                found = clean_chunks(
+                part_reports = clean_chunks(
                     source,
                     part,
                     timed(output, source, out.write),
@@ -91,23 +91,23 @@ def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_js
                     verdicts=outputs.verdicts,
                     gathering=gathering,
                 )
-                done.append(Done(source, part, found, gathering))
+                done.append(Done(source, part, part_reports, gathering))
             pass_through(output, opened, out.write)
         reports = tuple(report for one in done for report in one.reports)
         tell(reports, recipe.mode == "causal")
-        tell_not_removed(reports, asked.removed_hz)
+        tell_not_removed(reports, filters.removed_hz)
         tell_times(output, opened)
         for source in sources:
             tell_bands(source, reports)
         times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
-        typer.echo(f"Wrote {output} and {beside}.", err=True)
+        typer.echo(f"Wrote {output} and {recipe_path}.", err=True)
         drawn = picturing.draw(recipe, done)
     describes = all(report.describes for report in reports)
     if as_json:
         summary = {
             "file": str(file),
             "output": str(output),
-            "recipe": str(beside),
+            "recipe": str(recipe_path),
             **drawn,
             **({"rows": times[0]["rows"], "rate_hz": times[0]["rate_hz"]} if len(times) == 1 else {"times": times}),
             "mode": recipe.mode,
@@ -117,17 +117,17 @@ def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_js
         print(json.dumps(summary, indent=2))  # noqa: T201
     if not describes:
         typer.echo(
-            "The output is written, but not every channel is described by its model: leave those out with"
+            "The output is written, but some models do not describe their channels: leave those channels out with"
             f" --channels, or look at them with: becalm inspect {file}",
             err=True,
         )
     return describes
 
 
-def _decided(source: OpenSource, said: Said, asking: CleanOptions, given: Recipe | None) -> Recipe:
-    """Return what to do with a file: as the recipe says that was given, or as one says that is found."""
-    found = tuned(source, asking.causal, asking.asked, asking.lag_s) if given is None else given
-    decided = in_mode(found, asking.causal or None, asking.lag_s)
-    named = source.names if said.channels or source.group else None
-    fit = fitted(decided, source.names, source.units, channels=named)
-    return said.kept_in(fit.model_copy(update={"channel": tared_anew(fit.channel, source.calibrations)}))
+def _recipe_for(source: OpenSource, file_options: Said, options: CleanOptions, given: Recipe | None) -> Recipe:
+    """Return the recipe for a file: the given one, or one that is tuned on the file."""
+    recipe = tuned(source, options.causal, options.asked, options.lag_s) if given is None else given
+    wanted = in_mode(recipe, options.causal or None, options.lag_s)
+    names = source.names if file_options.channels or source.group else None
+    chosen = fitted(wanted, source.names, source.units, channels=names)
+    return file_options.kept_in(chosen.model_copy(update={"channel": tared_anew(chosen.channel, source.calibrations)}))

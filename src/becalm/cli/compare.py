@@ -1,4 +1,4 @@
-"""becalm beside the classic filters: a table for a person, or JSON, on stdout."""
+"""Compare becalm with classic filters; print a table or JSON on stdout."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
-_WORDS = 3  # columns
+_WORDS = 3  # columns of text, left-aligned
 
 
 class CompareOptions(NamedTuple):
-    """What is asked of a comparison."""
+    """The options of a comparison."""
 
     truth: Path | None
     causal: bool
@@ -36,25 +36,25 @@ class CompareOptions(NamedTuple):
 
 
 def run(source: OpenSource, said: Said, asking: CompareOptions, *, as_json: bool) -> None:
-    """Compare on a file, or on the beginning of a long one, and show what came out."""
+    """Compare on a file, or on the beginning of a long one, and print the result."""
     truth, causal, folder = asking
     page = None if folder is None else _page_in(folder)
     tell_notes(source)
     recording = beginning(source)
-    true = None if truth is None else _truth(truth, source, said)
-    found = compare(recording, said.recipe, truth=true, causal=causal or None, channels=source.names)
+    true_signal = None if truth is None else _truth(truth, source, said)
+    comparison = compare(recording, said.recipe, truth=true_signal, causal=causal or None, channels=source.names)
     if as_json:
-        print(json.dumps(_summary(source, recording, found), indent=2, allow_nan=False))  # noqa: T201
+        print(json.dumps(_summary(source, recording, comparison), indent=2, allow_nan=False))  # noqa: T201
     else:
-        _show(found, true is not None)
+        _show(comparison, true_signal is not None)
     if page is not None:
-        _write(page, source, (recording, true), found)
+        _write(page, source, (recording, true_signal), comparison)
     if cut := cut_short(source, recording):
         stderr.print(cut.strip())
 
 
 def _page_in(folder: Path) -> Path:
-    """Return where the page goes; what hinders it is said before the work."""
+    """Return the path of the page; raise an error before the work if it cannot be written."""
     from becalm.report.vendor import uplot
 
     uplot()
@@ -64,36 +64,38 @@ def _page_in(folder: Path) -> Path:
     return page
 
 
-def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | None], found: Comparison) -> None:
+def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | None], comparison: Comparison) -> None:
     from becalm.report.classic_figures import beside
     from becalm.report.page import Facts, page_of
     from becalm.report.running import pictures_of
 
     recording, truth = read
     facts = Facts(shown_name(source.path), source.sha256())
-    recipe = found.cleaned.recipe
-    write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(found, recording, truth)))
+    recipe = comparison.cleaned.recipe
+    write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(comparison, recording, truth)))
     stderr.print(f"Wrote {page}.")
 
 
-def _truth(path: Path, source: OpenSource, said: Said) -> Recording:
-    """Read the same channels of the truth; what was said of time holds for both files."""
+def _truth(path: Path, source: OpenSource, file_options: Said) -> Recording:
+    """Read the same channels of the truth; the time options hold for both files."""
     asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
     fitting = Fitting(asker, dict(zip(source.names, source.units, strict=True)))
-    kept = said.stamps == AS_WRITTEN
-    options = ReadOptions(said.time, said.rate_hz, tuple(source.names), asker, fitting=fitting, as_written=kept)
+    kept = file_options.stamps == AS_WRITTEN
+    options = ReadOptions(
+        file_options.time, file_options.rate_hz, tuple(source.names), asker, fitting=fitting, as_written=kept
+    )
     with open_source(path, options) as other:
         tell_notes(other)
         return beginning(other)
 
 
-def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dict[str, object]:
+def _summary(source: OpenSource, recording: Recording, comparison: Comparison) -> dict[str, object]:
     return {
         "file": str(source.path),
         "rows": source.rows,
         "rows_looked_at": len(recording),
         "rate_hz": source.rate_hz,
-        "mode": found.cleaned.recipe.mode,
+        "mode": comparison.cleaned.recipe.mode,
         "channels": [
             {
                 "name": channel.name,
@@ -101,14 +103,14 @@ def _summary(source: OpenSource, recording: Recording, found: Comparison) -> dic
                 "says": channel.says,
                 "filters": [contender._asdict() for contender in channel.contenders],
             }
-            for channel in found.channels
+            for channel in comparison.channels
         ],
     }
 
 
-def _show(found: Comparison, with_truth: bool) -> None:
-    out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no figure
-    for channel in found.channels:
+def _show(comparison: Comparison, with_truth: bool) -> None:
+    out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # wide, so that no number is broken
+    for channel in comparison.channels:
         out.print(f"{channel.name}: {channel.says}")
         out.print(_table(channel, with_truth))
 

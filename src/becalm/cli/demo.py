@@ -1,4 +1,4 @@
-"""The demonstration: a simulated drive, cleaned with nothing chosen, beside the best hand-tuned filter."""
+"""Run the demonstration: clean a simulated drive automatically, and compare with the best hand-tuned filter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def run(folder: Path) -> None:
-    """Write the drive and its clean signal into a folder, and print the figures."""
+    """Write the drive and its clean signal into a folder, and print the errors."""
     from becalm.cleaning.pipeline import clean
     from becalm.cli.opened_file import recipe_beside
     from becalm.files.reading import read
@@ -38,12 +38,12 @@ def run(folder: Path) -> None:
     facts = Facts(raw.name)
     write_text(page, page_of(facts, smoothed.recipe, pictures_of(recording, smoothed.recipe)))
     out = Console(highlight=False, soft_wrap=True, markup=False)
-    out.print("A simulated test drive, 60 s at 500 Hz, cleaned with nothing chosen. Best classic: the best causal")
+    out.print("A simulated test drive, 60 s at 500 Hz, cleaned with no options. Best classic: the best causal")
     out.print("Butterworth (order 1, 2, 4) or moving average, its cut-off chosen knowing the truth.\n")
     out.print(_figures(drive, smoothed, causal))
     out.print("\nThe files:")
     out.print("\n".join(f"  {path}" for path in (raw, calm, live, page)))
-    out.print(f"Try it on a file of yours: becalm clean FILE -o {folder / 'mine.csv'}")
+    out.print(f"Try it on your own file: becalm clean FILE -o {folder / 'mine.csv'}")
 
 
 def _figures(drive: Drive, smoothed: Cleaned, causal: Cleaned) -> Table:

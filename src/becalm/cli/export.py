@@ -1,4 +1,4 @@
-"""A recipe's filters elsewhere: C in a folder, or one file for other programs."""
+"""Export the filters of a recipe: as C in a folder, or as one file for other programs."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 
 _FORMS = ("json", "sos", "scipy")
 _CERTIFICATE = "certificate.md"
-_SHOWN = 2000  # rows of a recording that go into a golden vector
+_SHOWN = 2000  # rows of a recording in a test vector
 
 
 class CExportOptions(NamedTuple):
-    """What a person asks of an export to C."""
+    """The options of an export to C."""
 
     precision: str | None
     gain: str | None
@@ -48,33 +48,33 @@ class CExportOptions(NamedTuple):
 
 
 def run(recipe: Path, output: Path, to: str, wanted: CExportOptions, *, as_json: bool) -> None:
-    """Write a recipe's filters.
+    """Export the filters of a recipe.
 
     Raises
     ------
     UsageError
-        If it is asked for what cannot be.
+        If an option is invalid.
     BecalmError
-        If the recipe cannot be read, a filter cannot be written so, or C does not do what becalm does.
+        If the recipe cannot be read, a filter cannot be exported in this form, or the C code differs from becalm.
     """
     if is_same(recipe, output):
-        raise UsageError(f"{output} is the recipe itself; name another output with -o.")
-    found = Recipe.load(recipe)
+        raise UsageError(f"{output} is the recipe itself; give another output with -o.")
+    loaded = Recipe.load(recipe)
     if to == "c":
-        told = _to_c(found, recipe, output, wanted)
+        summary = _to_c(loaded, recipe, output, wanted)
     elif to in _FORMS:
-        told = _to_form(found, to, output, wanted)
+        summary = _to_form(loaded, to, output, wanted)
     else:
         raise UsageError(f"There is no export to {to!r}; write --to c, sos, json or scipy.")
     if as_json:
-        print(json.dumps({"recipe": str(recipe), "output": str(output), **told}, indent=2))  # noqa: T201
+        print(json.dumps({"recipe": str(recipe), "output": str(output), **summary}, indent=2))  # noqa: T201
 
 
 def _to_form(recipe: Recipe, to: str, output: Path, wanted: CExportOptions) -> dict[str, Any]:
     from becalm.export.forms import written_as
 
     if any(value for name, value in wanted._asdict().items() if name != "channels"):
-        raise UsageError(f"Only --channels goes with --to {to}; the others are of --to c.")
+        raise UsageError(f"With --to {to} only --channels is possible; the other options are for --to c.")
     refuse_unwritable(output)
     channels = None if wanted.channels is None else split_names(wanted.channels)
     text, notes = written_as(recipe, to, channels)
@@ -86,128 +86,128 @@ def _to_form(recipe: Recipe, to: str, output: Path, wanted: CExportOptions) -> d
 
 
 def _to_c(recipe: Recipe, path: Path, output: Path, wanted: CExportOptions) -> dict[str, Any]:
-    recorded = {} if wanted.recording is None else _recorded(recipe, wanted.recording, wanted.channels)
-    bundle = bundle_of(recipe, path.stem.removesuffix(".recipe"), _asked(recipe, wanted, recorded))
-    files, told = dict(bundle.files), _summary(bundle)
+    readings = {} if wanted.recording is None else _read_recording(recipe, wanted.recording, wanted.channels)
+    bundle = bundle_of(recipe, path.stem.removesuffix(".recipe"), _export_options(recipe, wanted, readings))
+    files, summary = dict(bundle.files), _summary(bundle)
     _refuse_foreign(output)
     if wanted.verify:
         from becalm.export.proof.certificate import certificate
         from becalm.export.proof.verifying import verify
 
         with stderr.status("compiling and comparing"), _scratch() as place:
-            verified = verify(bundle, recipe, recorded, place)
+            verified = verify(bundle, recipe, readings, place)
         files[_CERTIFICATE] = certificate(bundle, verified)
-        told["compared"] = [_told(one) for one in verified.compared]
+        summary["compared"] = [_comparison_dict(one) for one in verified.compared]
     write_folder(output, files)
-    stood = {_CERTIFICATE, *_library_in(output, bundle.stem)}
-    for name in stood - set(files):  # of an export that stood here before
+    earlier = {_CERTIFICATE, *_library_in(output, bundle.stem)}
+    for name in earlier - set(files):  # files of an earlier export
         (output / name).unlink(missing_ok=True)
-    _say(bundle, told)
+    _print_summary(bundle, summary)
     typer.echo(f"Wrote {output}. Try it with: make -C {output} check", err=True)
-    return told
+    return summary
 
 
 def _library_in(output: Path, stem: str) -> set[str]:
-    """Return the library's files in an export of this name, wherever a compiler would find them."""
+    """Return the library files of an earlier export with this name."""
     folders = FOLDER, f"arduino/{library_name(stem)}/src/{FOLDER}"
     return {f"{folder}/{name}" for folder in folders for name in own_files() if (output / folder / name).exists()}
 
 
 @contextmanager
 def _scratch() -> Iterator[Path]:
-    """Give an empty folder that is gone in the end, whatever stops the process."""
+    """Provide an empty folder that is removed at the end, even if a signal stops the process."""
     place = Path(tempfile.mkdtemp(prefix="becalm-export-"))
     with in_waiting(place):
         yield place
 
 
 def _refuse_foreign(output: Path) -> None:
-    """Refuse a folder that cannot be written to, or that holds files which no export wrote.
+    """Refuse a folder that cannot be written to, or that has files which no export wrote.
 
     Raises
     ------
     UsageError
         If there are such files.
     OutputError
-        If it cannot be written to.
+        If the folder cannot be written to.
     """
     if not output.exists():
         return
-    make_folder(output)  # which refuses a file
+    make_folder(output)  # raises an error if it is a file
     if any(output.iterdir()) and not (output / "becalm.h").exists():
-        raise UsageError(f"The folder {output} holds files that no export wrote; name another, or a new one, with -o.")
+        raise UsageError(f"The folder {output} has files that no export wrote; give another folder with -o.")
     refuse_unwritable(output / "becalm.h")
 
 
-def _told(one: Compared) -> dict[str, Any]:
-    """Return what JSON can hold: no difference has no decibels."""
+def _comparison_dict(one: Compared) -> dict[str, Any]:
+    """Return the comparison for JSON; without a difference, the decibels are infinite and become None."""
     return {**one._asdict(), "snr_db": one.snr_db if np.isfinite(one.snr_db) else None}
 
 
-def _asked(recipe: Recipe, wanted: CExportOptions, recorded: dict[str, Floats]) -> ExportOptions:
+def _export_options(recipe: Recipe, wanted: CExportOptions, recorded: dict[str, Floats]) -> ExportOptions:
     channels = None if wanted.channels is None else split_names(wanted.channels)
     spans = spans_of(wanted.ranges or [], [channel.name for channel in recipe.channel])
     shown = {name: readings[:_SHOWN] for name, readings in recorded.items()}
     if wanted.precision != "q31":
-        spans = {**_seen(recipe, recorded), **spans}
+        spans = {**_ranges_of(recipe, recorded), **spans}
     return ExportOptions(
         cast("Precision", wanted.precision or "float32"), wanted.gain or "auto", channels, spans, shown
     )
 
 
-def _seen(recipe: Recipe, recorded: dict[str, Floats]) -> dict[str, Span]:
-    """Return how far readings of a recording went, and as much again, of channels whose rails nobody knows."""
-    found: dict[str, Span] = {}
+def _ranges_of(recipe: Recipe, recorded: dict[str, Floats]) -> dict[str, Span]:
+    """Return twice the range of the readings of a recording, for channels without known saturation limits."""
+    ranges: dict[str, Span] = {}
     for channel in recipe.channel:
-        seen = recorded.get(channel.name, np.empty(0))
-        seen = seen[np.isfinite(seen)]
-        if len(seen) and (channel.limits is None or None in (channel.limits.low, channel.limits.high)):
-            more = float(np.ptp(seen)) / 2
-            found[channel.name] = float(seen.min()) - more, float(seen.max()) + more
-    return found
+        finite = recorded.get(channel.name, np.empty(0))
+        finite = finite[np.isfinite(finite)]
+        if len(finite) and (channel.limits is None or None in (channel.limits.low, channel.limits.high)):
+            more = float(np.ptp(finite)) / 2
+            ranges[channel.name] = float(finite.min()) - more, float(finite.max()) + more
+    return ranges
 
 
 def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:
-    """Read how far readings reach: `NAME=LOW:HIGH`, or LOW:HIGH for every channel.
+    """Return the ranges of channels: `NAME=LOW:HIGH`, or LOW:HIGH for every channel.
 
     Raises
     ------
     UsageError
-        If one cannot be read, is of no channel, or says otherwise than one before.
+        If a range cannot be read, has an unknown channel, or contradicts another.
     """
-    said: dict[str, Span] = {}
+    given: dict[str, Span] = {}
     for text in texts:
-        name, _, reach = text.rpartition("=")
-        low, _, high = reach.partition(":")
+        name, _, limits = text.rpartition("=")
+        low, _, high = limits.partition(":")
         try:
             span = float(low), float(high)
         except ValueError:
             span = np.nan, np.nan
         if not -np.inf < span[0] < span[1] < np.inf:
-            raise UsageError(f"--range {text} is no range; write NAME=LOW:HIGH in the channel's unit, as ax=-20:20.")
+            raise UsageError(f"--range {text} is not a range; write NAME=LOW:HIGH in the channel's unit: ax=-20:20.")
         if name and name not in names:
             raise UsageError(f"--range {text}: the recipe has no channel {name!r}; it has {', '.join(names)}.")
-        if said.setdefault(name, span) != span:
-            raise UsageError(f"--range {text} comes after another for {name or 'every channel'}; give one of them.")
-    return {each: said[each if each in said else ""] for each in names if each in said or "" in said}
+        if given.setdefault(name, span) != span:
+            raise UsageError(f"--range {text} differs from an earlier one for {name or 'every channel'}; give one.")
+    return {each: given[each if each in given else ""] for each in names if each in given or "" in given}
 
 
-def _recorded(recipe: Recipe, file: Path, channels: str | None) -> dict[str, Floats]:
-    """Read the channels of a recording, in the recipe's units."""
+def _read_recording(recipe: Recipe, file: Path, channels: str | None) -> dict[str, Floats]:
+    """Return the channels of a recording, in the recipe's units."""
     from becalm.cli.options import When
 
-    said = said_of(channels, When(None, None, None, None), None, None).or_as(recipe)
-    with open_as(file, said) as source:
-        found = source.recording()
-        step_s = found.timebase.step_s
+    file_options = said_of(channels, When(None, None, None, None), None, None).or_as(recipe)
+    with open_as(file, file_options) as source:
+        read = source.recording()
+        step_s = read.timebase.step_s
         if abs(step_s * recipe.nominal_rate_hz - 1) > 1e-2:
             stderr.print(
-                f"{file} has {1 / step_s:.6g} Hz, and the recipe {recipe.nominal_rate_hz:.6g} Hz: its readings are"
-                " taken as they come, one a step."
+                f"{file} has {1 / step_s:.6g} Hz, but the recipe {recipe.nominal_rate_hz:.6g} Hz: each reading counts"
+                " as one step of the recipe."
             )
-        if empty := [name for at, name in enumerate(found.names) if not np.isfinite(found.samples[:, at]).any()]:
+        if empty := [name for at, name in enumerate(read.names) if not np.isfinite(read.samples[:, at]).any()]:
             raise UsageError(f"{file} has no reading of {empty[0]}; choose other channels with --channels.")
-        return {name: np.ascontiguousarray(found.samples[:, at]) for at, name in enumerate(found.names)}
+        return {name: np.ascontiguousarray(read.samples[:, at]) for at, name in enumerate(read.names)}
 
 
 def _summary(bundle: Bundle) -> dict[str, Any]:
@@ -228,7 +228,7 @@ def _summary(bundle: Bundle) -> dict[str, Any]:
     }
 
 
-def _say(bundle: Bundle, told: dict[str, Any]) -> None:
+def _print_summary(bundle: Bundle, summary: dict[str, Any]) -> None:
     for note in bundle.notes:
         stderr.print(note)
     for one in bundle.channels:
@@ -239,12 +239,12 @@ def _say(bundle: Bundle, told: dict[str, Any]) -> None:
         )
         if word is not None:
             stderr.print(
-                f"  It stalls {word.stall:.2g}{unit} off at the most, and rounding adds {word.noise:.2g}{unit}:"
-                f" {word.share:.2g} of sigma; computed for readings {word.range:.6g}{unit} apart."
+                f"  It stalls at most {word.stall:.2g}{unit} off, and rounding adds {word.noise:.2g}{unit}:"
+                f" {word.share:.2g} of sigma; computed for a range of readings of {word.range:.6g}{unit}."
             )
-    for one in told.get("compared", []):
+    for one in summary.get("compared", []):
         decibels = "" if one["snr_db"] is None else f", {one['snr_db']:.0f} dB"
         stderr.print(
-            f"  {one['channel']}, {one['record']}, beside {one['beside']}: {one['rows']} rows, {one['error']:.2g} of"
-            f" the greatest signal off at the most{decibels}{'' if one['kept'] else ', which is less than promised'}."
+            f"  {one['channel']}, {one['record']}, against {one['beside']}: {one['rows']} rows, largest error"
+            f" {one['error']:.2g} of the largest signal{decibels}{'' if one['kept'] else ', more than promised'}."
         )

@@ -1,4 +1,4 @@
-"""`becalm export`: its options, each with its one help text."""
+"""Define `becalm export` and its options."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Recorded = Annotated[
 Verify = Annotated[bool, typer.Option("--verify", help="Compile, run and compare the C code, and write a certificate.")]
 
 
-def export(  # noqa: PLR0913  (the contract's options)
+def export(  # noqa: PLR0913  (one argument for each option)
     recipe: Recipe,
     output: Where,
     to: To = "c",

@@ -1,4 +1,4 @@
-"""A lake cleaned on Spark: what is asked is checked before Spark starts, which takes seconds."""
+"""Clean a lake on Spark; check all options before Spark starts, which takes seconds."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
     from pyspark.sql import SparkSession
 
-_MOST_NAMED = 5  # sensors
-_STOPPED = b"becalm: Stopped; what is finished stays, and what was half-written is not read. Repeat, and it goes on.\n"
+_MOST_NAMED = 5  # sentences
+_STOPPED = b"becalm: Stopped; what is finished stays, and half-written files are not read. Repeat it to continue.\n"
 
 
 class FleetOptions(NamedTuple):
-    """What is asked of a lake."""
+    """The options for cleaning a lake."""
 
     recipe: Path | None
     recipes: Path | None
@@ -38,83 +38,83 @@ class FleetOptions(NamedTuple):
 
 
 class SparkAddress(NamedTuple):
-    """Where Spark runs, and how."""
+    """The address and the settings of Spark."""
 
     master: str | None
     settings: Sequence[str] | None
 
     @property
     def spark(self) -> dict[str, str]:
-        """Spark's own settings.
+        """Return the settings of Spark.
 
         Raises
         ------
         UsageError
-            If one has no value.
+            If a setting has no value.
         """
-        told = dict[str, str]()
+        settings = dict[str, str]()
         for setting in self.settings or ():
             name, equals, value = setting.partition("=")
             if not (name and equals):
-                raise UsageError(f"--conf {setting} has no value; write it as --conf spark.executor.memory=4g.")
-            told[name.strip()] = value.strip()
-        return told
+                raise UsageError(f"--conf {setting} has no value; write it like --conf spark.executor.memory=4g.")
+            settings[name.strip()] = value.strip()
+        return settings
 
 
 @contextmanager
 def spark_at(where: SparkAddress, *, schedules: bool = True) -> Iterator[SparkSession]:
-    """Give Spark; signals still stop at once, and say what becomes of what its workers were at.
+    """Start Spark; a signal still stops at once, with a message on the work of its workers.
 
     Raises
     ------
     UsageError
-        As `becalm.fleet.session`.
+        As in `becalm.fleet.session`.
     """
     with session(where.master, where.spark, schedules=schedules) as spark:
-        stop_cleanly(_STOPPED)  # Spark has taken SIGINT
+        stop_cleanly(_STOPPED)  # again, because Spark has replaced the handler of SIGINT
         yield spark
 
 
 def clean_lake(lake: Path, output: Path, asking: FleetOptions, where: SparkAddress, *, as_json: bool) -> None:
-    """Clean a lake; say what became of it, and where the report is.
+    """Clean a lake; print the summary and the path of the report.
 
     Raises
     ------
     Exit
-        With another code than 0 where a sensor was refused, or is not described by its model.
+        With another code than 0 if a sensor was refused, or its model does not describe it.
     """
     if asking.stretch_rows is not None and asking.stretch_rows < 1:
-        raise UsageError(f"--stretch {asking.stretch_rows} is no number of rows; give one above 0, or leave it out.")
+        raise UsageError(f"--stretch {asking.stretch_rows} is not a number of rows; give 1 or more, or leave it out.")
     book = open_book(asking.recipe, asking.recipes)
     refuse_inside(lake.resolve(), output.resolve())
     told_apart(lake, asking.by)
-    asked = BatchOptions(asking.by, asking.causal or None, asking.stretch_rows or STRETCH_ROWS)
+    options = BatchOptions(asking.by, asking.causal or None, asking.stretch_rows or STRETCH_ROWS)
     with spark_at(where) as spark:
-        fleet = clean(spark, lake, output, book, asked)
-    _tell(fleet, output, as_json=as_json)
+        fleet = clean(spark, lake, output, book, options)
+    _print_results(fleet, output, as_json=as_json)
     if not all(outcome.describes for outcome in fleet.outcomes):
         raise typer.Exit(NOT_DESCRIBED)
 
 
 def say_some(sentences: Sequence[str]) -> None:
-    """Say the first of some sentences, and how many more there are."""
+    """Print the first of some sentences, and how many more there are."""
     for sentence in sentences[:_MOST_NAMED]:
         typer.echo(sentence, err=True)
     if len(sentences) > _MOST_NAMED:
-        typer.echo(f"and {len(sentences) - _MOST_NAMED} more, which the report names.", err=True)
+        typer.echo(f"and {len(sentences) - _MOST_NAMED} more, see the report.", err=True)
 
 
-def _tell(fleet: Fleet, output: Path, *, as_json: bool) -> None:
+def _print_results(fleet: Fleet, output: Path, *, as_json: bool) -> None:
     typer.echo(fleet.summary, err=True)
     say_some([f"{one.sensor}: {one.reason}" for one in fleet.outcomes if one.state == "refused"])
     if fleet.unused:
-        typer.echo(f"No sensor has these recipes, by their names: {listed(fleet.unused)}.", err=True)
+        typer.echo(f"These recipes match no sensor: {listed(fleet.unused)}.", err=True)
     typer.echo(f"Wrote {output} and its report, {fleet.report}.", err=True)
     if as_json:
-        told = {
+        results = {
             "output": str(output),
             "report": str(fleet.report),
             "unused": fleet.unused,
             "sensors": [one.as_dict() for one in fleet.outcomes],
         }
-        print(json.dumps(told, indent=2))  # noqa: T201
+        print(json.dumps(results, indent=2))  # noqa: T201

@@ -1,4 +1,4 @@
-"""`becalm fleet`: its commands and options, each with its one help text."""
+"""Define `becalm fleet`, its commands and their options."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from becalm.cli import options as o
 fleet = typer.Typer(name="fleet", help="Clean a lake of sensors on Spark.", no_args_is_help=True, rich_markup_mode=None)
 
 Lake = Annotated[
-    Path, typer.Argument(metavar="LAKE", help="Folder of Parquet files, as sensor=17/date=2026-01-02/part-0.parquet.")
+    Path,
+    typer.Argument(metavar="LAKE", help="Folder of Parquet files: sensor=17/date=2026-01-02/part-0.parquet."),
 ]
 Cleaned = Annotated[Path, typer.Option("-o", "--output", metavar="OUT", help="Output folder; files keep their names.")]
 Book = Annotated[
     Path | None,
-    typer.Option("--recipes", metavar="DIR", help="Recipes laid out as the lake: sensor=17.toml, default.toml."),
+    typer.Option("--recipes", metavar="DIR", help="Recipes with the layout of the lake: sensor=17.toml, default.toml."),
 ]
 By = Annotated[
     str,
@@ -41,7 +42,7 @@ StretchRows = Annotated[
 
 
 @fleet.command()
-def clean(  # noqa: PLR0913  (the contract's options)
+def clean(  # noqa: PLR0913  (one argument for each option)
     lake: Lake,
     output: Cleaned,
     recipe: o.RecipeIn = None,
@@ -53,7 +54,7 @@ def clean(  # noqa: PLR0913  (the contract's options)
     conf: Settings = None,
     as_json: o.Json = False,
 ) -> None:
-    """Clean every sensor of a lake; finished sensors are skipped, and a failure stops no other sensor."""
+    """Clean every sensor of a lake; finished sensors are skipped, and a failure does not stop the other sensors."""
     from becalm.cli.fleet import FleetOptions, SparkAddress, clean_lake
 
     asking = FleetOptions(recipe, recipes, by, causal, stretch)
@@ -61,7 +62,8 @@ def clean(  # noqa: PLR0913  (the contract's options)
 
 
 Recipes = Annotated[
-    Path, typer.Option("-o", "--output", metavar="RECIPES", help="Output folder of the recipes, laid out as the lake.")
+    Path,
+    typer.Option("-o", "--output", metavar="RECIPES", help="Output folder of recipes, with the layout of the lake."),
 ]
 MostSensors = Annotated[
     int | None,
@@ -77,7 +79,7 @@ ClassBy = Annotated[
 
 
 @fleet.command()
-def tune(  # noqa: PLR0913  (the contract's options)
+def tune(  # noqa: PLR0913  (one argument for each option)
     lake: Lake,
     output: Recipes,
     by: ClassBy = "folder",
@@ -95,8 +97,8 @@ def tune(  # noqa: PLR0913  (the contract's options)
     from becalm.fleet.tuning import LakeTuningOptions
     from becalm.fleet.tuning.classes import MOST_SENSORS
 
-    asked = LakeTuningOptions(by, causal, MOST_SENSORS if sensors is None else sensors, own, replace)
-    tune_lake(lake, output, asked, SparkAddress(master, conf), as_json=as_json)
+    options = LakeTuningOptions(by, causal, MOST_SENSORS if sensors is None else sensors, own, replace)
+    tune_lake(lake, output, options, SparkAddress(master, conf), as_json=as_json)
 
 
 From = Annotated[str, typer.Argument(metavar="SOURCE", help="Growing lake, kafka://HOST:PORT/TOPIC or nats://HOST/S.")]
@@ -109,14 +111,14 @@ Silent = Annotated[
     typer.Option("--silent", metavar="60s", help="Report a sensor as silent after so long without a row."),
 ]
 Every = Annotated[str, typer.Option("--every", metavar="60s", help="Interval of micro-batches; s, ms or us.")]
-Once = Annotated[bool, typer.Option("--once", help="Process what is there now, then stop.")]
+Once = Annotated[bool, typer.Option("--once", help="Process the rows that exist now, then stop.")]
 Checkpoint = Annotated[
     str, typer.Option("--checkpoint", metavar="DIR", help="Checkpoint folder; OUT/_checkpoint by default.")
 ]
 
 
 @fleet.command()
-def stream(  # noqa: PLR0913  (the contract's options)
+def stream(  # noqa: PLR0913  (one argument for each option)
     source: From,
     output: Streamed,
     recipe: o.RecipeIn = None,

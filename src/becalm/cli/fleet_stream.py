@@ -1,4 +1,4 @@
-"""Streams over a fleet, on Spark, until they end, fail or are stopped."""
+"""Run the streams of a fleet on Spark until they end, fail or are stopped."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class TimeoutOptions(NamedTuple):
-    """How long is waited for what, as it was typed."""
+    """The waiting times, as they were typed."""
 
     lateness: str
     silent: str | None
@@ -29,7 +29,7 @@ class TimeoutOptions(NamedTuple):
 
 
 class FleetStreamOptions(NamedTuple):
-    """What is asked of a stream."""
+    """The options of a stream."""
 
     recipe: Path | None
     recipes: Path | None
@@ -41,22 +41,22 @@ class FleetStreamOptions(NamedTuple):
 
     @property
     def book(self) -> LiveBook:
-        """The recipes, which may change while it runs.
+        """Return the recipes, which may change while the stream runs.
 
         Raises
         ------
         UsageError
-            If none were named, or both kinds.
+            If neither or both of --recipe and --recipes were given.
         """
-        named = [path for path in (self.recipe, self.recipes) if path is not None]
-        if len(named) != 1:
-            raise UsageError("Name one recipe with --recipe R.toml, or a folder of them with --recipes DIR.")
-        return LiveBook(named[0].resolve(), self.key)
+        paths = [path for path in (self.recipe, self.recipes) if path is not None]
+        if len(paths) != 1:
+            raise UsageError("Give one recipe with --recipe R.toml, or a folder of recipes with --recipes DIR.")
+        return LiveBook(paths[0].resolve(), self.key)
 
 
 @contextmanager
-def _alone(plan: StreamPlan) -> Iterator[None]:
-    """Keep another stream of this machine from the output; where it is on no disk, Spark ends the first of two."""
+def _locked_output(plan: StreamPlan) -> Iterator[None]:
+    """Lock the output against other streams of this machine; at a remote output, Spark ends the first of two."""
     if "://" in plan.output:
         yield
         return
@@ -67,12 +67,12 @@ def _alone(plan: StreamPlan) -> Iterator[None]:
 
 
 def stream_sensors(source: str, output: str, asking: FleetStreamOptions, where: SparkAddress) -> None:
-    """Run a stream to its end.
+    """Run a stream until it ends.
 
     Raises
     ------
     BecalmError
-        If it cannot be begun, or fails; begun again, it goes on where it was.
+        If it cannot start, or fails; a restart continues from the last commit.
     """
     times = asking.times
     sensors = SensorPlan(
@@ -89,6 +89,6 @@ def stream_sensors(source: str, output: str, asking: FleetStreamOptions, where: 
 
         begin = prepared(spark, plan)
         shown = Address.parsed(source) if "://" in source else source  # without secrets
-        typer.echo(f"Streams {shown} into {output}; begun again after a stop, it goes on where it was.", err=True)
-        with _alone(plan):
+        typer.echo(f"Streams {shown} into {output}; a restart continues from the last commit.", err=True)
+        with _locked_output(plan):
             wait(begin())

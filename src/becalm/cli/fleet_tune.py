@@ -1,4 +1,4 @@
-"""A lake tuned on Spark: what is asked is checked before Spark starts, which takes seconds."""
+"""Tune recipes for a lake on Spark; check all options before Spark starts, which takes seconds."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ from becalm.report.fleet_rows import counted
 
 
 def tune_lake(lake: Path, output: Path, asked: LakeTuningOptions, where: SparkAddress, *, as_json: bool) -> None:
-    """Tune a lake; say what was found, and where it is.
+    """Tune recipes for a lake; print the results and the path of the report.
 
     Raises
     ------
     BecalmError
-        As `becalm.fleet.tuning.tune`, or if Spark does not start.
+        As in `becalm.fleet.tuning.tune`, or if Spark does not start.
     Exit
-        With another code than 0 where a sensor was refused, or a class has no recipe.
+        With another code than 0 if a sensor was refused, or a class has no recipe.
     """
     chosen_in(lake, output, asked)
     with spark_at(where) as spark:
         tuned = tune(spark, lake, output, asked)
-    _tell(lake, output, asked, tuned)
+    _print_results(lake, output, asked, tuned)
     if as_json:
-        told = {"recipes": tuned.recipes, "report": str(tuned.report), "sensors": values_of(tuned.classes)}
-        print(json.dumps({"output": str(output), **told}, indent=2))  # noqa: T201
+        results = {"recipes": tuned.recipes, "report": str(tuned.report), "sensors": values_of(tuned.classes)}
+        print(json.dumps({"output": str(output), **results}, indent=2))  # noqa: T201
     if any(klass.typical is None for klass in tuned.classes) or any(row.state == "refused" for row in tuned.rows):
         raise typer.Exit(NOT_DESCRIBED)
 
 
-def _tell(lake: Path, output: Path, asked: LakeTuningOptions, tuned: TunedLake) -> None:
+def _print_results(lake: Path, output: Path, options: LakeTuningOptions, tuned: TunedLake) -> None:
     for klass in tuned.classes:
         typer.echo(klass.says, err=True)
     say_some([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])
-    unlike = [row for row in tuned.rows if row.outlying]
-    say_some([f"{row.sensor}, {row.channel}: {row.outlying}" for row in unlike])
-    if unlike and not asked.own:
-        typer.echo("Give those that are unlike their class recipes of their own with --own.", err=True)
+    outlying = [row for row in tuned.rows if row.outlying]
+    say_some([f"{row.sensor}, {row.channel}: {row.outlying}" for row in outlying])
+    if outlying and not options.own:
+        typer.echo("Write separate recipes for sensors that differ from their class with --own.", err=True)
     if not tuned.recipes:
-        typer.echo(f"There is no recipe to write; the report is {tuned.report}.", err=True)
+        typer.echo(f"No recipe was written; the report is {tuned.report}.", err=True)
         return
-    by = " --by file" if asked.by == FILE else ""
+    by = " --by file" if options.by == FILE else ""
     typer.echo(
         f"Wrote {counted(len(tuned.recipes), 'recipe', 'recipes')} into {output} and a report, {tuned.report}. Use them"
         f" with: becalm fleet clean {quote(str(lake))} -o OUT --recipes {quote(str(output))}{by}",

@@ -1,4 +1,4 @@
-"""A journal for a person: what it holds, whether it is whole, out of it into a file, and what is too old."""
+"""List, verify, export or prune a journal."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from becalm.live.journal.recording import prune
 from becalm.live.tables import table_schema
 
 DAMAGED = 3
-"""Exit code where a journal is not what was written."""
+"""Exit code for a damaged journal."""
 
 _stdout = Console(highlight=False, soft_wrap=True, markup=False, width=1000)
 
 
 class JournalOptions(NamedTuple):
-    """What was said beside the folder and what to do."""
+    """The options besides the folder and the action."""
 
     output: Path | None
     start: str | None
@@ -39,12 +39,12 @@ class JournalOptions(NamedTuple):
 
 
 def run(folder: Path, action: str, asked: JournalOptions, as_json: bool) -> bool:
-    """Do what is asked, and tell whether all was well.
+    """Run an action; return whether it succeeded.
 
     Raises
     ------
     UsageError
-        If nobody can do that, or what it needs was not said.
+        If the action is unknown, or an option that it needs is missing.
     JournalError
         If the journal cannot be read.
     """
@@ -75,7 +75,7 @@ def _list(folder: Path, as_json: bool) -> bool:
     for one in stretches:
         rate = "-" if one.rate_hz is None else f"{one.rate_hz:.6g}"
         where = f"{one.where} (pruned)" if one.pruned else one.where
-        table.add_row(where, f"{one.rows:,}", *_stamps(one), rate, f"{one.size / 1e6:.1f}")
+        table.add_row(where, f"{one.rows:,}", *_first_and_last(one), rate, f"{one.size / 1e6:.1f}")
     _stdout.print(table)
     channels = ", ".join(
         one["name"] if not one["unit"] or one["unit"] in one["name"] else f"{one['name']} ({one['unit']})"
@@ -83,9 +83,9 @@ def _list(folder: Path, as_json: bool) -> bool:
     )
     _stdout.print(f"{summary['rows']:,} rows of {channels or 'no channels yet'} from {summary['source'] or 'nowhere'}")
     for kind, number in summary["losses"].items():
-        _stdout.print(f"{kind}: {number} told; the last: {summary['last_losses'][kind]}")
+        _stdout.print(f"{kind}: {number} reported; the last: {summary['last_losses'][kind]}")
     if summary["position"]:
-        _stdout.print(f"The source goes on after {summary['position']}")
+        _stdout.print(f"The source continues after {summary['position']}")
     return True
 
 
@@ -105,66 +105,66 @@ def _summary(journal: JournalReader) -> dict[str, Any]:
 
 
 def _verify(folder: Path, as_json: bool) -> bool:
-    """Tell every fault; of rows that are known to be lost it is only said."""
-    wrong = list(faults(folder))
-    holes, rows = ([], None) if wrong else _kept(folder)
+    """Print every fault; rows that are known to be lost are reported, but are not a fault."""
+    damage = list(faults(folder))
+    holes, rows = ([], None) if damage else _holes_and_rows(folder)
     if as_json:
         lost = [{"first_row": first, "end_row": end} for first, end in holes]
-        summary = {"folder": str(folder), "whole": not wrong, "rows": rows, "wrong": wrong, "lost": lost}
+        summary = {"folder": str(folder), "whole": not damage, "rows": rows, "wrong": damage, "lost": lost}
         print(json.dumps(summary, indent=2))  # noqa: T201
     for hole in holes:
         stderr.print(f"{told(hole).capitalize()} are known to be lost.")
-    for sentence in wrong:
+    for sentence in damage:
         stderr.print(sentence)
     if rows is None:
         stderr.print(
-            f"The journal in {folder} is not whole. Its stream can be started again: of the database it keeps what"
-            " reads, and files stay as they are."
+            f"The journal in {folder} is damaged. Its stream can be restarted: it keeps the readable part of the"
+            " database, and does not change files."
         )
     else:
-        stderr.print(f"The journal in {folder} is whole: {rows:,} rows are what was written.")
-    return not wrong
+        stderr.print(f"The journal in {folder} is intact: {rows:,} rows are as they were written.")
+    return not damage
 
 
-def _export(folder: Path, asked: JournalOptions) -> bool:
-    if asked.output is None:
-        raise UsageError("becalm journal DIR export needs -o OUT: where to write, as -o rows.parquet.")
-    format_to_write(asked.output)
-    from_s, to_s = moment_of("--from", asked.start, -inf), moment_of("--to", asked.stop, inf)
+def _export(folder: Path, options: JournalOptions) -> bool:
+    if options.output is None:
+        raise UsageError("becalm journal DIR export needs an output: -o rows.parquet.")
+    format_to_write(options.output)
+    from_s, to_s = moment_of("--from", options.start, -inf), moment_of("--to", options.stop, inf)
     rows = 0
     with open_journal(folder) as journal:
         head = journal.head()
         if head is None:
-            raise UsageError(f"The journal in {folder} holds no rows yet; there is nothing to export.")
+            raise UsageError(f"The journal in {folder} has no rows yet; there is nothing to export.")
         schema = table_schema(head)
         metadata = {key.decode(): value.decode() for key, value in (schema.metadata or {}).items()}
-        with open_output(asked.output, metadata) as output:
+        with open_output(options.output, metadata) as output:
             output.write(schema.empty_table())
             for table in journal.tables(from_s=from_s, to_s=to_s):
                 output.write(table.replace_schema_metadata(schema.metadata))
                 rows += table.num_rows
-    stderr.print(f"Wrote {rows:,} rows to {asked.output}.")
+    stderr.print(f"Wrote {rows:,} rows to {options.output}.")
     return True
 
 
 def _prune(folder: Path, older: str | None) -> bool:
     if older is None:
-        raise UsageError("becalm journal DIR prune needs --older AGE: which files to remove, as --older 30d.")
-    with open_journal(folder):  # or it would be made
+        raise UsageError("becalm journal DIR prune needs the age of the files to remove: --older 30d.")
+    with open_journal(folder):  # raises an error if there is no journal; prune would make one
         pass
     removed = prune(folder, seconds_of("--older", older))
     rows = sum(roll.rows for roll in removed)
-    stderr.print(f"Removed {len(removed)} files with {rows:,} rows; rows that have not rolled yet stay.")
+    stderr.print(f"Removed {len(removed)} files with {rows:,} rows; rows that are not in files yet stay.")
     return True
 
 
 def moment_of(option: str, text: str | None, default: float) -> float:
-    """Read a stamp: seconds, or a date, which is UTC unless it says otherwise.
+    """Return a time stamp from seconds, or from a date, which is UTC unless it has a time zone.
 
     Raises
     ------
     UsageError
-        If it is neither.
+        If the text is neither.
     """
     if text is None:
         return default
@@ -178,11 +178,11 @@ def moment_of(option: str, text: str | None, default: float) -> float:
         else:
             seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     if not isfinite(seconds):
-        raise UsageError(f"{option} {text} is no time; write seconds as rows have them, or a date: 2026-05-01T12:00.")
+        raise UsageError(f"{option} {text} is not a time; write seconds as in the rows, or a date: 2026-05-01T12:00.")
     return seconds
 
 
-def _stamps(one: JournalStretch) -> tuple[str, str]:
+def _first_and_last(one: JournalStretch) -> tuple[str, str]:
     first_s, last_s = (_stamp(stamp_s, one.dated) for stamp_s in (one.first_s, one.last_s))
     return first_s, last_s
 
@@ -193,7 +193,7 @@ def _stamp(stamp_s: float | None, dated: bool) -> str:
     return f"{datetime.fromtimestamp(stamp_s, UTC):%Y-%m-%d %H:%M:%S}" if dated else f"{stamp_s:.10g} s"
 
 
-def _kept(folder: Path) -> tuple[list[tuple[int, int]], int]:
-    """Return which rows are known to be lost, and how many are there."""
+def _holes_and_rows(folder: Path) -> tuple[list[tuple[int, int]], int]:
+    """Return which rows are known to be lost, and how many rows there are."""
     with open_journal(folder) as journal:
         return journal.holes(), sum(one.rows for one in journal.stretches() if not one.pruned)

@@ -1,4 +1,4 @@
-"""`becalm journal`: its options, each with its one help text."""
+"""Define `becalm journal` and its options."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Exported = Annotated[
 ]
 From = Annotated[
     str | None,
-    typer.Option("--from", metavar="TIME", help="First time stamp to export: seconds, or a date as 2026-05-01T12:00."),
+    typer.Option("--from", metavar="TIME", help="First time stamp to export: seconds, or a date: 2026-05-01T12:00."),
 ]
 To = Annotated[str | None, typer.Option("--to", metavar="TIME", help="Time stamp to export up to.")]
 Older = Annotated[str | None, typer.Option("--older", metavar="30d", help="Prune files older than this; min, h or d.")]
 
 
-def journal(  # noqa: PLR0913  (the contract's options)
+def journal(  # noqa: PLR0913  (one argument for each option)
     folder: Folder,
     action: Action = "list",
     output: Exported = None,

@@ -1,4 +1,4 @@
-"""How a file was understood, as tables for a person."""
+"""Print how a file was read: columns, units and time, as tables."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def summary(opened: OpenFile) -> dict[str, Any]:
-    """Return how a file was understood, for JSON: of several times, a list of layouts."""
+    """Return the layout of a file for JSON; with several time bases, a list of layouts."""
     layouts = [source.layout.as_dict() for source in opened.sources]
     if len(layouts) == 1 and not opened.passed:
         return layouts[0]
@@ -22,7 +22,7 @@ def summary(opened: OpenFile) -> dict[str, Any]:
 
 
 def show(file: Path, opened: OpenFile) -> None:
-    """Print how a file was understood on stdout."""
+    """Print the layout of a file on stdout."""
     out = Console(highlight=False, soft_wrap=True, markup=False)
     out.print(f"{file}")
     for source in opened.sources:
@@ -31,11 +31,11 @@ def show(file: Path, opened: OpenFile) -> None:
         out.print(f"Nothing to clean: {raw.group} ({why}).")
 
 
-def _show_time(out: Console, told: dict[str, Any]) -> None:
-    columns = told.pop("columns")
-    told["notes"] = " ".join(told["notes"])
+def _show_time(out: Console, layout: dict[str, Any]) -> None:
+    columns = layout.pop("columns")
+    layout["notes"] = " ".join(layout["notes"])
     facts = Table(box=None, show_header=False, pad_edge=False)
-    for key, value in told.items():
+    for key, value in layout.items():
         if value not in (None, "", [], ()):
             facts.add_row(key.replace("_", " "), _plain(value))
     out.print(facts)

@@ -1,4 +1,4 @@
-"""A stream on the command line: what is asked is checked, then it runs until it ends or a signal stops it."""
+"""Run a live stream: check the options, then filter until the stream ends or a signal stops it."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from becalm.web.access import PageAsked
 DEFAULT_SINK = "journal:becalm-journal"
 POLICIES = get_args(Policy)
 _TIMED_BY_RECIPE = ("replay", "stdin", "serial")
-_GATHER_S, _GATHER_SHARE = 0.05, 0.05  # how long datagrams may gather, also as a share of what a commit waits for
+_GATHER_S, _GATHER_SHARE = 0.05, 0.05  # longest gathering of datagrams, also as a share of the commit interval
 _LEARNED = "learned.recipe.toml"
 
 
 class Watching(NamedTuple):
-    """How a stream is watched."""
+    """The options for status, metrics, log and page."""
 
     status: Path | None
     metrics: int | None
@@ -51,13 +51,13 @@ class Watching(NamedTuple):
 
 
 class StreamError(BecalmError):
-    """Something went wrong that nobody foresaw; what was kept before is whole."""
+    """An unexpected error; everything that was committed before is intact."""
 
     exit_code = 1
 
 
 class LiveOptions(NamedTuple):
-    """What is asked of the filters."""
+    """The options for the filters."""
 
     recipe: Path | None
     learn: str
@@ -66,28 +66,28 @@ class LiveOptions(NamedTuple):
 
 
 def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
-    """Read how a stream is run.
+    """Return the settings of a stream.
 
     Raises
     ------
     UsageError
-        If one of them is impossible.
+        If one of them is invalid.
     """
     if queue_blocks < 1:
-        raise UsageError(f"--queue {queue_blocks} lets no block wait; give 1 or more.")
+        raise UsageError(f"--queue {queue_blocks} is too small; give 1 or more blocks.")
     if when_full not in POLICIES:
-        raise UsageError(f"--when-full {when_full} is none of {', '.join(POLICIES)}.")
+        raise UsageError(f"--when-full {when_full} is not one of {', '.join(POLICIES)}.")
     return Settings(seconds_of("--commit", commit), queue_blocks, cast(Policy, when_full))
 
 
 def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, watching: Watching) -> None:
     """Run a stream."""
     recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
-    timed = source if recipe is None else _timed(source, recipe)
+    timed = source if recipe is None else _with_time(source, recipe)
     address, names = str(Address.parsed(timed)), sinks or [DEFAULT_SINK]
-    keeper, others = _parted([open_sink(name) for name in names])
+    keeper, others = _split_sinks([open_sink(name) for name in names])
     gather_s = 0.0 if others or watching.page else min(_GATHER_S, _GATHER_SHARE * settings.commit_s)
-    made = _opened(timed, gather_s)
+    opened_source = _open_source(timed, gather_s)
     learner = Learner(seconds_of("--learn", asking.learn), asking.lag_s, asking.channels)
     meter = Meter(address)
     with ExitStack() as opened:
@@ -101,7 +101,7 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
         if watching.page is not None:
             others.append(_page(watching.page, meter, lambda *asked: runner.retune(*asked), log, opened))
         runner = Runner(
-            source=made,
+            source=opened_source,
             address=address,
             outlets=Outlets(keeper, tuple(Outlet(sink) for sink in others)),
             watch=watch,
@@ -109,51 +109,51 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
                 recipe,
                 learner,
                 learned=partial(_save, path=_learned_path(names), log=log),
-                timed=None if recipe is not None else lambda had: _opened(_timed(source, had), gather_s),
+                timed=None if recipe is not None else lambda had: _open_source(_with_time(source, had), gather_s),
             ),
             settings=settings,
         )
-        _hear_signals(runner, asking.recipe)
+        _handle_signals(runner, asking.recipe)
         log.info("start", source=address, sinks=", ".join(str(Address.parsed(name)) for name in names))
-        _walk(runner, log)
-    _say(f"Told {runner.rows} rows of {address}.")
+        _run_logged(runner, log)
+    _print_message(f"Filtered {runner.rows} rows of {address}.")
 
 
-def _page(asked: PageAsked, meter: Meter, retune: Retune, log: Log, opened: ExitStack) -> Sink:
-    """Serve the live page; return the sink that it shows rows of."""
+def _page(options: PageAsked, meter: Meter, retune: Retune, log: Log, opened: ExitStack) -> Sink:
+    """Serve the live page; return its sink."""
     from becalm.web.extra import need_app
 
     need_app()
     from becalm.cli.live_page import serve
 
-    served = serve(asked, meter, retune, log.warning, opened)
+    served = serve(options, meter, retune, log.warning, opened)
     for line in served.says:
-        _say(line)
+        _print_message(line)
     return served.feed
 
 
-def _timed(source: str, recipe: Recipe) -> str:
-    """Return a source of a file, or of lines, with the time that its recipe was tuned by, unless a person says one."""
-    told = Address.parsed(source)
-    if told.kind not in _TIMED_BY_RECIPE or not {"rate", "time"}.isdisjoint(told.options):
+def _with_time(source: str, recipe: Recipe) -> str:
+    """Return a source with the time options of its recipe, unless it has its own, or needs none."""
+    address = Address.parsed(source)
+    if address.kind not in _TIMED_BY_RECIPE or not {"rate", "time"}.isdisjoint(address.options):
         return source
-    words: dict[str, Any] = {"rate": recipe.rate_hz} if recipe.rate_hz is not None else {"time": recipe.time}
-    if told.kind == "replay" and "stamps" not in told.options:
-        words["stamps"] = recipe.stamps
-    tail = urlencode({name: value for name, value in words.items() if value is not None})
-    return f"{source}{'&' if told.options else '?'}{tail}" if tail else source
+    options: dict[str, Any] = {"rate": recipe.rate_hz} if recipe.rate_hz is not None else {"time": recipe.time}
+    if address.kind == "replay" and "stamps" not in address.options:
+        options["stamps"] = recipe.stamps
+    query = urlencode({name: value for name, value in options.items() if value is not None})
+    return f"{source}{'&' if address.options else '?'}{query}" if query else source
 
 
-def _opened(source: str, gather_s: float) -> Source:
-    """Open a source; datagrams gather, unless a person says otherwise, where nobody waits but a commit."""
-    told = Address.parsed(source)
-    if gather_s and told.kind == "udp" and "gather" not in told.options:
-        source = f"{source}{'&' if told.options else '?'}gather={gather_s:.6f}s"
+def _open_source(source: str, gather_s: float) -> Source:
+    """Open a source; datagrams are gathered if only commits wait for them, unless the source has its own option."""
+    address = Address.parsed(source)
+    if gather_s and address.kind == "udp" and "gather" not in address.options:
+        source = f"{source}{'&' if address.options else '?'}gather={gather_s:.6f}s"
     return open_source(source)
 
 
-def _walk(runner: Runner, log: Log) -> None:
-    """Run a stream; an error that nobody foresaw is told by a sentence, and by the log in full."""
+def _run_logged(runner: Runner, log: Log) -> None:
+    """Run a stream; an unexpected error becomes a sentence, and the log has it in full."""
     try:
         runner.run()
     except BecalmError as cause:
@@ -164,10 +164,10 @@ def _walk(runner: Runner, log: Log) -> None:
         raise StreamError(log.unexpected(cause)) from cause
 
 
-def _parted(sinks: list[Sink | Keeper]) -> tuple[Keeper | None, list[Sink]]:
+def _split_sinks(sinks: list[Sink | Keeper]) -> tuple[Keeper | None, list[Sink]]:
     keepers = [sink for sink in sinks if isinstance(sink, Keeper)]
     if len(keepers) > 1:
-        raise UsageError("Only one sink can keep a stream; name one of journal:, postgres: and delta:.")
+        raise UsageError("Only one sink can store a stream's state; give one of journal:, postgres: and delta:.")
     return (keepers[0] if keepers else None), [sink for sink in sinks if isinstance(sink, Sink)]
 
 
@@ -182,17 +182,17 @@ def _save(recipe: Recipe, *, path: Path, log: Log) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, recipe.to_toml())
     log.info("learned", recipe=str(path))
-    _say(f"Learned a filter and wrote {path}.")
+    _print_message(f"Tuned a filter and wrote {path}.")
 
 
-def _say(text: str) -> None:
-    """Tell a person, if anyone is there: a terminal that is gone stops no stream."""
+def _print_message(text: str) -> None:
+    """Print a message; a closed terminal does not stop the stream."""
     with suppress(OSError):
         typer.echo(text, err=True)
 
 
-def _hear_signals(runner: Runner, recipe: Path | None) -> None:
-    """Stop at a first signal, and finish the commit; end at once at a second; read the recipe again at SIGHUP."""
+def _handle_signals(runner: Runner, recipe: Path | None) -> None:
+    """Handle signals: stop after a commit at the first one, at once at the second; reload the recipe at SIGHUP."""
     end = beside(runner.stop)
     retune = end if recipe is None else beside(partial(runner.retune, partial(Recipe.load, recipe)))
 

@@ -1,4 +1,4 @@
-"""`becalm live`: its options, each with its one help text."""
+"""Define `becalm live` and its options."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Sinks = Annotated[
         " may be repeated.",
     ),
 ]
-Learn = Annotated[str, typer.Option("--learn", metavar="30s", help="Duration of tuning, where there is no recipe.")]
+Learn = Annotated[str, typer.Option("--learn", metavar="30s", help="Duration of tuning if there is no recipe.")]
 LiveChannels = Annotated[
     str | None, typer.Option("--channels", metavar="a,b", help="Tune filters for these channels only.")
 ]
@@ -70,7 +70,7 @@ LogTo = Annotated[
 ]
 
 
-def live(  # noqa: PLR0913  (the contract's options)
+def live(  # noqa: PLR0913  (one argument for each option)
     source: LiveSource,
     recipe: o.RecipeIn = None,
     sink: Sinks = None,
@@ -92,10 +92,10 @@ def live(  # noqa: PLR0913  (the contract's options)
     from becalm.cli.live import LiveOptions, Watching, run, settings_of
     from becalm.web.access import PageAsked
 
-    named = () if channels is None else o.split_names(channels)
-    asking = LiveOptions(recipe, learn, o.lag_of(lag), named)
-    shown = None if page is None else PageAsked(page, page_host, token_file)
-    if shown is None and (token_file is not None or page_host != THIS_MACHINE):
-        raise UsageError("--page-host and --token-file are of a page, and none is asked for; give --page PORT too.")
-    watching = Watching(status, metrics, log, silent, shown)
+    names = () if channels is None else o.split_names(channels)
+    asking = LiveOptions(recipe, learn, o.lag_of(lag), names)
+    page_options = None if page is None else PageAsked(page, page_host, token_file)
+    if page_options is None and (token_file is not None or page_host != THIS_MACHINE):
+        raise UsageError("--page-host and --token-file need a page; give --page PORT too.")
+    watching = Watching(status, metrics, log, silent, page_options)
     run(source, sink or [], asking, settings_of(queue, when_full, commit), watching)

@@ -1,4 +1,4 @@
-"""The live page beside a stream: served from a thread, its address told to whoever began the stream."""
+"""Serve the live page of a stream from a thread."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ if TYPE_CHECKING:
 
 
 _OPTIONS = AccessOptions("--page-host", "--page")
-_SWITCH_S = 5e-4  # until a thread that computes lets another go on: a page's figures must not hold up the filters
+_SWITCH_S = 5e-4  # interval at which Python switches threads: the page must not delay the filters
 
 
 class Served(NamedTuple):
-    """A page that is there."""
+    """A page that is being served."""
 
     feed: Feed
-    """The sink that it shows rows of."""
+    """The sink whose rows the page shows."""
 
     says: tuple[str, ...]
-    """For whoever began the stream, and for no log: the address holds the token."""
+    """Messages for the terminal, not for the log: the address has the token."""
 
 
 def serve(asked: PageAsked, meter: Meter, retune: Retune, warn: Callable[[str], object], opened: ExitStack) -> Served:
-    """Serve the live page until all is closed.
+    """Serve the live page until `opened` is closed.
 
     Raises
     ------
     UsageError
-        If the port cannot be had, or the token's file is none.
+        If the port cannot be used, or the token file is not one.
     """
     opened.callback(sys.setswitchinterval, sys.getswitchinterval())
     sys.setswitchinterval(_SWITCH_S)

@@ -1,4 +1,4 @@
-"""The commands, from inspect and clean to journal; rooms are loaded inside them."""
+"""Define the commands of the command line; each one imports its packages when it runs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ app = typer.Typer(
 )
 
 
-def _tell_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
         print(f"becalm {version()}".rstrip())  # noqa: T201
         raise typer.Exit
@@ -42,14 +42,14 @@ def _tell_version(wanted: bool) -> None:
 @app.callback()
 def becalm(
     _: Annotated[
-        bool, typer.Option("--version", help="Show which becalm this is.", callback=_tell_version, is_eager=True)
+        bool, typer.Option("--version", help="Show which becalm this is.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Hear what goes before a command."""
+    """Handle the options before a command."""
 
 
 @app.command()
-def inspect(  # noqa: PLR0913  (the contract's options)
+def inspect(  # noqa: PLR0913  (one argument for each option)
     file: o.Source,
     channels: o.Channels = None,
     rate: o.Rate = None,
@@ -60,7 +60,7 @@ def inspect(  # noqa: PLR0913  (the contract's options)
     sensors: o.Sensors = None,
     as_json: o.Json = False,
 ) -> None:
-    """Show how a file is understood: columns, units, time."""
+    """Show how becalm reads a file: columns, units, time."""
     from becalm.cli.layouts import show, summary
     from becalm.cli.messages import tell_bands
 
@@ -74,7 +74,7 @@ def inspect(  # noqa: PLR0913  (the contract's options)
 
 
 @app.command()
-def clean(  # noqa: PLR0913  (the contract's options)
+def clean(  # noqa: PLR0913  (one argument for each option)
     file: o.Source,
     output: o.Output,
     recipe: o.RecipeIn = None,
@@ -101,18 +101,18 @@ def clean(  # noqa: PLR0913  (the contract's options)
     figures: o.Figures = None,
     as_json: o.Json = False,
 ) -> None:
-    """Remove the noise from a recording; nothing needs to be chosen."""
+    """Remove the noise from a recording; no option is required."""
     from becalm.cli.clean import CleanOptions, Outputs, run
 
-    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
+    wanted = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
     outputs = Outputs(output, split, verdicts, report, figures)
-    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
-    if not run(file, said, CleanOptions(recipe, causal, o.lag_of(lag), asked), outputs, as_json=as_json):
+    file_options = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    if not run(file, file_options, CleanOptions(recipe, causal, o.lag_of(lag), wanted), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
 
 @app.command()
-def tune(  # noqa: PLR0913  (the contract's options)
+def tune(  # noqa: PLR0913  (one argument for each option)
     file: o.Source,
     output: o.RecipeOut,
     channels: o.Channels = None,
@@ -134,7 +134,7 @@ def tune(  # noqa: PLR0913  (the contract's options)
     fill: o.Fill = False,
     as_json: o.Json = False,
 ) -> None:
-    """Identify the filter of each channel and write it as a recipe; list what a delay would gain."""
+    """Identify the filter of each channel and write it as a recipe; list the remaining noise for each delay."""
     from becalm.cleaning.delays import delays
     from becalm.cleaning.pipeline import joined
     from becalm.cli.messages import tell_delays, tell_notes
@@ -142,23 +142,25 @@ def tune(  # noqa: PLR0913  (the contract's options)
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
-    asked = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
-    with open_every(file, said) as opened:
+    file_options = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    wanted = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
+    with open_every(file, file_options) as opened:
         tell_notes(*opened.sources)
-        found = said.kept_in(joined([tuned(source, causal, asked, o.lag_of(lag)) for source in opened.sources]))
-    write_text(output, found.to_toml())
-    bought = delays(found)
-    tell_delays(bought)
+        recipe = file_options.kept_in(
+            joined([tuned(source, causal, wanted, o.lag_of(lag)) for source in opened.sources])
+        )
+    write_text(output, recipe.to_toml())
+    curves = delays(recipe)
+    tell_delays(curves)
     if as_json:
-        told = {name: [asdict(one) for one in curve] for name, curve in bought.items()}
-        summary = {"file": str(file), "recipe": str(output), **found.model_dump(), "delays": told}
+        rows = {name: [asdict(one) for one in curve] for name, curve in curves.items()}
+        summary = {"file": str(file), "recipe": str(output), **recipe.model_dump(), "delays": rows}
         print(json.dumps(summary, indent=2))  # noqa: T201
     typer.echo(f"Wrote {output}. Use it with: becalm clean {file} -o OUT --recipe {output}", err=True)
 
 
 @app.command()
-def compare(  # noqa: PLR0913  (the contract's options)
+def compare(  # noqa: PLR0913  (one argument for each option)
     file: o.Source,
     truth: o.Truth = None,
     recipe: o.RecipeIn = None,
@@ -176,15 +178,15 @@ def compare(  # noqa: PLR0913  (the contract's options)
     """Compare becalm with Butterworth, averages and others, at equal noise and at equal lag."""
     from becalm.cli.compare import CompareOptions, run
 
-    given = load(recipe)
-    said = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
-    said = said if given is None else said.or_as(given)
-    with open_as(file, said) as source:
-        run(source, said, CompareOptions(truth, causal, output), as_json=as_json)
+    loaded = load(recipe)
+    file_options = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    file_options = file_options if loaded is None else file_options.or_as(loaded)
+    with open_as(file, file_options) as source:
+        run(source, file_options, CompareOptions(truth, causal, output), as_json=as_json)
 
 
 @app.command()
-def noise(  # noqa: PLR0913  (the contract's options)
+def noise(  # noqa: PLR0913  (one argument for each option)
     file: o.Source,
     channels: o.Looked = None,
     rate: o.Rate = None,
@@ -206,7 +208,7 @@ def noise(  # noqa: PLR0913  (the contract's options)
 
 
 @app.command()
-def calibrate(  # noqa: PLR0913  (the contract's options)
+def calibrate(  # noqa: PLR0913  (one argument for each option)
     file: o.Source,
     output: o.SensorsOut,
     channels: o.Axes = None,
@@ -237,7 +239,7 @@ def study(
     paper: Annotated[str, typer.Argument(metavar="car|imu|strain", help="Which paper.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the page.")] = Path("study"),
 ) -> None:
-    """Reproduce one of the three papers that becalm grew from: its tables beside ours, its figures redrawn."""
+    """Reproduce one of the three papers behind becalm: compare its tables with ours, redraw its figures."""
     from becalm.cli.study import run
 
     run(paper, output)
@@ -247,7 +249,7 @@ def study(
 def demo(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")] = Path("demo"),
 ) -> None:
-    """Simulate a test drive, clean it, and print what was gained."""
+    """Simulate a test drive, clean it, and print the errors before and after."""
     from becalm.cli.demo import run
 
     run(output)
@@ -260,37 +262,37 @@ app.add_typer(fleet)
 
 
 def main() -> None:
-    """Run the command line; a person's mistake ends in a sentence and an exit code."""
+    """Run the command line; a mistake of the user ends with a sentence and an exit code."""
     stop_cleanly()
-    # Matrices are small: more threads of OpenBLAS only wait, and cost a fifth of a short run. NumPy is not loaded yet.
+    # Matrices are small: more threads of OpenBLAS only cost a fifth of a short run. Set this before NumPy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     code = _run()
-    for stream in filter(None, (sys.stdout, sys.stderr)):  # None: it was closed from the start
+    for stream in filter(None, (sys.stdout, sys.stderr)):  # None if it was closed from the start
         try:
             stream.flush()
-        except OSError:  # nobody listens any more
+        except OSError:  # the reader has closed the pipe
             code = code or UsageError.exit_code
-    os._exit(code)  # the table library's threads may abort the process while Python takes itself apart
+    os._exit(code)  # at a normal exit the threads of pyarrow may abort the process
 
 
 def _run() -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a name the terminal cannot show is no reason to stop
+            stream.reconfigure(errors="backslashreplace")  # print names that the terminal cannot show
     try:
         app()
-    except SystemExit as ended:
-        return ended.code if isinstance(ended.code, int) else 0
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 0
     except BecalmError as cause:
-        _say(str(cause))
+        _print_error(str(cause))
         return cause.exit_code
     except OSError as cause:
-        _say(f"{cause.filename or 'standard output'} cannot be written: {cause.strerror}. Make room, and repeat.")
+        _print_error(f"{cause.filename or 'standard output'} cannot be written: {cause.strerror}. Free some space.")
     except MemoryError:
-        _say("Not enough memory for this recording; clean fewer channels with --channels.")
+        _print_error("Not enough memory for this recording; clean fewer channels with --channels.")
     return UsageError.exit_code
 
 
-def _say(sentence: str) -> None:
-    with suppress(OSError):  # where even the error output is closed or full, the exit code must do
+def _print_error(sentence: str) -> None:
+    with suppress(OSError):  # if the error output is closed or full, only the exit code remains
         typer.echo(f"becalm: {sentence}", err=True)

@@ -1,4 +1,4 @@
-"""Messages on the error output: progress on a terminal, a table, the verdict in words."""
+"""Print messages on the error output: progress, tables and judgements."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.identification.wishes.waiting import Delay
 
-_MOST_NAMED = 8  # channels of which the same is said
+_MOST_NAMED = 8  # channels that are named for one sentence
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
 @contextmanager
 def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
-    """Show a bar of `count` steps on a terminal, and nothing elsewhere; it is told what was done, and how many."""
+    """Show a progress bar of `count` steps on a terminal; call it with the name and the number of finished steps."""
     from rich.progress import Progress
 
     with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
@@ -29,7 +29,7 @@ def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
 
 
 def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
-    """Show what was found for each channel, then whom to trust."""
+    """Print a table of the channels, then the judgements that need attention."""
     from becalm.cleaning.judging import DESCRIBED
     from becalm.cleaning.table_cells import cells
 
@@ -39,58 +39,58 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     for report in reports:
         table.add_row(report.name, *cells(report, causal))
     stderr.print(table)
-    alike: dict[str, list[str]] = {}
+    names_by_sentence: dict[str, list[str]] = {}
     for report in reports:
         if report.says != DESCRIBED:
-            alike.setdefault(report.says, []).append(report.name)
-    for says, names in alike.items():
+            names_by_sentence.setdefault(report.says, []).append(report.name)
+    for says, names in names_by_sentence.items():
         more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
         stderr.print(f"{', '.join(names[:_MOST_NAMED])}{more}: {says}")
 
 
 def tell_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
-    """Say what is left of each channel's noise at each delay, a line a channel."""
+    """Print the trade-off curve of each channel: remaining noise at each delay, one line for each channel."""
     if delays:
-        stderr.print("Error left of a reading's noise, if the output is that much later (see --lag):")
+        stderr.print("Remaining error, relative to the noise of a reading, for a delay of the output (see --lag):")
     for name, curve in delays.items():
-        told = ", ".join(f"{one.wait_s * 1e3:.4g} ms {one.left_db:.1f} dB" for one in curve)
-        stderr.print(f"{name}: {told} (the limit)")
+        figures = ", ".join(f"{one.wait_s * 1e3:.4g} ms {one.left_db:.1f} dB" for one in curve)
+        stderr.print(f"{name}: {figures} (the limit)")
 
 
 def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float, ...]) -> None:
-    """Say which of the tones that were to be taken off did not stand out, and where."""
-    taken = {
-        report.name: {min(removed_hz, key=lambda asked: abs(asked - found)) for found in report.removed_hz}
+    """Print which of the tones to remove did not stand out, and in which channels."""
+    removed = {
+        report.name: {min(removed_hz, key=lambda wanted: abs(wanted - tone)) for tone in report.removed_hz}
         for report in (reports if removed_hz else ())
     }
     for frequency in removed_hz:
-        lacking = [name for name, off in taken.items() if frequency not in off]
+        lacking = [name for name, tones in removed.items() if frequency not in tones]
         if lacking:
             stderr.print(
-                f"No tone stands out near {frequency:.6g} Hz in {', '.join(lacking)}: nothing was taken off there."
+                f"No tone stands out near {frequency:.6g} Hz in {', '.join(lacking)}: nothing was removed there."
             )
 
 
 def tell_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
-    """Say which channels go beyond the band in which their sensors are right: as filtered, or as read."""
+    """Print which channels exceed the flat band of their sensors, after the filters or as read."""
     from becalm.cleaning.bands import beyond_flat
 
     passed = {one.name: max((one.bandwidth_hz, *one.tones_hz)) for one in reports if one.bandwidth_hz is not None}
     for name, calibration in source.calibrations.items():
         if calibration.resonance is None or name not in source.names:
             continue
-        if said := beyond_flat(name, calibration.resonance, passed.get(name), source.rate_hz):
-            stderr.print(said)
+        if warning := beyond_flat(name, calibration.resonance, passed.get(name), source.rate_hz):
+            stderr.print(warning)
 
 
 def tell_notes(*sources: OpenSource) -> None:
-    """Say what a person must know of a file, each sentence once."""
+    """Print the notes on files, each sentence once."""
     for note in dict.fromkeys(note for source in sources for note in source.notes):
         stderr.print(note)
 
 
 def tell_columns(source: OpenSource) -> None:
-    """Say which columns were not cleaned, and which of the file's own were replaced."""
+    """Print which columns were not cleaned, and which columns of the file were replaced."""
     passed = [f"{column.name} ({column.why})" for column in source.columns if column.role == "passed through"]
     if source.replaced:
         stderr.print(f"Replaced by the new uncertainty: {', '.join(source.replaced)}.")

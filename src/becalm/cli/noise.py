@@ -1,4 +1,4 @@
-"""The noise of a recording at rest, for a person on stderr and as JSON on stdout."""
+"""Measure the noise of a recording at rest; print it on stderr, and as JSON on stdout."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ if TYPE_CHECKING:
 
     Spans = Sequence[tuple[float, float]]
 
-_CUTOFF_HZ = 1.0  # of the IMU paper, where none is said
-_STRETCHES = 12  # that are named one by one
+_CUTOFF_HZ = 1.0  # default, from the IMU paper
+_STRETCHES = 12  # that are listed
 
-_wide = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no figure
+_wide = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no number
 
 
 def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_json: bool) -> None:
-    """Find rest in a file, or take it as said, and tell the noise there.
+    """Find rests in a file, or take the given ones, and print the noise there.
 
     Raises
     ------
     UsageError
-        If a stretch that was said holds too few rows, or the cut-off is beyond half of the rate.
+        If a given stretch has too few rows, or the cut-off is beyond half of the rate.
     """
     if cutoff_hz is not None and cutoff_hz >= source.rate_hz / 2:
         raise UsageError(
-            f"--cutoff {cutoff_hz:g}Hz cannot be had at {source.rate_hz:.4g} rows a second; stay below half of that."
+            f"--cutoff {cutoff_hz:g}Hz is too high for a rate of {source.rate_hz:.4g} Hz; give less than half of that."
         )
     tell_notes(source)
     recording = beginning(source)
     with progress("measuring", len(source.names)) as step, rest_within(source, recording):
-        told = report_noise(
+        noises = report_noise(
             recording,
             still=spans_s,
             cutoff_hz=cutoff_hz or _CUTOFF_HZ,
@@ -53,60 +53,60 @@ def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_j
             "rows": source.rows,
             "rows_looked_at": len(recording),
             "rate_hz": source.rate_hz,
-            "channels": [channel.as_dict() for channel in told],
+            "channels": [channel.as_dict() for channel in noises],
         }
         print(json.dumps(summary, indent=2))  # noqa: T201
-    _show(told)
+    _show(noises)
     if cut := cut_short(source, recording):
         stderr.print(cut.strip())
 
 
-def _show(told: tuple[ChannelNoise, ...]) -> None:
-    """Show stretches, R, Allan figures; then what is not known, and why."""
-    first = told[0]
+def _show(noises: tuple[ChannelNoise, ...]) -> None:
+    """Print rests, R and Allan figures; then sentences on unknown or doubtful figures."""
+    first = noises[0]
     stderr.print(first.rest)
     if first.stretches_s:
         stderr.print(f"At rest: {_spans(first.stretches_s)}.")
     stderr.print()
-    _wide.print(_noise_table(told))
-    known = [(channel.name, channel.allan) for channel in told if channel.allan is not None]
-    if known:
-        stderr.print(f"\nAllan deviation, over the longest rest, {_span(known[0][1].stretch_s)} s:")
-        _wide.print(_allan_table(known))
+    _wide.print(_noise_table(noises))
+    with_allan = [(channel.name, channel.allan) for channel in noises if channel.allan is not None]
+    if with_allan:
+        stderr.print(f"\nAllan deviation, over the longest rest, {_span(with_allan[0][1].stretch_s)} s:")
+        _wide.print(_allan_table(with_allan))
     stderr.print()
-    for sentence, names in _said_of(told).items():
-        everyone = len(told) > 1 and len(names) == len(told)
+    for sentence, names in _names_by_sentence(noises).items():
+        everyone = len(noises) > 1 and len(names) == len(noises)
         stderr.print(f"{'All channels' if everyone else ', '.join(names)}: {sentence}")
     if not first.stretches_s:
         stderr.print(
-            "Where the sensor does lie still, say so: --still START:STOP, in seconds after the first row. Channels that"
-            " do not rest together are looked at one by one with --channels NAME."
+            "If the sensor does lie still, give the rests with --still START:STOP, in seconds after the first row."
+            " Measure channels that do not rest together one by one with --channels NAME."
         )
     else:
-        stderr.print("Noise at rest is the least there is: what shakes a sensor in use is not in it.")
+        stderr.print("Noise at rest is a lower bound: vibration of a sensor in use is not in it.")
 
 
-def _said_of(told: tuple[ChannelNoise, ...]) -> dict[str, list[str]]:
-    """Return each sentence with the channels that it is about."""
-    said: dict[str, list[str]] = {}
-    for channel in told:
+def _names_by_sentence(noises: tuple[ChannelNoise, ...]) -> dict[str, list[str]]:
+    """Return each sentence with the names of its channels."""
+    names: dict[str, list[str]] = {}
+    for channel in noises:
         for sentence in channel.says:
-            said.setdefault(sentence, []).append(channel.name)
-    return said
+            names.setdefault(sentence, []).append(channel.name)
+    return names
 
 
-def _noise_table(told: tuple[ChannelNoise, ...]) -> Table:
-    cutoff = f"{told[0].cutoff_hz:g} Hz"
+def _noise_table(noises: tuple[ChannelNoise, ...]) -> Table:
+    cutoff = f"{noises[0].cutoff_hz:g} Hz"
     table = _table("channel", "noise", "std error", f"above {cutoff}", f"below {cutoff}", "unit")
-    for channel in told:
+    for channel in noises:
         figures = (channel.noise_std, channel.noise_std_error, channel.above_std, channel.below_std)
         table.add_row(channel.name, *map(_number, figures), channel.unit)
     return table
 
 
-def _allan_table(known: list[tuple[str, AllanNoise]]) -> Table:
-    table = _table("channel", "Allan figure", "value", "std error", "unit", "as a data sheet has it")
-    for name, allan in known:
+def _allan_table(with_allan: list[tuple[str, AllanNoise]]) -> Table:
+    table = _table("channel", "Allan figure", "value", "std error", "unit", "in data-sheet units")
+    for name, allan in with_allan:
         for row, cells in enumerate(_allan_rows(allan)):
             table.add_row("" if row else name, *cells)
     return table
@@ -127,7 +127,7 @@ def _allan_rows(allan: AllanNoise) -> Iterator[tuple[str, ...]]:
 
 
 def _quotes(one: Coefficient) -> str:
-    """Write a coefficient as data sheets do; of one that is not told, what it does not exceed."""
+    """Return a coefficient in units of data sheets; its upper limit if the value is unknown."""
     if one.value is None:
         bounds: Sequence[Quoted | Coefficient] = one.quoted or (one,)
         return ", ".join(f"below {_number(bound.limit)} {bound.unit}".strip() for bound in bounds)
@@ -136,7 +136,7 @@ def _quotes(one: Coefficient) -> str:
 
 def _table(*headings: str) -> Table:
     table = Table(box=None, pad_edge=False)
-    left = ("channel", "unit", "Allan figure", "as a data sheet has it")
+    left = ("channel", "unit", "Allan figure", "in data-sheet units")
     for heading in headings:
         table.add_column(heading, justify="left" if heading in left else "right")
     return table
@@ -153,5 +153,5 @@ def _span(span_s: tuple[float, float]) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Write three digits, and no exponent below a million."""
+    """Return a number with three digits, without an exponent below a million."""
     return "-" if value is None else f"{float(f'{value:.3g}'):g}"

@@ -24,7 +24,7 @@ AS_WRITTEN, MENDED = "as-written", "mended"
 
 
 class Said(NamedTuple):
-    """What a person said of a file."""
+    """The options for reading a file."""
 
     channels: str | None
     rate_hz: float | None
@@ -36,7 +36,7 @@ class Said(NamedTuple):
     stamps: str | None = None
 
     def or_as(self, recipe: Recipe) -> Said:
-        """Take the time from a recipe, if nothing was said of it."""
+        """Return the options with the time of a recipe, unless there are time options."""
         if self.rate_hz is None and self.time is None:
             rate_hz = None if self.stamps == AS_WRITTEN else recipe.rate_hz
             stamps = self.stamps or recipe.stamps
@@ -44,16 +44,16 @@ class Said(NamedTuple):
         return self._replace(recipe=recipe)
 
     def kept_in(self, recipe: Recipe) -> Recipe:
-        """Put into a recipe what was said of the time, so that it gives the same bytes again."""
+        """Return the recipe with the time options, so that it repeats the same cleaning."""
         return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time, "stamps": self._kept_stamps})
 
     @property
     def _kept_stamps(self) -> str | None:
-        return AS_WRITTEN if self.stamps == AS_WRITTEN else None  # a recipe's silence mends
+        return AS_WRITTEN if self.stamps == AS_WRITTEN else None  # None in a recipe repairs stamps
 
     @property
     def names(self) -> tuple[str, ...] | None:
-        """The channels to clean, or None for all."""
+        """Return the channels to clean, or None for all."""
         if self.channels is None:
             return None if self.recipe is None else tuple(channel.name for channel in self.recipe.channel)
         names = split_names(self.channels)
@@ -63,15 +63,15 @@ class Said(NamedTuple):
 
 
 def said_of(channels: str | None, when: When, units: list[str] | None, sensors: Path | None) -> Said:
-    """Put together what was said of a file; warn of sensors that are due for calibration.
+    """Return the options for reading a file; print a warning for sensors that are due for calibration.
 
     Raises
     ------
     UsageError
-        If it is not said how stamps are to be, or units cannot be read.
+        If the value of --stamps is unknown, or units cannot be read.
     """
     if when.stamps not in (None, AS_WRITTEN, MENDED):
-        raise UsageError(f"--stamps {when.stamps} is not known; write --stamps {AS_WRITTEN}, or {MENDED}.")
+        raise UsageError(f"--stamps {when.stamps} is unknown; write --stamps {AS_WRITTEN} or --stamps {MENDED}.")
     records: tuple[SensorRecord, ...] = ()
     if sensors is not None:
         from datetime import datetime
@@ -86,14 +86,14 @@ def said_of(channels: str | None, when: When, units: list[str] | None, sensors: 
 
 
 def open_as(file: Path, said: Said) -> OpenSource:
-    """Open one time of a file as it was said to be."""
+    """Open one time base of a file with these options."""
     from becalm.files.opening import open_source
 
     return open_source(file, _options(file, said))
 
 
 def open_every(file: Path, said: Said) -> AbstractContextManager[OpenFile]:
-    """Open a file as it was said to be, with all its times."""
+    """Open a file with these options and all its time bases."""
     from becalm.files.time_bases import open_file
 
     return open_file(file, _options(file, said))
@@ -115,17 +115,17 @@ def _options(file: Path, said: Said) -> ReadOptions:
 
 
 def recipe_beside(output: Path) -> Path:
-    """Return where the recipe of an output goes."""
+    """Return the path of the recipe of an output."""
     return Path(f"{output}.recipe.toml")
 
 
 def shown_name(file: Path) -> str:
-    """Return the name of a file as text, which it need not be."""
+    """Return the name of a file as valid text."""
     return os.fsencode(file.name).decode("utf-8", "replace")
 
 
 def load(path: Path | None) -> Recipe | None:
-    """Load a recipe, if one was named."""
+    """Load a recipe, if there is a path."""
     if path is None:
         return None
     from becalm.cleaning.recipe import Recipe
@@ -134,42 +134,42 @@ def load(path: Path | None) -> Recipe | None:
 
 
 def refuse_overwriting(file: Path, *outputs: Path) -> None:
-    """Refuse to write over the input, or tables into a folder of them.
+    """Refuse to overwrite the input, or to write a table into an input folder.
 
     Raises
     ------
     UsageError
-        If an output is the input, by whatever name, or would be read as a part of it.
+        If an output is the input, even by another path, or would be read as a part of it.
     """
     from becalm.files.lake.listing import ENDINGS
 
     for output in outputs:
         if is_same(output, file):
-            raise UsageError(f"{output} is the input itself; raw data are never overwritten. Name another with -o.")
+            raise UsageError(f"{output} is the input itself; raw data are never overwritten. Give another with -o.")
         is_table = output.name.lower().endswith(ENDINGS)
         if is_table and file.is_dir() and output.resolve().is_relative_to(file.resolve()):
-            raise UsageError(f"{output} is in {file}, and would be read as a part of it. Name another with -o.")
+            raise UsageError(f"{output} is in {file}, and would be read as a part of it. Give another with -o.")
 
 
 def is_same(one: Path, other: Path) -> bool:
-    """Whether two paths lead to one file that is there."""
+    """Return whether two paths lead to the same existing file."""
     try:
         return one.samefile(other)
-    except OSError:  # one of them is not there, or cannot be: who reads or writes it says why
+    except OSError:  # one of them does not exist, or is invalid: reading or writing it reports why
         return False
 
 
 def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: bool) -> None:
-    """Refuse to write the parts of channels, or verdicts, over columns that a file has.
+    """Refuse to overwrite columns of a file with the parts of channels or with verdicts.
 
     Raises
     ------
     UsageError
-        If one of them would have the name of a column.
+        If one of them has the name of a column.
     """
     parts = [f"{channel.name}_{part}" for channel in recipe.channel for part in channel.parts] if split else []
-    told = [f"{channel.name}_verdict" for channel in recipe.channel] if verdicts else []
-    for option, written in (("--split", parts), ("--verdicts", told)):
+    verdict_columns = [f"{channel.name}_verdict" for channel in recipe.channel] if verdicts else []
+    for option, written in (("--split", parts), ("--verdicts", verdict_columns)):
         if taken := [name for name in written if name in columns]:
             raise UsageError(
                 f"The file has a column {taken[0]!r}, which {option} would write; rename it, or leave {option} out."
@@ -188,9 +188,9 @@ def tuned(source: OpenSource, causal: bool, asked: FilterOptions, lag_s: float |
     wishes = Wishes(
         asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust, asked.time_std_s, asked.fill
     )
-    told = rest_within(source, rest) if asked.still_s else nullcontext()
-    with progress("tuning", len(source.names)) as step, told:
-        found = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))
-    origin = found.tuned_on.model_copy(update={"sha256": source.sha256()})
-    channels = calibrated(found.channel, source.calibrations)
-    return found.model_copy(update={"tuned_on": origin, "channel": channels})
+    rests_named = rest_within(source, rest) if asked.still_s else nullcontext()
+    with progress("tuning", len(source.names)) as step, rests_named:
+        recipe = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))
+    origin = recipe.tuned_on.model_copy(update={"sha256": source.sha256()})
+    channels = calibrated(recipe.channel, source.calibrations)
+    return recipe.model_copy(update={"tuned_on": origin, "channel": channels})

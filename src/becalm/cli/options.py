@@ -1,4 +1,4 @@
-"""The options that commands share, each with its one help text."""
+"""Define the options that several commands have, and read their values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ Truth = Annotated[
     Path | None, typer.Option("--truth", metavar="FILE", help="True signal: the same channels at the same times.")
 ]
 ComparedIn = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder for a page with the same in pictures.")
+    Path | None,
+    typer.Option("-o", "--output", metavar="DIR", help="Folder for a page with figures of the results."),
 ]
 Channels = Annotated[
     str | None, typer.Option("--channels", metavar="a,b", help="Clean these channels; the others pass through.")
@@ -54,7 +55,7 @@ Group = Annotated[
 ]
 Units = Annotated[
     list[str] | None,
-    typer.Option("--unit", metavar="NAME=UNIT", help="Unit of a channel, as ax=m/s^2; may be repeated."),
+    typer.Option("--unit", metavar="NAME=UNIT", help="Unit of a channel, such as ax=m/s^2; may be repeated."),
 ]
 Sensors = Annotated[
     Path | None,
@@ -63,7 +64,7 @@ Sensors = Annotated[
 SensorsOut = Annotated[
     Path, typer.Option("-o", "--output", metavar="S.toml", help="Where to write the sensor, for --sensors.")
 ]
-Clean = Annotated[Path, typer.Argument(metavar="CLEAN", help="Output of becalm clean, with its recipe beside it.")]
+Clean = Annotated[Path, typer.Argument(metavar="CLEAN", help="Output of becalm clean, with its recipe next to it.")]
 OldSensors = Annotated[Path, typer.Option("--from", metavar="OLD.toml", help="Sensor file that it was cleaned with.")]
 NewSensors = Annotated[Path, typer.Option("--to", metavar="NEW.toml", help="Sensor file of the new calibration.")]
 Axes = Annotated[str | None, typer.Option("--channels", metavar="x,y,z", help="The three axes.")]
@@ -93,11 +94,11 @@ Looked = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="U
 _STILL = "START:STOP in seconds after the first row (0:30 is the first half minute), or 1min:2min; several with commas."
 Rest = Annotated[
     str | None,
-    typer.Option("--still", metavar="0:30,60:90", help=f"Where the sensor lies still: {_STILL} Found if left out."),
+    typer.Option("--still", metavar="0:30,60:90", help=f"Where the sensor lies still: {_STILL} Detected by default."),
 ]
 Still = Annotated[
     str | None,
-    typer.Option("--still", metavar="0:30,60:90", help=f"Tell the noise where the sensor lay still: {_STILL}"),
+    typer.Option("--still", metavar="0:30,60:90", help=f"Measure the noise where the sensor lay still: {_STILL}"),
 ]
 Remove = Annotated[
     str | None,
@@ -119,7 +120,7 @@ Figures = Annotated[
 ]
 Cutoff = Annotated[
     str | None,
-    typer.Option("--cutoff", metavar="1Hz", help="Split the noise at rest there, above and below; 1Hz by default."),
+    typer.Option("--cutoff", metavar="1Hz", help="Frequency at which to split the noise at rest; 1Hz by default."),
 ]
 
 
@@ -134,7 +135,7 @@ _UNITS: dict[Kind, str] = {"max_lag_s": "s, ms or us", "bandwidth_hz": "Hz or kH
 
 
 class FilterOptions(NamedTuple):
-    """What is asked of the filters, or told of the noise."""
+    """The options for the filters and the noise."""
 
     dial: Dial | None
     still_s: tuple[tuple[float, float], ...]
@@ -145,13 +146,13 @@ class FilterOptions(NamedTuple):
 
     @property
     def anything(self) -> bool:
-        """Whether something was asked at all."""
-        told = self.dial is not None or self.time_std_s is not None
-        return told or self.robust or self.fill or bool(self.still_s or self.removed_hz)
+        """Return whether any option was given."""
+        given = self.dial is not None or self.time_std_s is not None
+        return given or self.robust or self.fill or bool(self.still_s or self.removed_hz)
 
 
 class When(NamedTuple):
-    """What was said of the time."""
+    """The options for the time of rows."""
 
     rate_hz: float | None = None
     time: str | None = None
@@ -160,7 +161,7 @@ class When(NamedTuple):
 
 
 class Dials(NamedTuple):
-    """What was written behind each dial's option."""
+    """The texts of the three dial options."""
 
     max_lag: str | None
     bandwidth: str | None
@@ -170,31 +171,31 @@ class Dials(NamedTuple):
 def asked_of(
     dials: Dials, still: str | None, remove: str | None, robust: bool = False, jitter: str | None = None
 ) -> FilterOptions:
-    """Read what is asked: --max-lag, --bandwidth or --noise-gain, --still, --remove, --robust and --time-jitter.
+    """Return the filter options: --max-lag, --bandwidth, --noise-gain, --still, --remove, --robust, --time-jitter.
 
     Raises
     ------
     UsageError
-        If one of them cannot be read.
+        If an option cannot be read.
     """
-    named = [] if remove is None else [part for part in remove.split(",") if part.strip()]
-    removed = tuple(frequency_of("--remove", part) for part in named)
+    parts = [] if remove is None else [part for part in remove.split(",") if part.strip()]
+    removed = tuple(frequency_of("--remove", part) for part in parts)
     return FilterOptions(dial_of(*dials), still_of(still) or (), removed, robust, jitter_of(jitter))
 
 
 def units_of(texts: list[str] | None) -> dict[str, str]:
-    """Read the units to have channels in, by their names.
+    """Return the units of channels by their names.
 
     Raises
     ------
     UsageError
-        If a text is not NAME=UNIT, or names a channel again.
+        If a text is not NAME=UNIT, or names a channel twice.
     """
     units: dict[str, str] = {}
     for text in texts or ():
         name, _, unit = (part.strip() for part in text.rpartition("="))
         if not name or not unit:
-            raise UsageError(f"--unit {text} is not NAME=UNIT; write a channel and the unit to have it in: ax=m/s^2")
+            raise UsageError(f"--unit {text} is not NAME=UNIT; write a channel and its unit: ax=m/s^2")
         if name in units:
             raise UsageError(f"--unit names {name!r} twice; give it one unit.")
         units[name] = unit
@@ -202,61 +203,61 @@ def units_of(texts: list[str] | None) -> dict[str, str]:
 
 
 def lag_of(text: str | None) -> float | None:
-    """Read how long each row may wait, in seconds.
+    """Return the lag in seconds.
 
     Raises
     ------
     UsageError
-        If it is no positive number with its unit.
+        If it is not a positive number with its unit.
     """
     if text is None:
         return None
     lag_s = _quantity(text, "max_lag_s")
     if lag_s is None or not 0 < lag_s < inf:
-        raise UsageError(f"--lag {text} is no time to wait; write a positive number and then s, ms or us, as 10ms.")
+        raise UsageError(f"--lag {text} is not a time; write a positive number and then s, ms or us: 10ms.")
     return lag_s
 
 
 def jitter_of(text: str | None) -> float | None:
-    """Read by how much the sampling jitters, in seconds.
+    """Return the standard deviation of the sampling jitter, in seconds.
 
     Raises
     ------
     UsageError
-        If it is no positive number with its unit.
+        If it is not a positive number with its unit.
     """
     std_s = None if text is None else _quantity(text, "max_lag_s")
     if text is not None and (std_s is None or not 0 < std_s < inf):
-        raise UsageError(f"--time-jitter {text} is no time; write a positive number and then s, ms or us, as 50us.")
+        raise UsageError(f"--time-jitter {text} is not a time; write a positive number and then s, ms or us: 50us.")
     return std_s
 
 
 def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) -> Dial | None:
-    """Read the dial; at most one of them is turned.
+    """Return the dial; at most one of the three options may be given.
 
     Raises
     ------
     UsageError
-        If two are turned, or one to what is no number with its unit.
+        If two are given, or one is not a number with its unit.
     """
-    said: dict[Kind, str | None] = {"max_lag_s": max_lag, "bandwidth_hz": bandwidth, "noise_gain_db": noise_gain}
-    turned = {kind: text for kind, text in said.items() if text is not None}
-    if not turned:
+    texts: dict[Kind, str | None] = {"max_lag_s": max_lag, "bandwidth_hz": bandwidth, "noise_gain_db": noise_gain}
+    given = {kind: text for kind, text in texts.items() if text is not None}
+    if not given:
         return None
-    if len(turned) > 1:
-        raise UsageError("Turn one of --max-lag, --bandwidth and --noise-gain: each of them decides the others.")
+    if len(given) > 1:
+        raise UsageError("Give only one of --max-lag, --bandwidth and --noise-gain: each determines the others.")
     from becalm.identification.wishes.dial import Dial
 
-    ((kind, text),) = turned.items()
+    ((kind, text),) = given.items()
     value = _quantity(text, kind)
     if value is None:
         name, units = kind.rpartition("_")[0].replace("_", "-"), _UNITS[kind]
-        raise UsageError(f"--{name} {text} is no number with its unit; write a number and then {units}.")
+        raise UsageError(f"--{name} {text} is not a number with its unit; write a number and then {units}.")
     return Dial(kind, value)
 
 
 def still_of(text: str | None) -> tuple[tuple[float, float], ...] | None:
-    """Read where a sensor lies still: `0:30,60:90` is 0 to 30 s and 60 to 90 s after the first row.
+    """Return the rests of a sensor: `0:30,60:90` is 0 to 30 s and 60 to 90 s after the first row.
 
     Raises
     ------
@@ -267,36 +268,36 @@ def still_of(text: str | None) -> tuple[tuple[float, float], ...] | None:
 
 
 def frequency_of(option: str, text: str) -> float:
-    """Read a frequency with its unit, in hertz.
+    """Return a frequency in hertz.
 
     Raises
     ------
     UsageError
-        If it is no positive number with Hz or kHz.
+        If it is not a positive number with Hz or kHz.
     """
     frequency_hz = _quantity(text, "bandwidth_hz")
     if frequency_hz is None or not 0 < frequency_hz < inf:
-        raise UsageError(f"{option} {text} is no frequency; write a positive number and then Hz or kHz, as 1Hz.")
+        raise UsageError(f"{option} {text} is not a frequency; write a positive number and then Hz or kHz: 1Hz.")
     return frequency_hz
 
 
 def _quantity(text: str, kind: Kind) -> float | None:
-    """Read a number with its unit, in the unit of its kind; None where it is none."""
-    written = _QUANTITY.fullmatch(text.strip())
-    size = _SIZES[kind].get(written["unit"].lower()) if written else None
-    return None if written is None or size is None else float(written["number"]) * size
+    """Return a number in the base unit of its kind; None if the text is not a number with a unit."""
+    match = _QUANTITY.fullmatch(text.strip())
+    size = _SIZES[kind].get(match["unit"].lower()) if match else None
+    return None if match is None or size is None else float(match["number"]) * size
 
 
 def _span_of(text: str) -> tuple[float, float]:
     span_s = stretch_s(text)
     if span_s is None:
         raise UsageError(
-            f"--still {text.strip()} is no stretch of time; write START:STOP in seconds after the first row, as 0:30"
-            " for the first half minute, or with units, as 1min:2min; several with commas."
+            f"--still {text.strip()} is not a stretch of time; write START:STOP in seconds after the first row, such as"
+            " 0:30 for the first half minute, or with units, such as 1min:2min; several with commas."
         )
     return span_s
 
 
 def split_names(text: str) -> tuple[str, ...]:
-    """Split a list of names at its commas; a name with a comma goes in double quotes."""
+    """Split a list of names at its commas; a name with a comma must be in double quotes."""
     return tuple(name.strip() for name in next(csv.reader([text], skipinitialspace=True), []) if name.strip())

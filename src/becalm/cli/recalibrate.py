@@ -1,4 +1,4 @@
-"""A clean recording with another calibration, without its readings."""
+"""Apply another calibration to a clean recording, without its raw readings."""
 
 from __future__ import annotations
 
@@ -21,40 +21,40 @@ from becalm.files.writing import open_output, refuse_columns
 
 
 class Calibrations(NamedTuple):
-    """The sensor file that a recording was cleaned with, and the one it should have been."""
+    """The sensor file that a recording was cleaned with, and the new one."""
 
     old: Path
     new: Path
 
 
 def run(file: Path, output: Path, sensors: Calibrations) -> None:
-    """Write a clean recording as the new calibration has it.
+    """Write a clean recording with the new calibration.
 
     Raises
     ------
     UsageError
-        If its recipe is not beside it, it holds several times and the output one, or it cannot be had without the
+        If its recipe is not next to it, the output has too few time bases, or the new calibration needs the raw
         readings.
     """
     format_to_write(output)
     refuse_overwriting(file, output)
-    beside = recipe_beside(file)
-    if not beside.exists():
-        raise UsageError(f"{beside} is not there, which says how {file} was cleaned; keep the two together.")
-    recipe, old, new = Recipe.load(beside), load_sensors(sensors.old), load_sensors(sensors.new)
+    recipe_path = recipe_beside(file)
+    if not recipe_path.exists():
+        raise UsageError(f"{recipe_path} does not exist; {file} needs this recipe next to it. Keep the two together.")
+    recipe, old, new = Recipe.load(recipe_path), load_sensors(sensors.old), load_sensors(sensors.new)
     tables = read_tables(file)
     try:
         refuse_times(output, [table.group for table in tables])
-        of_tables = recalibrated(tables, recipe, old, new)
+        by_table = recalibrated(tables, recipe, old, new)
         for table in tables:
             refuse_columns(output, table.rows.schema)
         with open_output(output) as out:
-            for table, channels in zip(tables, of_tables, strict=True):
+            for table, channels in zip(tables, by_table, strict=True):
                 for block in recalibrated_blocks(table, channels):
                     out.write(block)
     finally:
         close(tables)
-    for one in chain.from_iterable(of_tables):
+    for one in chain.from_iterable(by_table):
         shift = f" {'+' if one.offset > 0 else '-'} {abs(one.offset):.6g}" if one.offset else ""
         stderr.print(f"{one.column}: times {one.factor:.6g}{shift}.")
-    typer.echo(f"Wrote {output}; no recipe, since that of {file} is for the old sensors.", err=True)
+    typer.echo(f"Wrote {output}, without a recipe, because that of {file} is for the old sensors.", err=True)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Done(NamedTuple):
-    """One time of a file, cleaned."""
+    """The cleaning of one time base of a file."""
 
     source: OpenSource
     recipe: Recipe
@@ -34,44 +34,44 @@ _PAGES = (".html", ".htm")
 
 
 class Picturing:
-    """What is to be drawn of a file; nothing is loaded where nothing is.
+    """Draws the report and the figures of a file; libraries are loaded only if they are needed.
 
     Parameters
     ----------
     output : Path
-        The clean file; figures go into a folder beside it.
+        The clean file; figures go into a folder next to it.
     page : Path or None
-        Where the page goes.
+        Path of the page.
     kind : str or None
-        What figures are drawn as.
+        Format of the figures.
 
     Attributes
     ----------
     paths : tuple of Path
-        Files that will be written, as far as their names are known.
+        Files that will be written, if their names are known.
 
     Raises
     ------
     UsageError
-        If the page is no HTML file or another output, the kind is unknown, or matplotlib is not installed.
+        If the page is not an HTML file or is another output, the kind is unknown, or matplotlib is not installed.
     OutputError
-        If a file is where figures go.
+        If there is a file in place of the folder for figures.
     BecalmError
-        If becalm was never installed, and what draws the page is not here.
+        If becalm was never installed, so that the library for the page is absent.
     """
 
     def __init__(self, output: Path, page: Path | None, kind: str | None) -> None:
         self._page, self._folder = page, Path(f"{output}.figures")
-        self._kind = None if kind is None else _known(kind)
+        self._kind = None if kind is None else _checked_kind(kind)
         self.paths = () if page is None else (page,)
         if page is not None:
             from becalm.report.vendor import uplot
 
             if page.suffix.lower() not in _PAGES:
                 better = page.with_suffix(".html")
-                raise UsageError(f"The report is a page, and {page} is none; write --report {better}")
-            for taken, what in ((output, "output"), (recipe_beside(output), "recipe")):
-                if page.resolve() == taken.resolve():
+                raise UsageError(f"The report is an HTML page, but {page} is not; write --report {better}")
+            for other, what in ((output, "output"), (recipe_beside(output), "recipe")):
+                if page.resolve() == other.resolve():
                     raise UsageError(f"{page} is the {what} too; give the report another name.")
             uplot()
         if kind is not None and self._folder.exists() and not self._folder.is_dir():
@@ -80,19 +80,19 @@ class Picturing:
             )
 
     def refuse_overwriting(self, file: Path, recipe: Path | None) -> None:
-        """Refuse a page that would take the place of what is read.
+        """Refuse a page that would overwrite an input.
 
         Raises
         ------
         UsageError
-            If the page is the input, or the recipe that was given, by whatever name.
+            If the page is the input, or the given recipe, even by another path.
         """
         for read, what in ((file, "input"), (recipe, "recipe")):
             if self._page is not None and read is not None and is_same(self._page, read):
                 raise UsageError(f"{self._page} is the {what} itself; name another page with --report.")
 
     def gatherings(self, sources: Sequence[OpenSource], recipes: Sequence[Recipe]) -> list[Gathering | None]:
-        """Return what gathers while each time of a file is cleaned, if anything is to be drawn."""
+        """Return the gathering of figures for each time base of a file, or None if nothing is drawn."""
         if self._page is None and self._kind is None:
             return [None] * len(sources)
         from becalm.report.gathering import Gathering
@@ -107,12 +107,12 @@ class Picturing:
         ]
 
     def draw(self, recipe: Recipe, done: Sequence[Done]) -> dict[str, str]:
-        """Draw what was done of all times by a recipe, and say where; return the same for JSON.
+        """Draw the report and the figures of all time bases, and print the paths; return them for JSON.
 
         Raises
         ------
         OutputError
-            If something cannot be written.
+            If a file cannot be written.
         """
         if self._page is None and self._kind is None:
             return {}
@@ -152,15 +152,15 @@ class Picturing:
                 older.discard(name)
                 count += 1
         if older:
-            typer.echo(f"{len(older)} more files in {self._folder} are not of this run; remove it first.", err=True)
+            typer.echo(f"{len(older)} more files in {self._folder} are not from this run; remove it first.", err=True)
         return count
 
 
-def _known(kind: str) -> Kind:
+def _checked_kind(kind: str) -> Kind:
     from becalm.report.printing import Kind, refuse_unprintable
 
     *others, last = get_args(Kind)
     if kind not in (*others, last):
-        raise UsageError(f"--figures {kind} is not known; write --figures {', '.join(others)} or {last}.")
+        raise UsageError(f"--figures {kind} is unknown; write --figures {', '.join(others)} or {last}.")
     refuse_unprintable()
     return cast("Kind", kind)

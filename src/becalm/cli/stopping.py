@@ -1,4 +1,4 @@
-"""A signal to stop ends the process at once, and leaves nothing half-written."""
+"""Stop the process at once at a signal, without leaving half-written files."""
 
 from __future__ import annotations
 
@@ -13,34 +13,37 @@ from queue import SimpleQueue
 from types import FrameType
 
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-_STOPPED = 128  # exit code of a process that a signal stopped, less the signal's number
-_WORD = b"becalm: Stopped; nothing half-written is left.\n"
-_SHOW_CURSOR = b"\r\x1b[K\x1b[?25h"  # which a progress bar hides
+_STOPPED = 128  # exit code after a signal: 128 + the number of the signal
+_MESSAGE = b"becalm: Stopped; nothing half-written is left.\n"
+_SHOW_CURSOR = b"\r\x1b[K\x1b[?25h"  # a progress bar hides it
 
 
-def stop_cleanly(word: bytes = _WORD) -> None:
-    """Let signals to stop do so, with a word; what is ignored stays so, as under nohup."""
+def stop_cleanly(word: bytes = _MESSAGE) -> None:
+    """Stop at signals, with the message `word`; ignored signals stay ignored, as under nohup."""
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, partial(_stop, word))
 
 
 def beside(act: Callable[[], None]) -> Callable[[], None]:
-    """Return what has a thread act, for a handler of signals: it may have interrupted whoever holds a lock."""
-    asked: SimpleQueue[None] = SimpleQueue()  # whose put waits for nothing
+    """Return a function that calls `act` in a thread, for signal handlers.
+
+    A handler may interrupt code that holds a lock, so that it must not take one itself.
+    """
+    calls: SimpleQueue[None] = SimpleQueue()  # its put never waits
 
     def listen() -> None:
         while True:
-            asked.get()
+            calls.get()
             act()
 
     threading.Thread(target=listen, daemon=True).start()
-    return partial(asked.put, None)
+    return partial(calls.put, None)
 
 
 def _stop(word: bytes, number: int, _: FrameType | None) -> None:
-    """Tidy up and end here: an exception might be raised where the interpreter ignores it, as in a finaliser."""
-    if waiting := sys.modules.get("becalm.files.temporary_files"):  # not loaded, it has nothing half-written
+    """Remove temporary files and exit: an exception would be ignored in a finaliser, for example."""
+    if waiting := sys.modules.get("becalm.files.temporary_files"):  # if it is not loaded, there are no temporary files
         waiting.abandon()
     with suppress(OSError):
         os.write(2, _SHOW_CURSOR + word if os.isatty(2) else word)

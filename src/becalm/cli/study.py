@@ -1,4 +1,4 @@
-"""The papers re-run: a page of tables, and figures, in a folder."""
+"""Reproduce a paper: write a page of tables and figures into a folder."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ PAPERS = ("car", "imu", "strain")
 
 
 def run(paper: str, folder: Path) -> None:
-    """Write the page of a paper into a folder, with its figures where they can be drawn, and print it.
+    """Write the page of a paper into a folder, with its figures if these can be drawn, and print it.
 
     Raises
     ------
     UsageError
         If there is no such paper.
     OutputError
-        If the folder cannot be made, or written to: said before the work is done.
+        If the folder cannot be made or written to; this is checked before the work.
     """
     if paper not in PAPERS:
         raise UsageError(f"There is no paper {paper!r}; write becalm study {' or '.join(PAPERS)}.")

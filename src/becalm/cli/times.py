@@ -1,4 +1,4 @@
-"""Files that hold channels at several times."""
+"""Handle files with several time bases."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ _MOST_NAMED = 12
 
 
 def refuse_times(output: Path, groups: Sequence[str]) -> None:
-    """Refuse an output that holds one time, where there are several.
+    """Refuse an output with one time base for an input with several.
 
     Raises
     ------
     UsageError
-        If it is so.
+        If the output has one time base and the input several.
     """
     if len(groups) > 1 and not holds_times(format_to_write(output)):
         named = ", ".join(map(repr, groups[:_MOST_NAMED]))
         more = f" and {len(groups) - _MOST_NAMED} more" if len(groups) > _MOST_NAMED else ""
         raise UsageError(
-            f"The file holds channels at {len(groups)} times ({named}{more}), and {output} can hold one; name"
-            " an output that ends in .h5, .mat, .mf4, .npz or .tdms, or choose one with --group."
+            f"The file has channels at {len(groups)} times ({named}{more}), but {output} can have one; give"
+            " an output that ends in .h5, .mat, .mf4, .npz or .tdms, or choose one time with --group."
         )
 
 
 def timed(output: Path, source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
-    """Return what writes one time of a file; an output that may hold several tells it in seconds in any case."""
+    """Return the function that writes one time base; outputs for several time bases always get a time in seconds."""
     return with_time(source, write) if holds_times(format_to_write(output)) else write
 
 
 def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], None]) -> None:
-    """Write what is not cleaned as it is, where the output holds several times."""
+    """Copy groups that are not cleaned, if the output can have several time bases."""
     if holds_times(format_to_write(output)):
         for raw, _ in opened.passed:
             for block in raw.blocks(raw.names):
@@ -51,7 +51,7 @@ def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], Non
 
 
 def tell_times(output: Path, opened: OpenFile) -> None:
-    """Say what a person must know of the file, and what was not cleaned."""
+    """Print the notes on a file, and what was not cleaned."""
     tell_notes(*opened.sources)
     for source in opened.sources:
         tell_columns(source)
