@@ -249,9 +249,9 @@ def test_what_cannot_be_is_refused_before_anything_is_read(tmp_path: Path) -> No
         tuned_in(lake, LakeTuningOptions(most_sensors=0))
     with pytest.raises(UsageError, match="--by unit tells sensors apart by a column"):
         tuned_in(lake, LakeTuningOptions(by="unit"))
-    with pytest.raises(UsageError, match="is not apart from"):
+    with pytest.raises(UsageError, match="overlaps the lake"):
         tune_by(here, lake, lake / "recipes")
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="is not a folder"):
         tuned_in(tmp_path / "nowhere")
 
 
