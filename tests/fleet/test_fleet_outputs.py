@@ -63,7 +63,7 @@ def test_files_of_others_are_not_written_over(lake: Lake, asked: BatchOptions) -
 def test_a_damaged_mark_is_no_leave_to_write_over(lake: Lake) -> None:
     cleaned(lake)
     (out_of(lake) / "sensor=1" / "_becalm.json").write_text('{"files": [', encoding="utf-8")
-    assert "no mark says that becalm wrote it; remove it" in reasons(cleaned(lake))[1]
+    assert "no mark shows that becalm wrote it; remove it" in reasons(cleaned(lake))[1]
 
 
 def test_a_link_leads_nobody_to_raw_files(lake: Lake) -> None:

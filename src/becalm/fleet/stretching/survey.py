@@ -93,10 +93,8 @@ def _cuts(rows: int, length: int) -> tuple[int, ...]:
 def _first_readings(parts: OpenedSensor) -> tuple[float, ...]:
     """Return the first reading of each channel that its filter may use; NaN if there is none."""
     step_s, channels = parts.source.clock.step_s, parts.recipe.channel
-    first, lag = (
-        np.full(len(channels), np.nan),
-        None if parts.recipe.mode == "smoothed" else 0,
-    )  # sensors with a lag are never cut
+    first = np.full(len(channels), np.nan)
+    lag = None if parts.recipe.mode == "smoothed" else 0  # sensors with a lag are never cut
     ahead = [0 if one.motion is None else rows_that_judge(one.limits, lag) for one in channels]
     watches = [SensorWatch(channels[c].limits, step_s, shown=False, ahead=ahead[c]) for c in range(len(channels))]
     largest = [_largest(channel, step_s) for channel in channels]
