@@ -49,8 +49,10 @@ def joined_outcome(long: Long, told: Sequence[StretchEstimates], again: int, too
     return Outcome(long.sensor.name, "cleaned", noted(rows, long.notes), took_s, _seams(told, again))
 
 
-def _seams(told: Sequence[StretchEstimates], again: int) -> str:
-    count, smoothed = len(told), told[0].seams is not None and told[0].seams.end is None
+def _seams(stretches: Sequence[StretchEstimates], again: int) -> str:
+    """Return a sentence on how the stretches fit together."""
+    seams = stretches[0].seams
+    count, smoothed = len(stretches), seams is not None and seams.end is None
     if smoothed:
         return f"{count} stretches, which agree where they overlap."
     more = f" {again} of them ran a second time, from the state that the one before left." if again else ""
