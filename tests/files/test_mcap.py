@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 from becalm.errors import InputError
 from robot_logs import EPOCH_NS, by_name, json_log, read_through, whole
 
-LOGGED = "The time is when messages were logged, for its messages have no stamp of their own."
+LOGGED = "The time is when messages were logged, because its messages have no stamp of their own."
 MESSAGES = [
     (EPOCH_NS + row * 10**7, {"acc": {"x": row, "y": 0.5}, "ok": row > 1, "v": [1, 2.5], "name": "q"})
     for row in range(9)
@@ -58,7 +58,7 @@ def test_messages_logged_at_once_are_told(tmp_path: Path) -> None:
     assert table.notes == (
         LOGGED,
         "Messages that were logged at the same instant as the one before: 8.",
-        "They were logged in bursts, so that this is not when they were measured.",
+        "They were logged in bursts, so this is not the time when they were measured.",
     )
 
 
@@ -69,7 +69,7 @@ def test_messages_out_of_order_are_sorted(tmp_path: Path) -> None:
 
 def test_an_encoding_that_is_not_read_is_told(tmp_path: Path) -> None:
     path = json_log(tmp_path / "a", MESSAGES, encoding="protobuf")
-    with pytest.raises(InputError, match=r"Left out, for their encoding \(protobuf\) is not read: /s \(thing\)"):
+    with pytest.raises(InputError, match=r"Left out, because their encoding \(protobuf\) is not read: /s \(thing\)"):
         read_through(path)
 
 
@@ -78,7 +78,7 @@ def test_a_name_for_each_message_fills_no_memory(tmp_path: Path) -> None:
     (table,) = by_name(json_log(tmp_path / "a", messages)).values()
     assert len(table.names) <= 4097
     np.testing.assert_array_equal(whole(table)["y"], np.full(5000, 2.0))
-    assert "There are more names of numbers than columns that can be; some were left out." in table.notes
+    assert "The messages have more names of numbers than a table can have columns; some were left out." in table.notes
 
 
 @pytest.mark.parametrize("how", [CompressionType.NONE, CompressionType.ZSTD])
@@ -126,7 +126,7 @@ def test_no_code_in_the_name_of_a_type_is_run(tmp_path: Path, monkeypatch: pytes
         topic = writer.register_channel("/x", "cdr", writer.register_schema(name, "ros2msg", b"float64 x\n"))
         writer.add_message(topic, EPOCH_NS, bytes((0, 1, 0, 0)) + bytes(8), EPOCH_NS)
         writer.finish()  # type: ignore[no-untyped-call]
-    with pytest.raises(InputError, match="the file does not define their types rightly: /x"):
+    with pytest.raises(InputError, match="the file does not define their types correctly: /x"):
         read_through(path)
     assert not (tmp_path / "ran").exists()
 
@@ -165,5 +165,5 @@ def test_types_without_an_end_are_left_out(tmp_path: Path) -> None:
         topic = writer.register_channel("/x", "cdr", kind)
         writer.add_message(topic, EPOCH_NS, bytes(20), EPOCH_NS)
         writer.finish()  # type: ignore[no-untyped-call]
-    with pytest.raises(InputError, match="the file does not define their types rightly: /x"):
+    with pytest.raises(InputError, match="the file does not define their types correctly: /x"):
         read_through(path)

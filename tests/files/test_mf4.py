@@ -58,10 +58,10 @@ def test_all_messages_of_the_real_log_are_groups(tables: Tables) -> None:
 
 def test_a_bus_log_without_its_database(tmp_path: Path) -> None:
     shutil.copy(real(LOG), tmp_path / LOG)
-    with pytest.raises(InputError, match=r"put the \.dbc file that knows its frames beside it"):
+    with pytest.raises(InputError, match=r"put the \.dbc file that describes its frames into the same folder"):
         becalm.read(tmp_path / LOG)
     (tmp_path / "other.dbc").write_text('VERSION ""\nBO_ 77 Other: 8 X\n SG_ a : 0|8@1+ (1,0) [0|0] "" X\n')
-    with pytest.raises(InputError, match=r"frames other\.dbc does not know"):
+    with pytest.raises(InputError, match=r"frames other\.dbc does not describe"):
         becalm.read(tmp_path / LOG)
     (tmp_path / "other.dbc").write_bytes(bytes(range(256)))
     with pytest.raises(InputError):
@@ -81,7 +81,7 @@ def test_frames_of_a_bus_are_decoded_by_a_database_beside_them(tmp_path: Path) -
         log.append(signal("CAN_DataFrame", frames, source=Source("CAN1", "CAN1", "", 2, 2)))
         log.groups[0].channel_group.flags = FLAG_CG_BUS_EVENT | FLAG_CG_PLAIN_BUS_EVENT  # type: ignore[union-attr]
         log.save(path)
-    with pytest.raises(InputError, match=r"put the \.dbc file that knows its frames beside it"):
+    with pytest.raises(InputError, match=r"put the \.dbc file that describes its frames into the same folder"):
         becalm.read(path)
     (tmp_path / "car.dbc").write_text(
         'VERSION ""\nBO_ 291 Motion: 8 X\n SG_ Speed : 0|16@1+ (0.01,-5) [0|655] "km/h" X\n'

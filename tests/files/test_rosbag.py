@@ -12,7 +12,7 @@ from becalm.errors import InputError
 from becalm.files import ReadOptions, read_source
 from robot_logs import EPOCH_NS, ROWS, bag1, bag2, by_name, read_through, whole
 
-LEFT_OUT = "Left out, for they hold pictures, point clouds, texts or lists of messages"
+LEFT_OUT = "Left out, because they hold images, point clouds, texts or lists of messages"
 
 
 @pytest.mark.parametrize("compression", ["", "bz2", "lz4"])
@@ -91,7 +91,7 @@ def test_stamps_that_do_not_run_are_not_the_time(tmp_path: Path, stamps_ns: list
     (table,) = by_name(bag1(tmp_path / "a.bag", stamps_ns=stamps_ns)).values()
     np.testing.assert_array_equal(whole(table)["time_s"], np.arange(ROWS) / 200)
     (note,) = [note for note in table.notes if note.startswith("The time is")]
-    assert note.startswith("The time is when messages were logged, for header.stamp")
+    assert note.startswith("The time is when messages were logged, because header.stamp")
     assert why in note
 
 
@@ -123,7 +123,7 @@ def test_types_that_the_bag_does_not_define_are_the_standard_ones(tmp_path: Path
     opened.close()
     table = by_name(path)["/imu"]
     assert whole(table)["linear_acceleration.x"].to_pylist()[1] == 1.5
-    assert "The bag does not define its types; the standard ones of ROS 2 were taken." in table.notes
+    assert "The bag does not define its types; the standard types of ROS 2 were used." in table.notes
 
 
 def test_another_database_is_refused(tmp_path: Path) -> None:
@@ -132,21 +132,21 @@ def test_another_database_is_refused(tmp_path: Path) -> None:
     opened.execute("CREATE TABLE t (x)")
     opened.commit()
     opened.close()
-    with pytest.raises(InputError, match="is an SQLite database, but no ROS 2 bag"):
+    with pytest.raises(InputError, match="is an SQLite database, but not a ROS 2 bag"):
         read_through(path)
 
 
 def test_an_old_bag_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(50))
-    with pytest.raises(InputError, match=r"of version V1\.2; 2\.0 is read\. Type: rosbag fix"):
+    with pytest.raises(InputError, match=r"of version V1\.2; becalm reads 2\.0\. Type: rosbag fix"):
         read_through(tmp_path / "a.bag")
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{}", "does not tell the files of a ROS 2 bag"),
-        (": [", "does not tell the files of a ROS 2 bag"),
+        ("{}", "does not list the files of a ROS 2 bag"),
+        (": [", "does not list the files of a ROS 2 bag"),
         (
             "rosbag2_bagfile_information: {relative_file_paths: [a.db3]}",
             r"lacks a\.db3, which its metadata\.yaml names",

@@ -199,7 +199,7 @@ def test_nptdms_sees_its_own_kind_of_file(tmp_path: Path) -> None:
 
 
 def test_missing_flags_are_refused_where_they_would_be_false(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="Flags in 'on' are missing"):
+    with pytest.raises(OutputError, match="'on' has missing flags"):
         write_table(tmp_path / "a.tdms", pa.table({"on": pa.array([True, None, False])}))
     assert not list(tmp_path.iterdir())
 

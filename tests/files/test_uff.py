@@ -148,7 +148,7 @@ def test_what_is_no_time_response_is_left_out_and_said(tmp_path: Path) -> None:
         becalm.read(written(tmp_path, spectrum))
     with pytest.raises(InputError, match="complex"):
         becalm.read(written(tmp_path, one_set(data=SIGNAL + 1j)))
-    with pytest.raises(InputError, match="no unit of time"):
+    with pytest.raises(InputError, match="not a unit of time"):
         becalm.read(written(tmp_path, one_set(abscissa_axis_units_lab="deg")))
 
 
@@ -202,7 +202,7 @@ def test_a_set_cut_within_its_head_is_said(tmp_path: Path) -> None:
     (table,) = read_tables(path)
     assert "within the head" in table.notes[0]
     path.write_bytes(whole[:200])
-    with pytest.raises(InputError, match="without a whole set 58"):
+    with pytest.raises(InputError, match="without a complete set 58"):
         becalm.read(path)
 
 

@@ -64,7 +64,7 @@ def test_a_topic_without_stamps_hides_no_other(tmp_path: Path) -> None:
     rows = [part("D", struct.pack("<Hf", 0, 1)), part("D", struct.pack("<HQf", 1, 1_000_000, 2))]
     (table,) = by_name(ulog(tmp_path / "a.ulg", *kinds, topic(0, "a"), topic(1, "b"), *rows * 3)).values()
     assert table.count == 3
-    assert table.notes == ("Left out, for their messages have no timestamp: a.",)
+    assert table.notes == ("Left out, because their messages have no timestamp: a.",)
 
 
 @pytest.mark.parametrize("kept", range(10, 100, 10))

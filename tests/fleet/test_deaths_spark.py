@@ -55,7 +55,7 @@ def test_a_sensor_that_its_workers_die_of_stops_nobody(
     }
     assert {one.state for one in fleet.outcomes if one.sensor != DEADLY} == {"cleaned"}  # and by no earlier job
     (lost,) = [one for one in fleet.outcomes if one.sensor == DEADLY]
-    assert lost.reason.startswith("Each process that worked on it died. It may need more memory")
+    assert lost.reason.startswith("Every process that worked on it died. It may need more memory")
     assert lost.reason in (fleet.report.parent / "outcomes.jsonl").read_text(encoding="utf-8")
 
 

@@ -168,7 +168,7 @@ def test_each_file_may_be_a_sensor(tmp_path: Path, lake: Lake) -> None:
 
 def test_the_lake_is_never_written_to(lake: Lake) -> None:
     for output in (lake.root, lake.root / "out", lake.root.parent):
-        with pytest.raises(UsageError, match="not apart"):
+        with pytest.raises(UsageError, match="overlaps the lake"):
             clean(SPARK, lake.root, output, open_book(lake.recipe))
     before = sorted((path, path.stat().st_mtime_ns) for path in lake.root.rglob("*"))
     cleaned(lake)
@@ -183,7 +183,7 @@ def test_an_output_that_cannot_be_made_is_said(lake: Lake) -> None:
 
 def test_no_lake_is_said(tmp_path: Path, lake: Lake) -> None:
     (tmp_path / "nothing").mkdir()
-    with pytest.raises(InputError, match="no folder"):
+    with pytest.raises(InputError, match="not a folder"):
         clean(SPARK, tmp_path / "nowhere", tmp_path / "out", open_book(lake.recipe))
     with pytest.raises(InputError, match=r"nothing is a directory; give the path of .* a folder with Parquet files"):
         clean(SPARK, tmp_path / "nothing", tmp_path / "out2", open_book(lake.recipe))

@@ -54,7 +54,7 @@ def test_files_of_others_are_not_written_over(lake: Lake, asked: BatchOptions) -
     foreign.write_bytes(b"of somebody else")
     said = reasons(cleaned(lake, asked))
     assert said[0] == ""
-    assert said[1].startswith(f"{foreign} is there already, and no mark says that becalm wrote it")
+    assert said[1].startswith(f"{foreign} exists already, and no mark shows that becalm wrote it")
     assert foreign.read_bytes() == b"of somebody else"
     foreign.unlink()
     assert reasons(cleaned(lake, asked)) == ["", ""]
@@ -63,7 +63,7 @@ def test_files_of_others_are_not_written_over(lake: Lake, asked: BatchOptions) -
 def test_a_damaged_mark_is_no_leave_to_write_over(lake: Lake) -> None:
     cleaned(lake)
     (out_of(lake) / "sensor=1" / "_becalm.json").write_text('{"files": [', encoding="utf-8")
-    assert "no mark says that becalm wrote it; remove it" in reasons(cleaned(lake))[1]
+    assert "no mark shows that becalm wrote it; remove it" in reasons(cleaned(lake))[1]
 
 
 def test_a_link_leads_nobody_to_raw_files(lake: Lake) -> None:
@@ -144,7 +144,7 @@ def test_a_file_that_comes_meanwhile_is_told(lake: Lake, monkeypatch: pytest.Mon
     with monkeypatch.context() as patch:
         patch.setattr("becalm.fleet.sensor_cleaning.clean_chunks", arrives)
         (said,) = reasons(cleaned(lake))
-    assert said == "The files of sensor=0 changed while they were read; wait until all came, and repeat."
+    assert said == "The files of sensor=0 changed while they were read; wait until all have arrived, and repeat."
     assert not list(out_of(lake).rglob("*.parquet"))
     assert reasons(cleaned(lake)) == [""]
 

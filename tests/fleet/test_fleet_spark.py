@@ -217,7 +217,7 @@ def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
 def test_what_spark_cannot_do_is_said(lake: Lake, tmp_path: Path) -> None:
     ran = subprocess.run(command(lake, tmp_path / "out", "nonsense"), capture_output=True, text=True, check=False)
     assert (ran.returncode, ran.stdout) == (2, "")
-    assert "--master nonsense is no master of Spark's; give local[4], spark://HOST:7077 or yarn" in ran.stderr
+    assert "--master nonsense is not a Spark master; give local[4], spark://HOST:7077 or yarn" in ran.stderr
     assert "Exception" not in ran.stderr
     environment = os.environ | {"PATH": "/nonexistent", "JAVA_HOME": "/nonexistent"}
     words = command(lake, tmp_path / "out", "local[1]")

@@ -192,7 +192,7 @@ def test_recipes_that_are_there_are_replaced_only_where_that_is_asked(tmp_path: 
     tuned_in(lake, LakeTuningOptions(own=True))
     (recipes / "notes.txt").write_text("mine")
     before = {path.name: path.read_bytes() for path in recipes.iterdir()}
-    with pytest.raises(UsageError, match=r"holds recipes already, as default\.toml.*--replace"):
+    with pytest.raises(UsageError, match=r"holds recipes already, such as default\.toml.*--replace"):
         tuned_in(lake)
     assert {path.name: path.read_bytes() for path in recipes.iterdir()} == before
     tuned_in(lake, LakeTuningOptions(replace=True))
@@ -247,11 +247,11 @@ def test_what_cannot_be_is_refused_before_anything_is_read(tmp_path: Path) -> No
     lake = small_lake(tmp_path, (1.0,))
     with pytest.raises(UsageError, match="--sensors 0 tunes none"):
         tuned_in(lake, LakeTuningOptions(most_sensors=0))
-    with pytest.raises(UsageError, match="--by unit tells sensors apart by a column"):
+    with pytest.raises(UsageError, match="--by unit identifies sensors by a column"):
         tuned_in(lake, LakeTuningOptions(by="unit"))
-    with pytest.raises(UsageError, match="is not apart from"):
+    with pytest.raises(UsageError, match="overlaps the lake"):
         tune_by(here, lake, lake / "recipes")
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="is not a folder"):
         tuned_in(tmp_path / "nowhere")
 
 
@@ -259,7 +259,7 @@ def test_the_command_says_what_is_wrong_before_spark_starts(tmp_path: Path, run:
     small_lake(tmp_path, (1.0,))
     ran = run("fleet", "tune", "lake", "-o", "recipes", "--sensors", "0", "--master", "spark://nowhere:7077")
     assert (ran.returncode, ran.stdout) == (2, "")
-    assert ran.stderr.strip() == "becalm: --sensors 0 tunes none; give a number above 0, or leave it out."
+    assert ran.stderr.strip() == "becalm: --sensors 0 tunes none; give a number above 0, or omit the option."
     assert not (tmp_path / "recipes").exists()
 
 

@@ -189,7 +189,9 @@ def test_a_file_that_tells_no_sensor_stops_the_job_before_it_begins(tmp_path: Pa
     with pytest.raises(InputError, match=r"torn\.parquet has no column 'sensor'"):
         cleaned(lake)
     (lake.root / "zz.parquet").write_bytes(b"PAR1 and no end")
-    with pytest.raises(InputError, match=r"torn\.parquet has no column .* To be mended as well: zz\.parquet\."):
+    with pytest.raises(
+        InputError, match=r"torn\.parquet has no column .* These files need repair as well: zz\.parquet\."
+    ):
         cleaned(lake)
     assert not list((tmp_path / "out").rglob("*.parquet"))
 

@@ -40,5 +40,5 @@ def test_a_sensor_without_one_is_told_what_to_add(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["plant=3", "plant=3/sensor=17", "deep/17"])
 def test_recipes_that_no_sensor_would_find_are_refused(tmp_path: Path, name: str) -> None:
     book = recipes(tmp_path, "default", name)
-    with pytest.raises(RecipeError, match="is of no sensor that 'sensor' tells"):
+    with pytest.raises(RecipeError, match="is not a recipe that a sensor in 'sensor' can have"):
         book.channels()

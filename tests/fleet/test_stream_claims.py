@@ -37,13 +37,15 @@ def test_a_checkpoint_is_of_one_stream(stage: Stage, spark: SparkSession, tmp_pa
     shutil.copytree(stage.out, tmp_path / "other")
     stage.write("sensor=s/1.parquet", rows[1])
     other = str(tmp_path / "other" / "_checkpoint")
-    refused(stage, spark, r"begun into .*out', not .*other'; begin it again as it was", output=str(tmp_path / "other"))
+    refused(stage, spark, r"started into .*out', not .*other'; start it as before", output=str(tmp_path / "other"))
     refused(stage, spark, "was begun with --by 'sensor', not 'plant'", {"key": "plant"})
     refused(stage, spark, "was begun from", source=str(tmp_path))
     refused(stage, spark, r"is a file; name a folder", checkpoint=str(stage.recipe))
     refused(stage, spark, r"is a file; name a folder", output=str(stage.recipe))
     (tmp_path / "third").mkdir()
-    refused(stage, spark, "is of a stream that does not write to", output=str(tmp_path / "third"), checkpoint=other)
+    refused(
+        stage, spark, "belongs to a stream that does not write to", output=str(tmp_path / "third"), checkpoint=other
+    )
     stage.once()
     assert told_in(stage.out, "s").num_rows == 200
 
@@ -56,7 +58,7 @@ def test_a_damaged_claim_is_said(stage: Stage, spark: SparkSession) -> None:
     claim.write_text(whole[:20], encoding="utf-8")
     refused(stage, spark, r"cannot be used \(Checksum error")
     claim.with_name(".becalm.json.crc").unlink()
-    refused(stage, spark, r"becalm\.json is damaged, and would say of which stream")
+    refused(stage, spark, r"becalm\.json, which says which stream the checkpoint belongs to, is damaged")
     claim.unlink()
     stage.once()
     assert claim.read_text(encoding="utf-8") == whole

@@ -116,8 +116,8 @@ def test_files_of_odd_kinds_stop_nobody(tmp_path: Path) -> None:
         written(fine, time=times, a=A),
     )
     assert len(found["1"][0].time_s) == COUNT
-    assert "has no column 'sensor', nor a folder as sensor=17" in " ".join(says(found[""]))
-    assert "has array<timestamp> in its column 'time', where others have numbers" in says(found["2"])[0]
+    assert "has neither a column 'sensor' nor a folder like sensor=17" in " ".join(says(found[""]))
+    assert "has array<timestamp> in its column 'time', but other files have numbers" in says(found["2"])[0]
 
 
 def test_a_shape_is_that_of_the_first_file_that_has_one(tmp_path: Path) -> None:
@@ -157,10 +157,10 @@ def test_files_that_cannot_be_read_stop_nobody_and_say_why(lake: Path) -> None:
     assert len(found["1"][0].time_s) == COUNT
     assert all(len(block.time_s) == 0 for sensor in "23456" for block in found[sensor])
     assert "is not a Parquet file" in says(found["2"])[0]
-    assert "has string in its column 'a', where others have numbers" in says(found["3"])[0]
-    assert "needs 'time' and one of 'a', 'b', and has 'when', 'a'" in says(found["4"])[0]
-    assert "has array<double> in its column 'time', where others have numbers" in says(found["5"])[0]
-    assert all("put it there under another name" in says(found[sensor])[0] for sensor in "23456")
+    assert "has string in its column 'a', but other files have numbers" in says(found["3"])[0]
+    assert "needs 'time' and one of 'a', 'b', but has 'when', 'a'" in says(found["4"])[0]
+    assert "has array<double> in its column 'time', but other files have numbers" in says(found["5"])[0]
+    assert all("add it under another name" in says(found[sensor])[0] for sensor in "23456")
 
 
 def test_a_lake_s_shape_is_that_of_a_file_that_can_be_read(tmp_path: Path) -> None:
@@ -236,5 +236,5 @@ def test_an_odd_first_stamp_does_not_tell_what_numbers_count(tmp_path: Path) -> 
 
 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="nowhere is no folder"):
+    with pytest.raises(InputError, match="nowhere is not a folder"):
         lake_shape(str(tmp_path / "nowhere"), PLAN)

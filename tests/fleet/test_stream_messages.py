@@ -117,7 +117,7 @@ def test_a_recipe_with_a_channel_that_nobody_named_is_refused() -> None:
     payload = Encoder("json", {"z": "m"}).message({"time": 1e9 + np.arange(30.0), "z": np.arange(30.0)})
     (event,) = one.take(entries([payload])).events
     assert (event.kind, event.rows) == ("refused", 30)
-    assert "the stream tells 'a', 'b'" in event.says
+    assert "the stream has 'a', 'b'" in event.says
 
 
 def reader_of(server: Broker, options: str = "", tasks: int = 1) -> _Reader:
@@ -191,7 +191,7 @@ def test_a_stream_that_was_made_anew_is_read_from_its_beginning(
     sent(server, [b"y"] * 2)
     again = reader.latestOffset(end, ReadAllAvailable())
     assert numbers_in(reader, end, again) == [1, 2]
-    assert "made anew since message 6" in caplog.text
+    assert "created anew since message 6" in caplog.text
 
 
 def test_what_a_server_lost_is_said(server: Broker, caplog: pytest.LogCaptureFixture) -> None:
@@ -254,7 +254,7 @@ def test_a_server_that_is_away_is_waited_for(server: Broker, monkeypatch: pytest
 
 def test_streams_that_forget_are_refused(server: Broker) -> None:
     made(server, retention="workqueue")
-    with pytest.raises(InputError, match="forgets messages once they are read"):
+    with pytest.raises(InputError, match="deletes messages once they are read"):
         reader_of(server).initialOffset()
     with pytest.raises(InputError, match="no stream 'NONE'"):
         _Reader(Address.parsed(f"nats://127.0.0.1:{server.port}/NONE"), 1).initialOffset()

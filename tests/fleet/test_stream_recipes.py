@@ -85,7 +85,7 @@ def test_a_recipe_that_cannot_take_over_is_refused_once_and_the_other_stays(bad:
     refused = [event for event in one.events if event.kind == "refused"]
     assert len(refused) == 1
     assert refused[0].rows is None
-    assert refused[0].says.endswith("The recipe that was there stays.")
+    assert refused[0].says.endswith("The earlier recipe stays in use.")
     assert_same_bits(one.said, by_stream(rows))
 
 

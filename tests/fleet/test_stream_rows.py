@@ -182,8 +182,8 @@ def test_rows_need_not_have_all_channels() -> None:
         ("sensor", "t", ("a",), "no column 't'"),
         ("sensor", "time", ("c",), "no column 'c'"),
         ("sensor", "time", ("note",), "'note' has string; readings are numbers"),
-        ("sensor", "note", ("a",), "'note' has string; stamps are timestamps"),
-        ("sensor", "b", ("a",), "'b' has int; stamps are"),
+        ("sensor", "note", ("a",), "'note' has string; stamps must be timestamps"),
+        ("sensor", "b", ("a",), "'b' has int; stamps must be"),
     ],
 )
 def test_columns_that_cannot_be_are_refused(key: str, time: str, channels: tuple[str, ...], says: str) -> None:

@@ -166,7 +166,7 @@ def test_rows_of_nobody_are_left_out_and_counted() -> None:
     one = Walker(SensorPlan(Shelf()), sensor="")
     (event,) = one.hear(rows_of(50)).events
     assert (event.kind, event.rows) == ("refused", 50)
-    assert "tells whose they are" in event.says
+    assert "The rows have no sensor name" in event.says
 
 
 def test_nothing_is_kept_of_a_name_that_nobody_has_a_recipe_for() -> None:
@@ -242,6 +242,6 @@ def test_a_name_that_no_folder_can_have_is_refused() -> None:
     one = Walker(SensorPlan(Shelf()), sensor="ü" * 130)
     (event,) = one.hear(rows_of(50)).events
     assert (event.kind, event.rows, one.state) == ("refused", 50, None)
-    assert "No folder can have so long a name" in event.says
+    assert "is too long for the name of a folder" in event.says
     assert one._walk.told_under("ü" * 130) == ""
     assert one._walk.told_under("ü" * 120) == "ü" * 120

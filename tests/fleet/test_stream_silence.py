@@ -64,7 +64,7 @@ def test_rows_that_wait_for_channels_that_are_no_more_are_left_out_and_counted()
     one.now_ms = 5000
     events = one.wake().events
     assert [(event.kind, event.rows) for event in events] == [("silent", None), ("refused", waiting)]
-    assert "the stream tells 'c'" in events[1].says
+    assert "the stream has 'c'" in events[1].says
 
 
 def test_after_silence_stamps_may_be_as_late_as_they_like() -> None:

@@ -79,8 +79,8 @@ def test_cleaning_marks_those_whose_innovations_are_unlike_their_class() -> None
     ]
     told = {row.sensor: row.outlying for outcome in marked(outcomes) for row in outcome.channels if row.outlying}
     assert told == {
-        "s=9": "Its innovations are 3 times those of its class, by the same recipe: it is noisier, or moves more.",
-        "kind=b/s=9": "Its innovations are 0.2 times those of its class, by the same recipe:"
+        "s=9": "Its innovations are 3 times those of its class with the same recipe: it is noisier, or moves more.",
+        "kind=b/s=9": "Its innovations are 0.2 times those of its class with the same recipe:"
         " it is quieter, or moves less.",
     }
 

@@ -216,7 +216,7 @@ def test_other_channels_than_those_of_the_class_are_a_reason() -> None:
     fleet = [*fleet_of([1.0] * 3), found_of("s=3", channel_of(), channel_of("w")), found_of("s=4", channel_of("u"))]
     judged = judged_all(fleet) | {"s=4": refused("s=4", "It has no channel 'v'.")}
     told = reasons(fleet, recipe_of(fleet), judged)
-    rare = "Few sensors of its class have this channel, so that its class's recipe passes it unchanged."
+    rare = "Few sensors of its class have this channel, so the recipe of its class passes it unchanged."
     assert told == {("s=3", "w"): rare, ("s=4", "u"): "Its class's recipe does not run on it: It has no channel 'v'."}
     assert set(reasons(fleet[-2:], None, {})) == {("s=3", "v"), ("s=3", "w"), ("s=4", "u")}
 

@@ -164,7 +164,7 @@ def test_a_report_needs_no_library_of_other_formats(tmp_path: Path, monkeypatch:
         monkeypatch.setenv("PYTHONPATH", f"{blocked}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
         assert client.get("/save/report").status_code == 200
         told = client.get("/save/clean?format=h5").text
-        assert told == "becalm: HDF5 is written by h5py. Type: pip install 'becalm[formats]'"
+        assert told == "becalm: Writing HDF5 needs h5py. Type: pip install 'becalm[formats]'"
         with tuner.talk() as page:
             saves = page.hear().told["saves"]
     assert set(saves) == {".csv", ".txt", ".csv.gz", ".txt.gz", ".mat", ".npz", ".parquet", ".pq"}

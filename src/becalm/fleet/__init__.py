@@ -1,6 +1,6 @@
-"""Recipes over a fleet, on Spark: files and stretches of time as tasks, and streams that keep their state.
+"""Apply recipes to a fleet of sensors on Spark: batch jobs over a lake, and streams that keep their state.
 
-Such as::
+Example::
 
     with session("local[4]") as spark:
         fleet = clean(spark, Path("lake"), Path("clean"), open_book(recipe=Path("pump.toml")))

@@ -1,4 +1,4 @@
-"""A lake through its recipes: what is to be done is planned here, done by workers, and told in a report."""
+"""Clean a lake with recipes: plan the job, let Spark workers do it, and write a report."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
 ABOUT = "_becalm"
-"""Folder in an output that tells of the job, and holds no samples."""
+"""Folder in an output for files about the job; it holds no samples."""
 
 _LEAST_BYTES = 1
-"""Of a row in a Parquet file: what is smaller cannot be long."""
+"""Smallest size of a row in a Parquet file. A file with fewer bytes than this per row cannot hold so many rows."""
 
 
 class BatchOptions(NamedTuple):
-    """What may be asked of a job beside its recipes."""
+    """Options of a job besides its recipes: what identifies a sensor, causal estimates, rows of a stretch."""
 
     by: str = FOLDER
     causal: bool | None = None
@@ -56,16 +56,16 @@ AS_RECIPES_SAY = BatchOptions()
 
 @dataclass(frozen=True)
 class Fleet:
-    """What became of a lake.
+    """The result of a job over a lake.
 
     Attributes
     ----------
     outcomes : tuple of Outcome
-        One a sensor, by name.
+        One for each sensor, sorted by name.
     report : Path
-        The page that tells of them, worst first.
+        The report page, which lists the sensors worst first.
     unused : tuple of str
-        Names of recipes that no sensor has.
+        Names of recipes that no sensor uses.
     """
 
     outcomes: tuple[Outcome, ...]
@@ -74,79 +74,79 @@ class Fleet:
 
     @property
     def rows(self) -> list[FleetRow]:
-        """What became of each channel of each sensor."""
+        """Return the report's row for each channel of each sensor."""
         return [row for outcome in self.outcomes for row in outcome.channels]
 
     @property
     def summary(self) -> str:
-        """What became of all of it, in a sentence."""
+        """Return one sentence that sums up all rows."""
         return summary(self.rows)
 
 
 def clean(
     spark: SparkSession, lake: Path, output: Path, book: RecipeBook, asked: BatchOptions = AS_RECIPES_SAY
 ) -> Fleet:
-    """Clean every sensor of a lake; what was finished before, and has not changed, is left as it is.
+    """Clean every sensor of a lake. Skip the sensors that are finished and whose input has not changed.
 
     Parameters
     ----------
     spark : SparkSession
-        Where; all its workers must have becalm, and see the lake and the output under these paths.
+        The Spark to use. All its workers must have becalm installed, and see the lake and the output under these paths.
     lake : Path
-        A folder of Parquet files, as `sensor=17/date=2026-01-02/part-0.parquet`. It is only read.
+        A folder of Parquet files, such as `sensor=17/date=2026-01-02/part-0.parquet`. It is only read.
     output : Path
-        A folder for as many files of the same names; those of a sensor appear when all of it is done. Of a sensor that
-        shares its files with others it is one, as `sensor=17/part-0.parquet`.
+        A folder for files of the same names. The files of a sensor appear when the whole sensor is done. A sensor that
+        shares its input files with others gets one output file, such as `sensor=17/part-0.parquet`.
     book : RecipeBook
-        What to do with each sensor.
+        The recipe of each sensor.
     asked : BatchOptions
-        What tells a sensor, and whether estimates know only the past.
+        What identifies a sensor, and whether estimates use only the past.
 
     Raises
     ------
     InputError
         If the lake holds no sensor, or cannot be read.
     UsageError
-        If the output is in the lake, or its folders do not tell sensors apart.
+        If the output is in the lake, or the lake's folders do not identify sensors.
     """
     began, started = datetime.now(UTC), monotonic()
     lake, output = lake.resolve(), output.resolve()
     refuse_inside(lake, output)
-    told = told_apart(lake, asked.by)
+    layout = told_apart(lake, asked.by)
     make_folder(output / ABOUT)
-    by = FILE if asked.by == FILE else FOLDER  # a folder in the output, whatever tells sensors apart in the lake
-    tune = "tune FILE -o R.toml" if isinstance(told, MultiSensorLake) else f"fleet tune {quote(str(lake))} -o DIR"
+    by = FILE if asked.by == FILE else FOLDER  # the output has a folder for each sensor even if a column names it
+    tune = "tune FILE -o R.toml" if isinstance(layout, MultiSensorLake) else f"fleet tune {quote(str(lake))} -o DIR"
     job = Job(str(lake), str(output), book.by_hash, by, asked.causal, asked.stretch_rows, f"becalm {tune}")
     with alone_at(output, output / ABOUT / "lock"):
-        found = sorted(_cleaned(spark, job, told, book), key=lambda outcome: outcome.sensor)
-        outcomes = marked([_with_older(job, outcome) for outcome in found])
+        by_name = sorted(_cleaned(spark, job, layout, book), key=lambda outcome: outcome.sensor)
+        outcomes = marked([_with_older(job, outcome) for outcome in by_name])
         swept(output)
         rows = sum(outcome.rows for outcome in outcomes)
         facts = FleetFacts(lake.name, output.name, began.isoformat(), monotonic() - started, rows, book.names)
         unused = book.unused(outcome.sensor for outcome in outcomes)
-        return _told(Fleet(tuple(outcomes), output / ABOUT / "report.html", unused), facts)
+        return _with_report(Fleet(tuple(outcomes), output / ABOUT / "report.html", unused), facts)
 
 
 def _cleaned(
-    spark: SparkSession, job: Job, told: Sequence[SensorPlace] | MultiSensorLake, book: RecipeBook
+    spark: SparkSession, job: Job, layout: Sequence[SensorPlace] | MultiSensorLake, book: RecipeBook
 ) -> list[Outcome]:
-    if isinstance(told, MultiSensorLake):
-        return clean_grouped(spark, job, told, book)
-    hashes = {place.name: book.hash_for(place.name) for place in told}
-    sensors = [Sensor(place.name, place.bytes, one, place.files) for place in told if (one := hashes[place.name])]
-    sensors.sort(key=lambda sensor: -sensor.bytes)  # the longest first, so that none is waited for in the end
+    if isinstance(layout, MultiSensorLake):
+        return clean_grouped(spark, job, layout, book)
+    hashes = {place.name: book.hash_for(place.name) for place in layout}
+    sensors = [Sensor(place.name, place.bytes, one, place.files) for place in layout if (one := hashes[place.name])]
+    sensors.sort(key=lambda sensor: -sensor.bytes)  # the longest first, so that the job does not end with one of them
     may_be_long = 2 * job.stretch_rows * _LEAST_BYTES if job.by == FOLDER else np.inf
     long = [sensor for sensor in sensors if sensor.bytes > may_be_long]
     usual = sensors[len(long) :]
-    with ThreadPoolExecutor(1) as beside:  # what one leaves of the cluster the other takes
-        of_long = beside.submit(clean_long, spark, job, long)
+    with ThreadPoolExecutor(1) as second_thread:  # each stage uses the cores that the other leaves free
+        long_outcomes = second_thread.submit(clean_long, spark, job, long)
         sizes = [sensor.bytes for sensor in usual]
-        outcomes = run_tasks(spark, partial(clean_whole, job), usual, sizes, all_died) + of_long.result()
+        outcomes = run_tasks(spark, partial(clean_whole, job), usual, sizes, all_died) + long_outcomes.result()
     return outcomes + [refused(name, book.why_not(name)) for name, one in hashes.items() if one is None]
 
 
 def _with_older(job: Job, outcome: Outcome) -> Outcome:
-    """Say of a sensor that was refused where an output of an earlier job still is."""
+    """Add to the reason of a refused sensor where the output of an earlier job still is."""
     sensor = Sensor(outcome.sensor, 0, "")
     mark = CompletionMark.of(job.mark_of(sensor)) if outcome.state == "refused" else None
     if mark is None or not mark.files:
@@ -156,18 +156,19 @@ def _with_older(job: Job, outcome: Outcome) -> Outcome:
 
 
 def refuse_inside(lake: Path, output: Path) -> None:
-    """Refuse an output that is the lake, or in it, or around it.
+    """Raise an error if the output folder is the lake, lies in it, or contains it.
 
     Raises
     ------
     UsageError
-        If it is.
+        If it does.
     """
     if lake == output or lake in output.parents or output in lake.parents:
-        raise UsageError(f"{output} is not apart from {lake}; raw data stay as they are. Name another with -o.")
+        raise UsageError(f"{output} overlaps the lake {lake}, which must stay unchanged. Name another folder with -o.")
 
 
-def _told(fleet: Fleet, facts: FleetFacts) -> Fleet:
+def _with_report(fleet: Fleet, facts: FleetFacts) -> Fleet:
+    """Write the outcomes and the report page; return the fleet unchanged."""
     lines = [json.dumps(outcome.as_dict()) + "\n" for outcome in fleet.outcomes]
     write_text(fleet.report.with_name("outcomes.jsonl"), "".join(lines))
     write_text(fleet.report, fleet_page(fleet.rows, facts))

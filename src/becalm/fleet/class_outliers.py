@@ -16,42 +16,43 @@ from becalm.fleet.recipes import DEFAULT
 from becalm.report.fleet_rows import FleetRow
 
 FEWEST = 8
-"""Sensors of a class: fewer do not tell how much they differ by themselves."""
+"""Smallest number of sensors in a class; fewer do not show the usual spread of the class."""
 
 FACTOR = 1.5
-"""By which a standard deviation differs at least: less is of no account, however alike the others are."""
+"""Smallest ratio of a standard deviation to the median that is reported; less is negligible."""
 
 SPREADS = 5.0
-"""Robust standard deviations of the logarithms in a class, by which one differs at least."""
+"""Smallest distance from the median that is reported, in robust standard deviations of the logarithms in a class."""
 
-_ROBUST = 1.4826  # standard deviations in a median distance from the median, of a normal law
+_ROBUST = 1.4826  # standard deviation / median absolute deviation of a normal distribution
 
 
 def class_of(sensor: str) -> str:
-    """Return the class of a sensor: the folder that it is in, by whose name its recipe is looked up too.
+    """Return the class of a sensor: its folder, after which its recipe is named too.
 
     Parameters
     ----------
     sensor : str
-        Its path within the lake; `kind=pump/sensor=17` is of the class `kind=pump`, `sensor=17` of `DEFAULT`.
+        Its path within the lake; `kind=pump/sensor=17` has the class `kind=pump`, `sensor=17` has `DEFAULT`.
     """
     folder = str(PurePosixPath(sensor).parent)
     return DEFAULT if folder == "." else folder
 
 
 def factors_apart(sizes: Sequence[float]) -> list[float | None]:
-    """Return of each that is unlike the rest how many times the median it is; None for those that are alike.
+    """Return, for each outlier, its ratio to the median; None for the others.
 
     Parameters
     ----------
     sizes : sequence of float
-        Standard deviations, or what else is compared by its logarithm, one a sensor of a class; what is no positive
-        number neither counts nor is told of.
+        Standard deviations, or other sizes that are compared by their logarithms, one for each sensor of a class.
+        Sizes that are not positive and finite are ignored; their result is None.
 
     Notes
     -----
-    It is unlike where its logarithm lies `SPREADS` robust standard deviations, by the median distance from the median,
-    and `FACTOR` from the median of the class. Of a class of fewer than `FEWEST` nothing is told.
+    A sensor is an outlier if its logarithm lies more than `SPREADS` robust standard deviations (from the median
+    absolute deviation) and a factor of more than `FACTOR` from the median of the class. A class with fewer than
+    `FEWEST` usable sizes has no outliers.
     """
     logs = np.array([math.log(size) if 0 < size < math.inf else math.nan for size in sizes])
     known = logs[np.isfinite(logs)]
@@ -64,15 +65,15 @@ def factors_apart(sizes: Sequence[float]) -> list[float | None]:
 
 
 def _spread(apart: Floats) -> float:
-    """Return the standard deviation of most of these distances from their median (n,)."""
+    """Return the robust standard deviation from distances to the median (n,)."""
     return _ROBUST * float(np.median(np.abs(apart)))
 
 
 def marked(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Return outcomes of cleaning whose rows say where a channel is unlike those of its class.
+    """Return the outcomes with a remark in each row whose channel is an outlier in its class.
 
-    All sensors of a class are compared whose channel of a name had the same recipe: their noise, as far as it is not
-    the recipe's, is told by the mean square of the innovations, whose root is compared.
+    Channels of the same class, name, unit and recipe are compared by the root mean square of their normalised
+    innovations, which shows noise or motion other than the recipe's.
     """
     reasons = _reasons([row for outcome in outcomes for row in outcome.channels])
     return [replace(outcome, channels=_with(outcome.channels, reasons)) for outcome in outcomes]
@@ -83,25 +84,25 @@ def _with(rows: Sequence[FleetRow], reasons: Mapping[tuple[str, str], str]) -> t
 
 
 def _reasons(rows: Sequence[FleetRow]) -> dict[tuple[str, str], str]:
-    """Say of sensors and channels that are unlike others why."""
+    """Return the reason, by sensor and channel, for each outlier."""
     alike: dict[tuple[str, ...], list[FleetRow]] = defaultdict(list)
     for row in rows:
         if row.health is not None and row.verdict not in ("", "constant", "untold"):
             alike[class_of(row.sensor), row.channel, row.unit, row.recipe].append(row)
-    told = {}
+    reasons = {}
     for group in alike.values():
         factors = factors_apart([math.sqrt(row.health or 0.0) for row in group])
         for row, factor in zip(group, factors, strict=True):
             if factor is not None:
-                told[row.sensor, row.channel] = _by_innovations(factor)
-    return told
+                reasons[row.sensor, row.channel] = _by_innovations(factor)
+    return reasons
 
 
 def _by_innovations(factor: float) -> str:
     how = "it is noisier, or moves more" if factor > 1 else "it is quieter, or moves less"
-    return f"Its innovations are {times(factor)} those of its class, by the same recipe: {how}."
+    return f"Its innovations are {times(factor)} those of its class with the same recipe: {how}."
 
 
 def times(factor: float) -> str:
-    """Say a factor as people write it: "0.31 times", "3.2 times", "610 times"."""
+    """Format a factor for a sentence: "0.31 times", "3.2 times", "610 times"."""
     return f"{factor:.0f} times" if 99.5 <= factor < 1e6 else f"{factor:.2g} times"

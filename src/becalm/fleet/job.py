@@ -1,4 +1,4 @@
-"""What a job over a lake is to do, as every task knows it."""
+"""Describe a job over a lake: its folders, recipes and options. Every task receives this description."""
 
 from __future__ import annotations
 
@@ -20,39 +20,40 @@ from becalm.fleet.lake import FILE, FOLDER
 from becalm.fleet.names import below
 
 STRETCH_ROWS = 1 << 23
-"""Of a stretch of a long sensor, where nothing else is said: seconds of work, and hundreds of megabytes of files."""
+"""Default rows of a stretch of a long sensor: seconds of work, and hundreds of megabytes of files."""
 
 
 class Sensor(NamedTuple):
     """A sensor of a lake."""
 
     name: str  # the path of its folder, or file, within the lake
-    bytes: int  # of its files
+    bytes: int  # total size of its files
     recipe: str  # the hash of its recipe
-    files: tuple[str, ...] = ()  # paths within the lake, where they are not all that is in one place
-    came_of: str = ""  # the hash of what its output comes of, where its files do not tell
+    files: tuple[str, ...] = ()  # paths within the lake; empty if they are all files of its folder
+    came_of: str = ""  # the hash of its input, if that cannot be computed from its files alone
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be done.
+    """A job over a lake.
 
     Attributes
     ----------
     lake, output : str
         Folders that every worker sees under these paths.
     recipes : mapping of str to str
-        Texts of recipes by their hashes.
+        TOML texts of recipes by their hashes.
     by : {"folder", "file"}
-        What tells a sensor.
+        What identifies a sensor.
     causal : bool or None
-        Whether estimates know only the past; None for as each recipe says.
+        Whether estimates use only the past; None to do what each recipe says.
     stretch_rows : int
-        A sensor of twice as many is cut in time, into stretches of so many.
+        Rows of a stretch. A sensor with at least twice as many is cut in time into such stretches.
     another : str
-        What makes another recipe, to type.
+        The command that makes another recipe, for messages.
     own : str
-        What no other job has: a sensor that it finished is not of an earlier one, though a worker died since.
+        A random identifier of this job. It shows that this job, and not an earlier one, finished a sensor, even if the
+        worker died afterwards.
     """
 
     lake: str
@@ -82,36 +83,36 @@ class Job:
         return list(parquet_files(place).files) if place.is_dir() else [place]
 
     def tables_of(self, sensor: Sensor) -> tuple[RawTable, ...]:
-        """Look into the files of a sensor.
+        """Read the tables of a sensor: names and types of columns, not yet the samples.
 
         Raises
         ------
         InputError
-            If they cannot be read, or are no one recording.
+            If they cannot be read, or do not form one recording.
         """
         if sensor.files:
             return (read_folder(Path(self.lake), self.files_of(sensor)),)
         return read_tables(self.input_of(sensor))
 
     def name_of(self, sensor: Sensor, file: Path) -> str:
-        """Return what a file of a sensor is called within the folder of its output."""
+        """Return the name of a sensor's file within its output folder."""
         if sensor.files:
             return below(sensor.name, file.relative_to(self.lake))
         place = self.input_of(sensor)
         return file.relative_to(place.parent if self.by == FILE else place).as_posix()
 
     def output_folder(self, sensor: Sensor) -> Path:
-        """Return the folder that its output goes to."""
+        """Return the output folder of a sensor."""
         place = Path(self.output) / sensor.name
         return place.parent if self.by == FILE else place
 
     def mark_of(self, sensor: Sensor) -> Path:
-        """Return where it is said that its output is complete."""
+        """Return the path of the completion mark of a sensor."""
         alone = f"{Path(sensor.name).name}." if self.by == FILE else ""
         return self.output_folder(sensor) / f"_{alone}{MARK}"
 
     def recipe_of(self, sensor: Sensor) -> Recipe:
-        """Return what to do with a sensor.
+        """Return the recipe of a sensor, in the job's mode.
 
         Raises
         ------
@@ -122,11 +123,11 @@ class Job:
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What changes outputs, beside their recipes."""
+        """Return the options that change outputs, besides the recipes."""
         return {"causal": self.causal}
 
 
 @lru_cache
 def _parsed(text: str) -> Recipe:
-    """Read a recipe, which many sensors may have, once."""
+    """Parse a recipe once, because many sensors may share it."""
     return Recipe.from_toml(text)

@@ -1,4 +1,4 @@
-"""Which sensors a lake holds: by its folders, or a file each."""
+"""List the sensors of a lake, by its folders, its files or its columns."""
 
 from __future__ import annotations
 
@@ -16,55 +16,55 @@ from becalm.files.parquet import read_parquet
 from becalm.fleet.names import folder_name, keys_of, values_in
 
 FOLDER, FILE = "folder", "file"
-"""What tells a sensor, beside a column."""
+"""What identifies a sensor, other than a column."""
 
 
-_TOLD_BY = "Name the sensors' folders as sensor=17, or say that each file is one: --by file"
+_BY_HINT = "Name the sensors' folders like sensor=17, or use --by file if each file is a sensor."
 
 
 class SensorPlace(NamedTuple):
-    """Where a sensor is in a lake."""
+    """The place of a sensor in a lake."""
 
     name: str  # the path of its folder, or file, within the lake; "." for the lake itself
     bytes: int
-    files: tuple[str, ...] = ()  # their paths within the lake, where they are not all that is in one place
+    files: tuple[str, ...] = ()  # their paths within the lake; empty if they are all files of one folder
 
 
 class MultiSensorLake(NamedTuple):
     """A lake whose files hold several sensors each, or may do so."""
 
-    keys: tuple[str, ...]  # columns, or keys of folders, that tell sensors apart
+    keys: tuple[str, ...]  # columns, or keys of folders, that identify sensors
     files: tuple[str, ...]  # their paths within the lake, in order
 
 
 def told_apart(lake: Path, by: str = FOLDER) -> list[SensorPlace] | MultiSensorLake:
-    """Find what tells the sensors of a lake apart; where folders or files do, list them by name.
+    """Find out how the sensors of a lake are laid out. If folders or files identify them, list them by name.
 
     Parameters
     ----------
     lake : Path
         A folder of Parquet files.
     by : str
-        "folder" or "file", as in `places_in`; or a column, or a key of folders wherever it is in a path, or several of
-        these with commas between.
+        "folder" or "file", as in `places_in`; or a column, or a key of folders anywhere in a path, or several of these
+        separated by commas.
 
     Raises
     ------
     InputError
-        If it holds none, or cannot be read.
+        If the lake holds no sensors, or cannot be read.
     UsageError
-        If its folders do not tell sensors apart, or there is no such column.
+        If its folders do not identify sensors, or there is no such column.
     """
     if by in (FOLDER, FILE):
         return places_in(lake, by)
     paths = _files_in(lake)
     files = [path.relative_to(lake) for path in paths]
-    told = [values_in(file.parent) for file in files]
-    keys = _keys(by, told[0], paths[0])
-    if not all(values.keys() >= set(keys) for values in told):
+    folder_values = [values_in(file.parent) for file in files]
+    keys = _keys(by, folder_values[0], paths[0])
+    if not all(values.keys() >= set(keys) for values in folder_values):
         return MultiSensorLake(keys, tuple(file.as_posix() for file in files))
     held = defaultdict[str, list[Path]](list)
-    for file, values in zip(files, told, strict=True):
+    for file, values in zip(files, folder_values, strict=True):
         held["/".join(folder_name(key, values[key]) for key in keys)].append(file)
     return [
         SensorPlace(name, sum(_bytes_of(lake / file) for file in own), tuple(file.as_posix() for file in own))
@@ -72,11 +72,11 @@ def told_apart(lake: Path, by: str = FOLDER) -> list[SensorPlace] | MultiSensorL
     ]
 
 
-def _keys(by: str, told: Mapping[str, str | None], path: Path) -> tuple[str, ...]:
-    """Return what tells sensors apart; the columns of a file are looked at only where its folders do not tell."""
-    if by in told or all(key.strip() in told for key in by.split(",")):
-        return keys_of(by, told)
-    return keys_of(by, {*told, *read_parquet(path, Original(path)).names})
+def _keys(by: str, from_folders: Mapping[str, str | None], path: Path) -> tuple[str, ...]:
+    """Return the keys that identify sensors; a file's columns are read only if its folders lack a key."""
+    if by in from_folders or all(key.strip() in from_folders for key in by.split(",")):
+        return keys_of(by, from_folders)
+    return keys_of(by, {*from_folders, *read_parquet(path, Original(path)).names})
 
 
 def places_in(lake: Path, by: str = FOLDER) -> list[SensorPlace]:
@@ -87,14 +87,14 @@ def places_in(lake: Path, by: str = FOLDER) -> list[SensorPlace]:
     lake : Path
         A folder of Parquet files.
     by : {"folder", "file"}
-        What tells a sensor: the folder, above those that tell times, that its files are in; or each file.
+        What identifies a sensor: the folder of its files, without the folders of times below it; or each file.
 
     Raises
     ------
     InputError
-        If it holds none, or cannot be read.
+        If the lake holds no sensors, or cannot be read.
     UsageError
-        If its folders do not tell sensors apart.
+        If its folders do not identify sensors.
     """
     sizes: dict[str, int] = defaultdict(int)
     for path in _files_in(lake):
@@ -105,7 +105,7 @@ def places_in(lake: Path, by: str = FOLDER) -> list[SensorPlace]:
 
 
 def _bytes_of(path: Path) -> int:
-    """Return how long a file is, 0 of one that is not there any more: its sensor will be refused."""
+    """Return the size of a file, or 0 if it has vanished; its sensor will be refused later."""
     try:
         return path.stat().st_size
     except OSError:
@@ -114,12 +114,14 @@ def _bytes_of(path: Path) -> int:
 
 def _files_in(lake: Path) -> tuple[Path, ...]:
     if not lake.is_dir():
-        raise InputError(f"{lake} is no folder; give one that holds Parquet files, as sensor=17/date=2026-01-02/...")
+        raise InputError(
+            f"{lake} is not a folder; give one that holds Parquet files, such as sensor=17/date=2026-01-02/..."
+        )
     return parquet_files(lake).files
 
 
 def _sensor_folder(lake: Path, folder: Path) -> Path:
-    """Return a folder without the folders below that tell times."""
+    """Return a folder without the folders of times at its end."""
     parts = list(folder.parts)
     while parts and is_partition(parts[-1]) and tells_time(parts[-1]):
         parts.pop()
@@ -127,18 +129,19 @@ def _sensor_folder(lake: Path, folder: Path) -> Path:
         keys = ",".join(values_in(Path(*sensor_of(Path(*parts)))))
         way = f"becalm fleet clean {quote(str(lake))} -o OUT --recipe R.toml --by {quote(keys)}" if keys else ""
         raise UsageError(
-            f"{lake} has its sensors below times, as {above[0]}/.../{parts[-1]}, so that the rows of one are not"
-            " together. " + (f"Say which key tells a sensor, and they are brought together: {way}" if way else _TOLD_BY)
+            f"{lake} has folders of times above its sensors, as in {above[0]}/.../{parts[-1]}, so that the rows of a"
+            " sensor are scattered. "
+            + (f"Name the key that identifies a sensor, and becalm gathers its rows: {way}" if way else _BY_HINT)
         )
     return Path(*parts)
 
 
 def _refuse_nested(lake: Path, sizes: dict[str, int]) -> None:
-    """Refuse a sensor whose folder holds others: its rows and theirs would be taken for one recording."""
+    """Raise an error if a sensor's folder contains other sensors, because all rows would be taken for one recording."""
     for name in sizes:
         for above in Path(name).parents:
             if str(above) in sizes:
                 raise UsageError(
-                    f"{lake / above} has files beside folders of others, as {name}. If each file is a sensor of its"
-                    " own, say --by file; else move them apart."
+                    f"{lake / above} has both files and folders with files, such as {name}. If each file is a sensor of"
+                    " its own, use --by file; otherwise move them to separate folders."
                 )

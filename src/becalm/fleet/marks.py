@@ -1,4 +1,4 @@
-"""Which sensors are finished, and of what their output came: a mark in the output, written last."""
+"""Mark finished sensors: a small file in the output, written last, with a hash of the input."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _HELD, _SIZES, _JOB = "held", "sizes", "job"
 
 @dataclass(frozen=True)
 class CompletionMark:
-    """What a finished sensor came of.
+    """A mark that says that the output of a sensor is complete, and what it was made from.
 
     Attributes
     ----------
     came_of : str
-        Hash of its files, its recipe and all that was asked.
+        Hash of the sensor's input files, recipe and options.
     files : tuple of str
-        Its output, by paths from the folder of the mark.
+        The output files, as paths from the folder of the mark.
     outcome : Outcome
-        What became of it.
+        The outcome of the sensor.
     sizes : tuple of int
-        Of these files, in bytes.
+        Sizes of these files, in bytes.
     job : str
-        Which made it.
+        The identifier of the job that made them.
     held : tuple of str
-        While a new output takes the place of an older one: files of both.
+        While a new output replaces an older one: the files of both.
     """
 
     came_of: str
@@ -49,58 +49,58 @@ class CompletionMark:
 
     @property
     def own(self) -> set[str]:
-        """All files that becalm wrote where the mark is."""
+        """Return all files that becalm wrote next to the mark."""
         return {*self.files, *self.held}
 
     def is_whole(self, folder: Path) -> bool:
-        """Whether all files are in a folder, and as long as they were."""
+        """Return whether all files are in a folder, with the sizes that they had."""
         try:
-            found = tuple((folder / name).stat().st_size for name in self.files)
+            sizes = tuple((folder / name).stat().st_size for name in self.files)
         except OSError:
             return False
-        return found == self.sizes
+        return sizes == self.sizes
 
     def write(self, path: Path) -> None:
-        """Say that the output of a sensor is complete.
+        """Write the mark, which says that the output of a sensor is complete.
 
         Raises
         ------
         OutputError
             If it cannot be written.
         """
-        told: dict[str, Any] = {FILES: self.files, "came_of": self.came_of, "outcome": self.outcome.as_dict()}
-        told |= {_SIZES: self.sizes, _HELD: self.held, _JOB: self.job}
-        write_text(path, json.dumps(told, indent=1) + "\n")
+        content: dict[str, Any] = {FILES: self.files, "came_of": self.came_of, "outcome": self.outcome.as_dict()}
+        content |= {_SIZES: self.sizes, _HELD: self.held, _JOB: self.job}
+        write_text(path, json.dumps(content, indent=1) + "\n")
 
     @classmethod
     def of(cls, path: Path) -> CompletionMark | None:
-        """Read a mark; None where there is none, or a damaged one: then nothing says whose files are there."""
+        """Read a mark; return None if it is missing or damaged, because then the files may be foreign."""
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
-            outcome = Outcome.from_dict(told["outcome"])
+            content = json.loads(path.read_text(encoding="utf-8"))
+            outcome = Outcome.from_dict(content["outcome"])
             return cls(
-                told["came_of"],
-                tuple(told[FILES]),
+                content["came_of"],
+                tuple(content[FILES]),
                 outcome,
-                tuple(told[_SIZES]),
-                tuple(told[_HELD]),
-                told.get(_JOB, ""),
+                tuple(content[_SIZES]),
+                tuple(content[_HELD]),
+                content.get(_JOB, ""),
             )
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
 
 def came_of(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, Any]) -> str:
-    """Return the hash of all that an output comes of.
+    """Return a hash of everything that determines an output.
 
     Parameters
     ----------
     files : sequence of (str, Path)
-        Names and places of the input.
+        Names and paths of the input files.
     recipe : str
         Text of the recipe.
     asked : mapping
-        Settings that change what is written, as JSON has them.
+        Options that change what is written, as JSON values.
 
     Raises
     ------
@@ -109,8 +109,8 @@ def came_of(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, 
 
     Notes
     -----
-    Of a file its size, the time of its last change and its footer are taken, which holds where each column chunk is,
-    how long, and between which values: a lake need not be read again to find that nothing has changed.
+    The hash of a file uses its size, its modification time and its footer. The footer has the place, the length and the
+    range of values of each column chunk, so a job sees that nothing has changed without reading the lake again.
     """
     digest = hashlib.sha256(json.dumps([version(), recipe, asked], sort_keys=True).encode())
     for name, path in files:
@@ -121,12 +121,12 @@ def came_of(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, 
 def _facts(path: Path) -> tuple[int, int, str]:
     try:
         with path.open("rb") as file:
-            found = path.stat()
-            file.seek(max(0, found.st_size - 2 * _LENGTH))
+            status = path.stat()
+            file.seek(max(0, status.st_size - 2 * _LENGTH))
             length, ends = int.from_bytes(file.read(_LENGTH), "little"), file.read()
-            if ends != PARQUET:  # cut short: where a footer's length would be is anything
-                return found.st_size, found.st_mtime_ns, ""
-            file.seek(max(0, found.st_size - 2 * _LENGTH - length))
-            return found.st_size, found.st_mtime_ns, hashlib.sha256(file.read()).hexdigest()
+            if ends != PARQUET:  # truncated: the bytes in place of the footer's length are arbitrary
+                return status.st_size, status.st_mtime_ns, ""
+            file.seek(max(0, status.st_size - 2 * _LENGTH - length))
+            return status.st_size, status.st_mtime_ns, hashlib.sha256(file.read()).hexdigest()
     except OSError as cause:
         raise InputError(f"{path} cannot be read ({cause.strerror or cause}).") from cause

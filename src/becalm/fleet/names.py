@@ -1,4 +1,4 @@
-"""What sensors are called that columns tell apart: as folders of Hive are, `sensor=17`, `plant=3/sensor=a%2Fb`."""
+"""Name sensors that columns identify, as Hive names folders: `sensor=17`, `plant=3/sensor=a%2Fb`."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from becalm.errors import InputError, UsageError
 from becalm.files.lake.listing import is_partition
 
 NULL = "__HIVE_DEFAULT_PARTITION__"
-"""The value in a folder's name that stands for none."""
+"""The value in a folder's name that stands for a null."""
 
 _SPECIAL = re.compile(r"[\x00-\x1f\x7f\"#%'*/:=?\\{\[\]^]")  # what Hive and Spark escape
 _MOST_LISTED = 20
 
 
 class NamedSensors(NamedTuple):
-    """Of which sensors some rows are.
+    """The sensor of each row of a block.
 
     Attributes
     ----------
     names : list of str
-        Of the sensors, each once.
+        Names of the sensors, each once.
     codes : (n,) int array
-        Of each row the place of its sensor in that list.
+        For each row, the index of its sensor in `names`.
     """
 
     names: list[str]
@@ -39,37 +39,37 @@ class NamedSensors(NamedTuple):
 
 
 def folder_name(key: str, value: str | None) -> str:
-    """Return what the folder of a value of a column is called; None is a null."""
+    """Return the name of the folder for a value of a column; None is a null."""
     return f"{_escaped(key)}={NULL if value is None else _escaped(value)}"
 
 
 def values_in(place: PurePath) -> dict[str, str | None]:
-    """Return what the folders of a path tell, by their keys."""
+    """Return the values that the folders of a path contain, by their keys."""
     parts = [part.partition("=") for part in place.parts if is_partition(part)]
     return {_plain(key): None if value == NULL else _plain(value) for key, _, value in parts}
 
 
 def below(sensor: str, file: PurePath) -> str:
-    """Return the path of a file without the folders that are of its sensor's name."""
+    """Return the path of a file without the folders that are part of its sensor's name."""
     own = set(values_in(PurePath(sensor)).items())
     parts = (part for part in file.parts if not own.intersection(values_in(PurePath(part)).items()))
     return PurePath(*parts).as_posix()
 
 
 def keys_of(by: str, known: Collection[str]) -> tuple[str, ...]:
-    """Return the columns that tell sensors apart.
+    """Return the columns that identify sensors.
 
     Parameters
     ----------
     by : str
-        The name of a column, or names of several with commas between.
+        The name of a column, or the names of several separated by commas.
     known : collection of str
-        The columns that are there, and the keys of folders.
+        The columns of the files and the keys of the folders.
 
     Raises
     ------
     UsageError
-        If one of them is not there.
+        If one of them does not exist.
     """
     if by in known:
         return (by,)
@@ -92,29 +92,29 @@ def listed(names: Sequence[str]) -> str:
 
 
 def named(block: pa.Table, keys: Sequence[str], told: Mapping[str, str | None]) -> NamedSensors:
-    """Tell of which sensors the rows of a block are.
+    """Return the sensor of each row of a block.
 
     Parameters
     ----------
     block : pyarrow.Table
-        Rows with all the keys that folders do not tell.
+        Rows with a column for each key that is not in `told`.
     keys : sequence of str
-        What tells sensors apart.
+        Columns, or keys of folders, that identify sensors.
     told : mapping of str to str or None
-        What the folders tell, which counts more than a column.
+        Values from the names of folders. They take precedence over a column of the same name.
 
     Raises
     ------
     InputError
         If a column cannot name a folder.
     """
-    found = _all_of("", block.num_rows)
+    sensors = _all_of("", block.num_rows)
     for key in keys:
         own = (
             _all_of(folder_name(key, told[key]), block.num_rows) if key in told else _of_column(key, block.column(key))
         )
-        found = _of_both(found, own)
-    return found
+        sensors = _of_both(sensors, own)
+    return sensors
 
 
 def _all_of(name: str, rows: int) -> NamedSensors:
@@ -122,7 +122,7 @@ def _all_of(name: str, rows: int) -> NamedSensors:
 
 
 def _of_both(first: NamedSensors, second: NamedSensors) -> NamedSensors:
-    """Name sensors by two keys: only those that there are rows of."""
+    """Combine the names by two keys; combinations without rows are left out."""
     if len(first.names) == 1:
         return NamedSensors([_joined(first.names[0], name) for name in second.names], second.codes)
     pairs, codes = np.unique(first.codes * len(second.names) + second.codes, return_inverse=True)
@@ -146,10 +146,10 @@ def _of_column(key: str, column: pa.ChunkedArray) -> NamedSensors:
 
 
 def _plain(text: str) -> str:
-    return unquote(text, errors="surrogateescape")  # bytes that are no text are not those of another name
+    return unquote(text, errors="surrogateescape")  # bytes that are not UTF-8 keep names distinct
 
 
 def _escaped(text: str) -> str:
-    if text == NULL:  # as a text, it is another sensor
+    if text == NULL:  # a text that looks like the null value names another sensor
         return f"%{ord(text[0]):02X}{text[1:]}"
     return _SPECIAL.sub(lambda match: f"%{ord(match[0]):02X}", text)

@@ -1,4 +1,4 @@
-"""What became of one sensor: rows of the fleet's report, and how it went."""
+"""Hold the outcome of one sensor: its rows in the fleet's report, whether it was refused, and how long it took."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from typing import Any
 from becalm.report.fleet_rows import FleetRow, State
 
 SHOWN = 12
-"""Digits of a hash that people are shown."""
+"""Number of digits of a hash in reports."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one sensor.
+    """The outcome of one sensor.
 
     Attributes
     ----------
     sensor : str
         Its path within the lake.
     state : {"cleaned", "kept", "refused"}
-        "kept": it was finished before, and nothing that it came of has changed since.
+        "kept": it was finished before, and its input has not changed since.
     channels : tuple of FleetRow
-        What became of each channel; of a sensor that was refused one row, with the reason.
+        A row of the report for each channel; one row with the reason if the sensor was refused.
     took_s : float
-        How long it took, in all tasks together, in seconds.
+        The time it took in all tasks together, in seconds.
     seams : str
-        Of a sensor that was cleaned in stretches of time, how they fit together.
+        How the stretches fit together, if the sensor was cleaned in stretches of time.
     """
 
     sensor: str
@@ -38,17 +38,17 @@ class Outcome:
 
     @property
     def reason(self) -> str:
-        """Why it was refused, as a sentence."""
+        """Return why the sensor was refused, as a sentence."""
         return self.channels[0].reason if self.state == "refused" else ""
 
     @property
     def describes(self) -> bool:
-        """Whether it was cleaned, and no channel is said not to be described by its model."""
+        """Return whether it was cleaned and no channel has the verdict "does not fit"."""
         return self.state != "refused" and all(row.verdict != "does not fit" for row in self.channels)
 
     @property
     def rows(self) -> int:
-        """How many rows it has."""
+        """Return the number of rows of the sensor."""
         return max(row.rows for row in self.channels)
 
     def as_dict(self) -> dict[str, Any]:
@@ -57,22 +57,22 @@ class Outcome:
 
     @classmethod
     def from_dict(cls, told: Mapping[str, Any]) -> Outcome:
-        """Read what `as_dict` returned.
+        """Return the outcome from the values that `as_dict` returned.
 
         Raises
         ------
         ValueError
-            If it is something else.
+            If they are not those of an outcome.
         """
         try:
             return cls(**{**told, "channels": tuple(FleetRow(**row) for row in told["channels"])})
         except (TypeError, KeyError) as cause:
-            known = ", ".join(field.name for field in fields(cls))
-            raise ValueError(f"{str(told)[:80]!r} is no outcome of a sensor, which has {known}") from cause
+            names = ", ".join(field.name for field in fields(cls))
+            raise ValueError(f"{str(told)[:80]!r} is not an outcome of a sensor, which has {names}") from cause
 
 
 def noted(rows: Sequence[FleetRow], notes: Sequence[str]) -> tuple[FleetRow, ...]:
-    """Return rows that also say what was found of their sensor's files and clock."""
+    """Return the rows with notes on their sensor's files and clock added to their texts."""
     return tuple(replace(row, says=" ".join((row.says, *notes)).strip()) for row in rows)
 
 

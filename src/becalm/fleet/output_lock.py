@@ -13,24 +13,24 @@ from becalm.live.locking import locked
 
 @contextmanager
 def alone_at(folder: Path, lock: Path) -> Iterator[None]:
-    """Keep other jobs from a folder while this one is at it.
+    """Lock a folder for one job, in a `with`.
 
     Parameters
     ----------
     folder : Path
-        Which it is, for messages.
+        The folder, for messages.
     lock : Path
-        An empty file, which is made, and stays.
+        An empty file, which is created and stays.
 
     Raises
     ------
     UsageError
-        If another job is at it.
+        If another job has locked the folder.
     OutputError
-        If the file cannot be made, or its disk knows no locks.
+        If the file cannot be created, or its file system does not support locks.
     """
     try:
-        held = locked(lock, f"Another job is at work on {folder}; wait for it, or name another with -o.")
+        held = locked(lock, f"Another job is at work on {folder}; wait for it, or name another folder with -o.")
     except sqlite3.Error as cause:
         raise OutputError(f"{lock} cannot be locked ({cause}); choose another folder with -o.") from cause
     with closing(held):

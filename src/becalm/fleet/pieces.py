@@ -1,4 +1,4 @@
-"""The output of one sensor: a file for each that it came in; all of them appear, and then the mark that says so."""
+"""Write the output files of one sensor, one for each input file, in a staging folder; then move all into place."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from becalm.files.text_file import make_folder
 from becalm.files.writing import TableOutput, open_output
 
 STAGED = ".becalm.*.part"
-"""Names of folders whose files have no names of their own yet."""
+"""Pattern of the names of staging folders."""
 
 
 class OutputFile(NamedTuple):
     """A file to write."""
 
-    name: str  # within the output of its sensor
+    name: str  # path within the output folder of its sensor
     rows: int
 
 
 @contextmanager
 def staging(folder: Path) -> Iterator[Path]:
-    """Give a folder, in another, for files that have no names of their own yet; it is gone in the end.
+    """Make a staging folder in another folder; it is removed at the end of the `with`.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def staging(folder: Path) -> Iterator[Path]:
 
 
 def open_staging(folder: Path) -> Path:
-    """Make such a folder for several processes; whoever is the last removes it.
+    """Make a staging folder for several processes; the last of them removes it.
 
     Raises
     ------
@@ -56,12 +56,12 @@ def open_staging(folder: Path) -> Path:
 
 
 def put_in_place(staged: Path, folder: Path, names: Sequence[str]) -> None:
-    """Give files their own names: out of the folder that they were written in, into another.
+    """Move files from the staging folder into their final folder, and sync it to disk.
 
     Raises
     ------
     OutputError
-        If that cannot be done; it can be repeated.
+        If a file cannot be moved; the call can be repeated.
     """
     for name in names:
         target = folder / name
@@ -74,16 +74,16 @@ def put_in_place(staged: Path, folder: Path, names: Sequence[str]) -> None:
 
 
 class Pieces:
-    """Writes rows to one file after the other, in a `with`.
+    """A writer that spreads rows over several files, one after the other, in a `with`.
 
     Parameters
     ----------
     folder : Path
-        Where to.
+        The folder of the files.
     pieces : sequence of OutputFile
-        All of them, in the order of their rows.
+        All the files, in the order of their rows.
     metadata : mapping of str to str
-        Kept in each file.
+        Metadata stored in each file.
     """
 
     def __init__(self, folder: Path, pieces: Sequence[OutputFile], metadata: Mapping[str, str]) -> None:
@@ -93,7 +93,7 @@ class Pieces:
         self._room = 0  # rows that the open file still takes
 
     def write(self, table: pa.Table) -> None:
-        """Write the next rows, to the file that they belong to, or to several.
+        """Write the next rows to the file, or the files, that they belong to.
 
         Raises
         ------
@@ -123,5 +123,5 @@ class Pieces:
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish the file that is open, or give it up where something went wrong."""
+        """Finish the open file, or discard it after an exception."""
         self._stack.__exit__(kind, cause, trace)

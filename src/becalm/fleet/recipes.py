@@ -1,4 +1,4 @@
-"""Which recipe each sensor has: one for all, or the nearest in a folder that is laid out as the lake is."""
+"""Find the recipe of each sensor: one for all, or the nearest in a folder with the same layout as the lake."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from becalm.cleaning.recipe import Recipe
 from becalm.errors import RecipeError, UsageError
 
 DEFAULT = "default"
-"""Name of the recipe of all sensors that have none of their own, without its ending."""
+"""Name, without its ending, of the recipe for all sensors that have none of their own."""
 
 ENDING = ".toml"
-"""Of their files."""
+"""Ending of recipe files."""
 
 
 class RecipeBook:
-    """Recipes by the sensors that they are of.
+    """A book of recipes that finds the recipe of a sensor.
 
     Parameters
     ----------
     texts : mapping of str to str
-        TOML by paths within the lake: of a sensor, or of a folder of sensors; `DEFAULT` is of all others.
+        TOML texts by paths within the lake, of a sensor or of a folder of sensors. `DEFAULT` is for all others.
     source : str
-        Where they come from, for messages.
+        The file or folder that they were read from, for messages.
 
     Attributes
     ----------
     by_hash : dict of str to str
         The texts by the SHA-256 of their bytes.
     names : tuple of str
-        What they are called.
+        The names of all recipes, sorted.
     """
 
     def __init__(self, texts: dict[str, str], source: str) -> None:
@@ -41,12 +41,12 @@ class RecipeBook:
 
     @classmethod
     def of_one(cls, path: Path) -> RecipeBook:
-        """Read the one recipe of all sensors.
+        """Read one recipe for all sensors.
 
         Raises
         ------
         RecipeError
-            If it cannot be read, or is no recipe.
+            If it cannot be read, or is not a recipe.
         """
         return cls({DEFAULT: Recipe.load(path).to_toml()}, str(path))
 
@@ -60,15 +60,15 @@ class RecipeBook:
             If it holds none, or one cannot be read.
         """
         if not folder.is_dir():
-            raise RecipeError(f"{folder} is no folder; name one that holds recipes, or one recipe with --recipe.")
-        found = recipes_in(folder)
-        if not found:
+            raise RecipeError(f"{folder} is not a folder; name one that holds recipes, or one recipe with --recipe.")
+        paths = recipes_in(folder)
+        if not paths:
             raise RecipeError(
-                f"{folder} holds no recipes. Name one {DEFAULT}{ENDING}, or as the sensor that it is of,"
-                f" sensor=17{ENDING}; or make them with: becalm fleet tune LAKE -o {folder}"
+                f"{folder} holds no recipes. Name a file {DEFAULT}{ENDING}, or after its sensor, such as"
+                f" sensor=17{ENDING}; or make recipes with: becalm fleet tune LAKE -o {folder}"
             )
-        names = (path.relative_to(folder).as_posix().removesuffix(ENDING) for path in found)
-        return cls({name: Recipe.load(path).to_toml() for name, path in zip(names, found, strict=True)}, str(folder))
+        names = (path.relative_to(folder).as_posix().removesuffix(ENDING) for path in paths)
+        return cls({name: Recipe.load(path).to_toml() for name, path in zip(names, paths, strict=True)}, str(folder))
 
     def name_for(self, sensor: str) -> str:
         """Return the name of a sensor's recipe: its own, else that of the nearest folder above, else `DEFAULT`."""
@@ -77,32 +77,32 @@ class RecipeBook:
         return next((name for name in names if name in self._hashes), DEFAULT)
 
     def hash_for(self, sensor: str) -> str | None:
-        """Return the hash of a sensor's recipe; None where it has none."""
+        """Return the hash of a sensor's recipe, or None if it has none."""
         return self._hashes.get(self.name_for(sensor))
 
     def unused(self, sensors: Iterable[str]) -> tuple[str, ...]:
-        """Return the names of recipes, but `DEFAULT`, that none of some sensors has."""
+        """Return the names of recipes, except `DEFAULT`, that none of these sensors uses."""
         return tuple(sorted({*self.names} - {DEFAULT} - set(map(self.name_for, sensors))))
 
     def why_not(self, sensor: str) -> str:
-        """Say what to do for a sensor that has no recipe."""
-        own = "" if sensor == "." else f"{sensor}{ENDING}, or "  # all of the lake has no name
+        """Return a sentence on what to do for a sensor that has no recipe."""
+        own = "" if sensor == "." else f"{sensor}{ENDING}, or "  # the lake itself has no name
         return f"{self._source} has no recipe for it; add {own}{DEFAULT}{ENDING} for all others."
 
 
 def recipes_in(folder: Path) -> list[Path]:
-    """List the recipes of a folder, at any depth, but in no hidden one."""
-    found = sorted(folder.rglob(f"*{ENDING}"))
-    return [path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+    """List the recipes of a folder, at any depth, except in hidden folders."""
+    paths = sorted(folder.rglob(f"*{ENDING}"))
+    return [path for path in paths if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
 
 
 def open_book(recipe: Path | None = None, recipes: Path | None = None) -> RecipeBook:
-    """Read what was named: one recipe, or a folder of them.
+    """Read one recipe, or a folder of recipes.
 
     Raises
     ------
     UsageError
-        If neither or both were.
+        If neither or both are given.
     RecipeError
         If they cannot be read.
     """

@@ -30,57 +30,57 @@ Done = TypeVar("Done")
 
 
 class OpenedSensor(NamedTuple):
-    """A sensor that was understood."""
+    """A sensor whose files are open and whose columns match its recipe."""
 
     source: OpenSource
-    recipe: Recipe  # fitted to it
-    pieces: tuple[OutputFile, ...]  # a file of the output for each that it came in, in order
-    paths: tuple[Path, ...]  # of these, where they came from
-    as_stored: bool  # whether its columns are read as they are in these
+    recipe: Recipe  # fitted to the sensor's channels
+    pieces: tuple[OutputFile, ...]  # the output files, one for each input file, in order
+    paths: tuple[Path, ...]  # the input files, in the same order
+    as_stored: bool  # whether columns are read exactly as they are stored
 
 
 def clean_whole(job: Job, sensor: Sensor) -> Outcome:
-    """Clean a sensor, unless it was finished before; whatever is wrong with it is told, and raised nowhere.
+    """Clean a sensor unless it is finished; an error is returned as the reason of a refusal, never raised.
 
     Parameters
     ----------
     job : Job
-        What is to be done.
+        The job over the lake.
     sensor : Sensor
-        One of the lake.
+        One sensor of the lake.
     """
     return told_by(sensor, lambda: _cleaned(job, sensor))
 
 
 def told_by(sensor: Sensor, work: Callable[[], Done]) -> Done | Outcome:
-    """Do some work on a sensor; where it fails, the outcome has the reason, so that no sensor stops the others."""
+    """Run a function on a sensor; return a refusal with the reason if it fails, so that the other sensors go on."""
     began = monotonic()
     try:
         return work()
     except BecalmError as cause:
         return refused(sensor.name, str(cause), monotonic() - began)
-    except Exception as cause:  # rubbish of a kind that nobody has thought of
+    except Exception as cause:  # damage that no check expects
         return refused(sensor.name, f"{type(cause).__name__}: {cause}", monotonic() - began)
 
 
 def all_died(sensor: Sensor, why: str) -> Outcome:
-    """Return the outcome of a sensor whose workers died one after the other."""
+    """Return the outcome of a sensor on which every worker died."""
     return refused(sensor.name, why)
 
 
 def finished(job: Job, sensor: Sensor, hashed: str) -> Outcome | None:
-    """Return the outcome of a sensor whose output is there and came of the same; None where it has to be made."""
+    """Return the outcome of a sensor whose output exists and has the same input hash; otherwise None."""
     mark = CompletionMark.of(job.mark_of(sensor))
     if mark is None or mark.came_of != hashed or not mark.is_whole(job.output_folder(sensor)):
         return None
-    if mark.job == job.own:  # in a stage that Spark gave up for another sensor
+    if mark.job == job.own:  # finished in this job, in a stage that Spark gave up because of another sensor
         return mark.outcome
     channels = tuple(replace(row, state="kept") for row in mark.outcome.channels)
     return replace(mark.outcome, state="kept", channels=channels, took_s=0.0)
 
 
 def hash_of(job: Job, sensor: Sensor) -> str:
-    """Return the hash of all that the output of a sensor comes of.
+    """Return the hash of everything that determines a sensor's output: files, recipe and options.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def hash_of(job: Job, sensor: Sensor) -> str:
 
 
 def opened(job: Job, sensor: Sensor) -> OpenedSensor:
-    """Open a sensor as its recipe says; its source is to be closed after use.
+    """Open a sensor with the options of its recipe. The caller closes the source.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def opened(job: Job, sensor: Sensor) -> OpenedSensor:
     try:
         for name in options.channels or ():
             if name + VERDICT in source.schema.names:
-                raise InputError(f"{place} has a column {name + VERDICT!r}, which is to be written; rename it.")
+                raise InputError(f"{place} has a column {name + VERDICT!r}, which becalm writes; rename that column.")
         paths = tuple(path for path, _ in files)
         return OpenedSensor(source, fitted(recipe, source.names, source.units), pieces, paths, raw.rows is rows)
     except BaseException:
@@ -125,25 +125,25 @@ def _cleaned(job: Job, sensor: Sensor) -> Outcome:
     kept = finished(job, sensor, hashed)
     if kept is not None:
         return kept
-    found = opened(job, sensor)
-    names = tuple(piece.name for piece in found.pieces)
-    with found.source as source:
+    parts = opened(job, sensor)
+    names = tuple(piece.name for piece in parts.pieces)
+    with parts.source as source:
         refuse_foreign(job, sensor, names)
         with staging(job.output_folder(sensor)) as staged:
-            with Pieces(staged, found.pieces, metadata_of(found.recipe)) as out:
-                reports = clean_chunks(source, found.recipe, out.write, lambda *_: None, verdicts=True)
+            with Pieces(staged, parts.pieces, metadata_of(parts.recipe)) as out:
+                reports = clean_chunks(source, parts.recipe, out.write, lambda *_: None, verdicts=True)
             outcome = outcome_of(sensor, reports, source, monotonic() - began)
             commit(job, sensor, staged, CompletionMark(hashed, names, outcome, job=job.own))
     return outcome
 
 
 def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
-    """Refuse to write a sensor's output over files that no job of becalm wrote, or out of the folder of all output.
+    """Raise an error if a sensor's output would replace foreign files or leave the output folder.
 
     Raises
     ------
     OutputError
-        If one of them is there, two of them have one name, or a link leads elsewhere.
+        If a file exists that becalm did not write, two output files have one name, or a link leads out of the output.
     """
     folder, mark = job.output_folder(sensor), CompletionMark.of(job.mark_of(sensor))
     if not folder.resolve().is_relative_to(Path(job.output).resolve()):
@@ -153,52 +153,57 @@ def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
         if place.resolve() != folder.resolve() / Path(name).parent:
             raise OutputError(f"{place} leads to {place.resolve()}, out of the output; remove that link.")
     if twice := [name for name, count in Counter(names).items() if count > 1]:
-        raise OutputError(f"Two files of the sensor would be {folder / twice[0]}; rename one of them in the lake.")
+        raise OutputError(
+            f"Two files of the sensor would both be written to {folder / twice[0]}; rename one of them in the lake."
+        )
     own = set() if mark is None else mark.own
     if foreign := [name for name in names if name not in own and os.path.lexists(folder / name)]:
         raise OutputError(
-            f"{folder / foreign[0]} is there already, and no mark says that becalm wrote it; remove it, or name another"
+            f"{folder / foreign[0]} exists already, and no mark shows that becalm wrote it; remove it, or name another"
             " output with -o."
         )
 
 
 def metadata_of(recipe: Recipe) -> dict[str, str]:
-    """Return what every file of an output says of how it was made."""
+    """Return the metadata of every output file: the recipe that made it."""
     return {"becalm.recipe": recipe.to_toml()}
 
 
 def outcome_of(sensor: Sensor, reports: tuple[ChannelReport, ...], source: OpenSource, took_s: float) -> Outcome:
-    """Return what became of a sensor that was cleaned."""
+    """Return the outcome of a sensor that was cleaned."""
     shown = sensor.recipe[:SHOWN]
     rows = tuple(row_of(sensor.name, report, recipe=shown, rate_hz=source.rate_hz) for report in reports)
     return Outcome(sensor.name, "cleaned", noted(rows, notes_of(source)), took_s)
 
 
 def notes_of(source: OpenSource) -> tuple[str, ...]:
-    """Return what a person must know of a sensor's files and columns, as sentences."""
+    """Return sentences about a sensor's files and columns that its user must know."""
     replaced = ", ".join(source.replaced)
     return (*source.notes, *((f"Replaced by the new uncertainty: {replaced}.",) if replaced else ()))
 
 
 def commit(job: Job, sensor: Sensor, staged: Path, mark: CompletionMark) -> None:
-    """Let the files of a sensor appear, and then the mark that says so; files of an older output go.
+    """Move the files of a sensor into place, remove files of an older output, and write the mark last.
 
     Raises
     ------
     InputError
-        If what came in is not what it was when the work began.
+        If the input has changed since the work began.
     OutputError
-        If that cannot be done; the sensor is not finished then.
+        If a file cannot be moved or written; the sensor is not finished then.
     """
     if hash_of(job, sensor) != mark.came_of:
-        raise InputError(f"The files of {sensor.name} changed while they were read; wait until all came, and repeat.")
+        raise InputError(
+            f"The files of {sensor.name} changed while they were read; wait until all have arrived, and repeat."
+        )
     refuse_foreign(job, sensor, mark.files)
     path, folder = job.mark_of(sensor), job.output_folder(sensor)
     older = CompletionMark.of(path)
     own = {*mark.files, *(() if older is None else older.own)}
     with sentences(staged):
         sizes = tuple((staged / name).stat().st_size for name in mark.files)
-    replace(mark, came_of="", files=(), held=tuple(sorted(own))).write(path)  # until all are in place, none counts
+    unfinished = replace(mark, came_of="", files=(), held=tuple(sorted(own)))  # until all files are in place
+    unfinished.write(path)
     put_in_place(staged, folder, mark.files)
     for name in own - set(mark.files):
         with sentences(folder / name):

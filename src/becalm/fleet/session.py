@@ -1,4 +1,4 @@
-"""Spark as a command line needs it: on this machine unless another master is named, and then only on loopback."""
+"""Start Spark for the command line: on this machine, reachable by loopback only, unless another master is named."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
 HERE = "local[*]"
-"""The master where none is named: all cores of this machine."""
+"""The default master: all cores of this machine."""
 
-_TRIES = 4  # of a task whose worker died, as on a cluster
+_TRIES = 4  # attempts at a task whose worker died, as on a cluster
 _MASTER = re.compile(r"local(\[(\*|[1-9]\d*)(, *[1-9]\d*)?\])?|local-cluster\[.+\]|(spark|k8s)://.+|yarn")
 
 _LOOPBACK = "127.0.0.1"
 _RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")
-_PYTHON_RAISED = re.compile(r"[A-Za-z_][\w.]*(?:Error|Exception): .+")  # in a worker, as the last of its lines
+_PYTHON_RAISED = re.compile(r"[A-Za-z_][\w.]*(?:Error|Exception): .+")  # last line of a worker's traceback
 _LONGEST = 300
 _LOGS = f"-Dlog4j2.configurationFile={Path(__file__).with_name('log4j2.properties').as_uri()}"
-_HARDLY_COMPILED = "-XX:TieredStopAtLevel=1"  # of a JVM that only schedules, better code would cost more than it gains
+_HARDLY_COMPILED = "-XX:TieredStopAtLevel=1"  # for a JVM that only schedules, full compilation costs more than it gains
 _QUIET = {
-    "spark.ui.enabled": "false",  # a page that nobody asked for, open to all of the network
+    "spark.ui.enabled": "false",  # otherwise Spark opens a page to the whole network
     "spark.ui.showConsoleProgress": "false",
     "spark.sql.session.timeZone": "UTC",
-    # by a socket of loopback each task waits some time for nothing, and another user may speak with it
+    # a loopback TCP socket delays each task, and another user of the machine could connect to it
     "spark.python.unix.domain.socket.enabled": str(os.name == "posix").lower(),
 }
 
@@ -41,33 +41,33 @@ _QUIET = {
 def session(
     master: str | None = None, settings: dict[str, str] | None = None, *, schedules: bool = False
 ) -> Iterator[SparkSession]:
-    """Give a session of Spark, which ends in the end, unless there was one before.
+    """Provide a Spark session in a `with`. The session stops at its end, unless it was already running.
 
     Parameters
     ----------
     master : str, optional
-        As Spark has it: `local[4]`, `spark://host:7077`, `yarn`; `HERE` where none is named. A task whose worker died
-        is tried four times, as on a cluster, but with `local[4,1]` once.
+        A Spark master: `local[4]`, `spark://host:7077`, `yarn`; `HERE` by default. A task whose worker died is tried
+        four times, as on a cluster; with `local[4,1]` it is tried once.
     settings : dict of str to str, optional
-        Spark's own.
+        Settings of Spark.
     schedules : bool
-        Whether Spark only schedules, as for lakes that are cleaned or tuned, so that its JVM has little to do itself.
+        Whether Spark only schedules tasks, as for lakes that are cleaned or tuned. Its JVM then has little to do.
 
     Raises
     ------
     UsageError
-        If pyspark, or Java, is not here, there is no such master, or this process has Spark on another one.
+        If pyspark or Java is not installed, there is no such master, or this process runs Spark on another master.
     """
-    asked = master or HERE
-    master, (builder, running) = _understood(asked), _builder()
-    if running is not None and running.sparkContext.master not in (asked, master):
-        raise UsageError(f"This process has Spark on {running.sparkContext.master}; stop it, or ask for that master.")
-    told = _settings(master, schedules) | (settings or {})
-    for name, value in told.items():
+    requested = master or HERE
+    master, (builder, running) = _checked_master(requested), _builder()
+    if running is not None and running.sparkContext.master not in (requested, master):
+        raise UsageError(f"This process has Spark on {running.sparkContext.master}; stop it, or name that master.")
+    options = _settings(master, schedules) | (settings or {})
+    for name, value in options.items():
         builder = builder.config(name, value)
     try:
         spark: SparkSession = builder.master(master).appName("becalm").getOrCreate()
-    except Exception as cause:  # what Spark raises here is of many kinds
+    except Exception as cause:  # Spark raises many types here
         raise UsageError(f"Spark does not start on {master} ({reason_of(cause)}).{_advice(cause)}") from cause
     spark.sparkContext.setLogLevel("ERROR")
     try:
@@ -78,7 +78,7 @@ def session(
 
 
 def _stop(spark: SparkSession) -> None:
-    """Stop Spark; where its JVM is gone, let pyspark forget it, or no other session could begin in this process."""
+    """Stop Spark; if its JVM is gone, clear pyspark's references to it, so that this process can start another."""
     from py4j.protocol import Py4JError
     from pyspark import SparkContext
     from pyspark.sql import SparkSession
@@ -90,33 +90,33 @@ def _stop(spark: SparkSession) -> None:
         SparkContext._active_spark_context = SparkContext._gateway = SparkContext._jvm = None
 
 
-def _understood(master: str) -> str:
-    """Refuse what is no master; on this machine too, a task whose worker dies is tried again, unless told how often."""
+def _checked_master(master: str) -> str:
+    """Check the name of a master; add the number of attempts to a local one that does not state it."""
     if not _MASTER.fullmatch(master):
         raise UsageError(
-            f"--master {master} is no master of Spark's; give local[4], spark://HOST:7077 or yarn, or leave it out for"
-            " this machine."
+            f"--master {master} is not a Spark master; give local[4], spark://HOST:7077 or yarn, or omit it to use this"
+            " machine."
         )
     cores = re.fullmatch(r"local(?:\[(\*|\d+)\])?", master)
     return f"local[{cores[1] or 1},{_TRIES}]" if cores else master
 
 
 def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
-    """Return what builds a session, and the one that there is already."""
+    """Return Spark's session builder, and the session that already runs, if any."""
     try:
         from pyspark import SparkContext
         from pyspark.sql import SparkSession
     except ModuleNotFoundError as cause:
-        raise UsageError("Spark is not here. Type: pip install 'becalm[spark]', and install Java 17.") from cause
-    # whichever thread asks: a session is active in the one that made it, and stopping it would stop it for all
+        raise UsageError("Spark is not installed. Type: pip install 'becalm[spark]', and install Java 17.") from cause
+    # look at the context, because a session is active only in the thread that made it, yet stopping it stops it for all
     there = SparkContext._active_spark_context is not None
     return SparkSession.builder, SparkSession.builder.getOrCreate() if there else None
 
 
 def _settings(master: str, schedules: bool) -> dict[str, str]:
-    """Return settings for a master; on this machine workers are this very Python, and nobody else is let in."""
+    """Return settings for a master; a local one uses this Python for its workers and listens on loopback only."""
     executor = _HARDLY_COMPILED if schedules else ""
-    shared = {  # which stand before, and not in the place of, options that somebody has set
+    shared = {  # Spark puts these before the options that the user has set, and does not replace them
         "spark.driver.defaultJavaOptions": f"{_LOGS} {executor}".strip(),
         "spark.executor.defaultJavaOptions": executor,
     }
@@ -128,7 +128,7 @@ def _settings(master: str, schedules: bool) -> dict[str, str]:
 
 
 def reason_of(cause: BaseException) -> str:
-    """Return why Spark failed, in a line: what its JVM raised, without the name of its class, if that tells."""
+    """Return in one line why Spark failed: the message of the Python or Java exception, if there is one."""
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
     if python := [line for line in lines if _PYTHON_RAISED.match(line) and not line.startswith(("java.", "org."))]:
         return python[-1][:_LONGEST].rstrip(".")
@@ -140,5 +140,5 @@ def _advice(cause: BaseException) -> str:
     home = os.environ.get("JAVA_HOME")
     if shutil.which("java", path=str(Path(home) / "bin") if home else None) is None:
         return " It needs Java 17 or newer: install one (Debian: openjdk-17-jre-headless), or set JAVA_HOME."
-    said = " Java, which must be 17 or newer, said why above." if "JAVA_GATEWAY_EXITED" in str(cause) else ""
-    return f"{said} Name a master that is there with --master, as local[4] or spark://HOST:7077."
+    java = " Java, which must be 17 or newer, printed the reason above." if "JAVA_GATEWAY_EXITED" in str(cause) else ""
+    return f"{java} Name an existing master with --master, such as local[4] or spark://HOST:7077."

@@ -1,4 +1,4 @@
-"""Tasks on Spark: it says where and when they run, and runs them again where a machine is lost; no sample passes it."""
+"""Run tasks on Spark. Spark schedules them and repeats them if a machine is lost; no sample passes through it."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 Task = TypeVar("Task")
 Told = TypeVar("Told")
 
-_SCHEMA = "number long, told binary"
+_SCHEMA = "number long, result binary"
 _TOGETHER_BYTES, _SHARES_A_CORE = 32 << 20, 4
 _DIED = re.compile("worker exited unexpectedly|ExecutorLostFailure")
-_MOST_DEATHS = 16  # of tasks: where more die, it is not the tasks
+_MOST_DEATHS = 16  # tasks whose workers may die; if more die, the tasks are not the cause
 _ALL_DIED = (
-    "Each process that worked on it died. It may need more memory than there is, or break the library that reads its"
-    " files; try it alone: becalm clean."
+    "Every process that worked on it died. It may need more memory than there is, or crash the library that reads its"
+    " files; clean this sensor by itself with becalm clean."
 )
 
 
@@ -42,67 +42,68 @@ def run_tasks(
     sizes: Sequence[int] = (),
     lost: Callable[[Task, str], Told] | None = None,
 ) -> list[Told]:
-    """Do some work for each of several tasks, the first ones first.
+    """Run a function on each of several tasks, the first ones first.
 
     Parameters
     ----------
     spark : SparkSession
-        Where.
+        The Spark to use.
     work : callable
-        Takes a task and tells what became of it; what it raises ends the job, so what a task may meet it has to tell.
+        Takes a task and returns its result. An exception ends the whole job, so `work` must return expected failures
+        as results.
     tasks : sequence
-        Small things that can be pickled, as paths and numbers.
+        Small objects that can be pickled, such as paths and numbers.
     sizes : sequence of int
-        Of what each task reads, in bytes. Neighbours that are small are one task of Spark's, which costs some
-        milliseconds; () for each by itself.
+        Bytes that each task reads. Small neighbours share one Spark task, because each Spark task costs some
+        milliseconds. With () each task is a Spark task of its own.
     lost : callable, optional
-        Tells, for a task whose workers all died and the reason, what became of it: halves of a job that Spark gave up
-        are run by themselves until it is found. Where None, such a task ends the job.
+        Takes a task whose workers all died, and the reason, and returns its result. To find that task, a job that
+        Spark gave up is halved, and each half runs by itself. If None, such a task ends the job.
 
     Returns
     -------
     list
-        What was told, in the order of the tasks.
+        The results, in the order of the tasks.
 
     Raises
     ------
     UsageError
-        If Spark gives the job up: workers died again and again, or there are none.
+        If Spark gives the job up because workers died repeatedly or there are no workers.
     """
     from py4j.protocol import Py4JError
     from pyspark.errors import PySparkException
 
-    told, left, deaths = dict[int, Told](), [range(len(tasks))], 0
+    results, left, deaths = dict[int, Told](), [range(len(tasks))], 0
     while left:
         span = left.pop()
         own = slice(span.start, span.stop)
         try:
-            told |= zip(span, _run(spark, work, tasks[own], sizes[own]), strict=True)
-        except (Py4JError, PySparkException, ConnectionError) as cause:  # the last where Spark itself is gone
+            results |= zip(span, _run(spark, work, tasks[own], sizes[own]), strict=True)
+        except (Py4JError, PySparkException, ConnectionError) as cause:  # ConnectionError if Spark itself is gone
             if lost is None or not _DIED.search(str(cause)) or deaths == _MOST_DEATHS:
-                many = f" Workers died of more than {deaths} tasks, which is hardly their fault." if deaths else ""
+                many = f" Workers died on more than {deaths} tasks: the tasks are hardly the cause." if deaths else ""
                 raise UsageError(
-                    f"Spark gave the job up ({reason_of(cause)}).{many} What was finished stays as it is; repeat, and"
-                    " it goes on."
+                    f"Spark gave the job up ({reason_of(cause)}).{many} Finished sensors are kept; run the same command"
+                    " again to continue."
                 ) from cause
             half = (span.start + span.stop) // 2
             if len(span) > 1:
                 left += [range(half, span.stop), range(span.start, half)]
             else:
                 deaths += 1
-                told[span.start] = lost(tasks[span.start], _ALL_DIED)
-    return [told[number] for number in range(len(tasks))]
+                results[span.start] = lost(tasks[span.start], _ALL_DIED)
+    return [results[number] for number in range(len(tasks))]
 
 
 def _run(spark: SparkSession, work: Callable[[Task], Told], tasks: Sequence[Task], sizes: Sequence[int]) -> list[Told]:
-    """Do the work of one stage; what Spark raises is raised."""
+    """Run one Spark stage; exceptions of Spark are passed on."""
     from py4j.protocol import Py4JError
 
     if not tasks:
         return []
     cores = spark.sparkContext.defaultParallelism
     shares = _shares(sizes, cores) if sizes else [range(number, number + 1) for number in range(len(tasks))]
-    packed = [_packed([tasks[number] for number in share]) for share in shares]  # of which a worker opens its own
+    packed = [_packed([tasks[number] for number in share]) for share in shares]  # a worker unpickles only its own
     planned = spark.sparkContext.broadcast(_packed((work, shares, packed)))
 
     def run(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
@@ -113,16 +114,16 @@ def _run(spark: SparkSession, work: Callable[[Task], Told], tasks: Sequence[Task
         _settle(planned.value)
 
     try:
-        found: Any = spark.range(0, len(shares), 1, len(shares)).mapInArrow(run, _SCHEMA)
-        told = {row.number: pickle.loads(row.told) for row in found.collect()}
+        frame: Any = spark.range(0, len(shares), 1, len(shares)).mapInArrow(run, _SCHEMA)
+        results = {row.number: pickle.loads(row.result) for row in frame.collect()}
     finally:
-        with suppress(Py4JError, ConnectionError):  # where Spark itself is gone
+        with suppress(Py4JError, ConnectionError):  # if Spark itself is gone
             planned.destroy()
-    return [told[number] for number in range(len(tasks))]
+    return [results[number] for number in range(len(tasks))]
 
 
 def _shares(sizes: Sequence[int], cores: int) -> list[range]:
-    """Return which tasks run together: neighbours up to some bytes, and ever fewer, so that all cores end at once."""
+    """Group neighbouring tasks up to a number of bytes; later groups are smaller, so that all cores end together."""
     shares, first, held, left = list[range](), 0, 0, sum(sizes)
     for number, size in enumerate(sizes):
         if number > first and held + size > min(_TOGETHER_BYTES, left / (_SHARES_A_CORE * cores)):
@@ -134,11 +135,11 @@ def _shares(sizes: Sequence[int], cores: int) -> list[range]:
 
 @lru_cache(maxsize=2)
 def _settle(planned: bytes) -> None:
-    """Make a worker ready for more tasks than its first one.
+    """Prepare a worker process for further tasks.
 
-    What it has loaded is not looked through for garbage after each, as Spark does: with all of becalm's libraries that
-    takes longer than the work on many a sensor. And where its JVM is gone it dies of its first word to it, as programs
-    do whose reader is gone; Python's own way is a traceback.
+    Spark collects garbage after each task. With all of becalm's libraries loaded that takes longer than the work on
+    many a sensor, so the loaded objects are frozen out of it. If the JVM is gone, the worker ends quietly by SIGPIPE
+    when it writes to it; Python's default would be a traceback.
     """
     gc.collect()
     gc.freeze()
@@ -155,11 +156,11 @@ def _packed(planned: object) -> bytes:
 
 @lru_cache(maxsize=2)
 def _unpacked(planned: bytes) -> tuple[Callable[[Any], Any], list[range], list[bytes]]:
-    """Unpack what workers are to do once, and not for each task."""
+    """Unpickle a worker's plan once, and not for each task."""
     work, shares, packed = pickle.loads(planned)
     return work, shares, packed
 
 
-def _row(number: int, told: object) -> pa.RecordBatch:
-    columns = [pa.array([number], pa.int64()), pa.array([pickle.dumps(told)], pa.binary())]
-    return pa.RecordBatch.from_arrays(columns, names=["number", "told"])
+def _row(number: int, result: object) -> pa.RecordBatch:
+    columns = [pa.array([number], pa.int64()), pa.array([pickle.dumps(result)], pa.binary())]
+    return pa.RecordBatch.from_arrays(columns, names=["number", "result"])

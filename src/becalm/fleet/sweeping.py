@@ -1,4 +1,4 @@
-"""What killed tasks left behind goes when a job is done: then nobody writes any more."""
+"""Remove what killed tasks left behind, at the end of a job, when no task writes any more."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from becalm.fleet.pieces import STAGED
 
 
 def swept(output: Path) -> None:
-    """Remove what never got its name, files and folders of them.
+    """Remove temporary files and staging folders.
 
     Parameters
     ----------
     output : Path
-        Of a job that nobody works on any more.
+        The output folder of a job whose tasks have all ended.
     """
-    for folder, names, files in os.walk(output):  # what goes meanwhile is no matter
+    for folder, names, files in os.walk(output):  # files that vanish meanwhile do no harm
         for name in fnmatch.filter(names, STAGED):
             shutil.rmtree(Path(folder) / name, ignore_errors=True)
             names.remove(name)

@@ -1,1 +1,1 @@
-"""Files of arrays: HDF5, MAT and NPZ, and which of their arrays belong together."""
+"""Read and write files of arrays (HDF5, MAT and NPZ), and group the arrays that belong together."""

@@ -1,4 +1,4 @@
-"""Which arrays of a file belong together: those that share a vector of times, a rate, or a folder."""
+"""Group the arrays of a file into tables: those that share a vector of times, a rate, or a group of the file."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.unit_spelling import parse_header
 
-_MOST_COLUMNS = 1024  # of one array; more are a picture
-_STRAY, _SHORT = 50, 100  # a matrix of calibration is so much shorter than a recording, and so short
+_MOST_COLUMNS = 1024  # of one array; an array with more is an image
+_STRAY, _SHORT = 50, 100  # a calibration matrix has this factor fewer rows than a recording, and at most so many
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS", "units_")
 _NAMES = ("columns", "column_names", "names", "labels", "channels", "channel_names", "axes", "axis", "header")
 _OWN_TIME = re.compile(
@@ -33,26 +33,26 @@ _OWN_TIME = re.compile(
 
 
 class _Home(NamedTuple):
-    """What arrays of one group have in common."""
+    """The properties that the arrays of one table share."""
 
     folder: Path
-    time: Path  # of the vector of times, () where there is none
+    time: Path  # path of the vector of times, or () if there is none
     rate_hz: float | None
     rows: int
-    meant: int  # rows, in a file that is not cut short
+    meant: int  # number of rows in a file that is not truncated
 
 
 class Grouping:
-    """Puts the arrays of a file into groups.
+    """A grouping of the arrays of a file into tables.
 
     Parameters
     ----------
     found : FileArrays
-        All that the file holds.
+        The contents of the file.
     joint : str
-        Between a folder and what is in it, in names.
+        Separator between the parts of a path, in names.
     apart : bool
-        Whether folders are groups even where no time tells them apart, and names begin below them.
+        Whether each group of the file is a table of its own even if it has no times, and names leave the group out.
     """
 
     def __init__(self, found: FileArrays, joint: str, apart: bool) -> None:
@@ -61,7 +61,7 @@ class Grouping:
         self._rates = Rates(found)
         self._described = found.described_units()
         leaves = [leaf for leaf in found.leaves if self._fits(leaf)]
-        self._written = {path[:-1] for path in found.words if path[-1] == GROUP}  # each by becalm, and one table
+        self._written = {path[:-1] for path in found.words if path[-1] == GROUP}  # tables that becalm wrote
         others = [leaf for leaf in leaves if leaf.path[:-1] not in self._written]
         self._times = {leaf.path: leaf for leaf in others if len(leaf.shape) == 1 and self._may_be_time(leaf, others)}
         self._homes: dict[_Home, list[Leaf]] = {}
@@ -71,25 +71,25 @@ class Grouping:
 
     @property
     def notes(self) -> list[str]:
-        """What a person must know, as sentences."""
+        """Return the sentences that the user must know."""
         return self._found.notes
 
     def groups(self) -> list[Group]:
-        """Return the groups, in the order of the file."""
+        """Return the tables, in the order of the file."""
         self._leave_strays_out()
         used = {home.time for home in self._homes}
         for path, leaf in self._times.items():
-            if path not in used and self._is_worth_a_word(leaf):
-                self._found.notes.append(f"{self._said(path)} is a time of {leaf.length} values, but of no channel.")
+            if path not in used and self._is_unused(leaf):
+                self._found.notes.append(f"{self._shown(path)} has {leaf.length} times, but no channel belongs to it.")
         notes = tuple(self._found.notes)
         return [self._group(home, leaves, notes) for home, leaves in self._homes.items()]
 
     def _fits(self, leaf: Leaf) -> bool:
-        """Tell whether an array is a table of channels; a picture is none."""
+        """Return whether an array can be a table of channels, and not an image."""
         columns = int(np.prod(leaf.shape, dtype=object)) // leaf.length
         if columns > _MOST_COLUMNS:
             self._found.notes.append(
-                f"{self._said(leaf.path)} has the shape {leaf.shape}, which is no table of channels; it is left out."
+                f"{self._shown(leaf.path)} has the shape {leaf.shape}, which is not a table of channels; left out."
             )
         return columns <= _MOST_COLUMNS
 
@@ -98,10 +98,10 @@ class Grouping:
         if leaf.type.kind not in "iufMmO":
             return False
         if stem := _stem(name):
-            beside = [one for one in leaves if one.path[:-1] == folder and one is not leaf]
-            return any(_is_of(one.path[-1], stem) and leaf.meant[0] in one.meant for one in beside)
-        told = self._found.word((*leaf.path, NAME))
-        own = told if told != "/".join(leaf.path) else name  # a path says no more than its end
+            neighbours = [one for one in leaves if one.path[:-1] == folder and one is not leaf]
+            return any(_is_of(one.path[-1], stem) and leaf.meant[0] in one.meant for one in neighbours)
+        label = self._found.word((*leaf.path, NAME))
+        own = label if label != "/".join(leaf.path) else name  # if it is a whole path, only its last part counts
         return is_time_name(own or name) or leaf.type.kind == "M"
 
     def _home(self, leaf: Leaf) -> _Home:
@@ -109,47 +109,50 @@ class Grouping:
             return _Home(leaf.path[:-1], (), None, leaf.length, leaf.meant[0])
         for depth in range(len(leaf.path) - 1, -1, -1):
             folder = leaf.path[:depth]
-            beside = [one for path, one in self._times.items() if path[:-1] == folder and one.meant[0] in leaf.meant]
-            own = [one for one in beside if (stem := _stem(one.path[-1])) and _is_of(leaf.path[-1], stem)]
-            general = [one for one in beside if not _stem(one.path[-1])]
+            fitting = [one for path, one in self._times.items() if path[:-1] == folder and one.meant[0] in leaf.meant]
+            own = [one for one in fitting if (stem := _stem(one.path[-1])) and _is_of(leaf.path[-1], stem)]
+            general = [one for one in fitting if not _stem(one.path[-1])]
             for times in (own, general):
                 if times:
                     meant = times[0].meant[0]
                     return _Home(folder, times[0].path, None, min(times[0].length, _rows(leaf, meant)), meant)
-        told = self._rates.of(leaf)
-        folder = leaf.path[:-1] if self._apart else told[0] if told and told[0] != leaf.path else ()
-        if told and not self._apart and folder == leaf.path[:-1] and self._is_whole(leaf):
+        rate = self._rates.of(leaf)
+        folder = leaf.path[:-1] if self._apart else rate[0] if rate and rate[0] != leaf.path else ()
+        if rate and not self._apart and folder == leaf.path[:-1] and self._is_whole(leaf):
             folder = folder[:-1]
         meant = max(leaf.meant)
-        return _Home(folder, (), told[1] if told else None, _rows(leaf, meant), meant)
+        return _Home(folder, (), rate[1] if rate else None, _rows(leaf, meant), meant)
 
     def _is_whole(self, leaf: Leaf) -> bool:
-        """Tell whether its struct holds one channel, which begins when others do."""
+        """Return whether the array's struct holds a single channel that starts at the same time as the others."""
         folder = leaf.path[:-1]
         alone = is_alone(leaf.path) and bool(self._found.word((*leaf.path, NAME)))
         return alone and self._rates.start(folder) == self._rates.start(folder[:-1])
 
     def _leave_strays_out(self) -> None:
-        """Leave out what is far shorter than the rest and has no times: a matrix of calibration, a list of limits."""
+        """Drop arrays without times that are far shorter than the rest, such as calibrations and lists of limits."""
         longest = max((home.rows for home in self._homes), default=0)
         loose = {home: leaves for home, leaves in self._homes.items() if home.folder not in self._written}
         for home, leaves in loose.items():
             if not home.time and len(self._homes) > 1 and all(leaf.type.kind == "O" for leaf in leaves):
-                del self._homes[home]  # names and units of others
+                del self._homes[home]  # names and units of other arrays
         for home in loose:
             if home in self._homes and not home.time and home.rows <= _SHORT and home.rows * _STRAY < longest:
                 for leaf in self._homes.pop(home):
                     if leaf.type.kind != "O":
-                        self._found.notes.append(f"{self._said(leaf.path)} has {home.rows} values only; left out.")
+                        self._found.notes.append(
+                            f"{self._shown(leaf.path)} has only {home.rows} values; it is left out."
+                        )
 
-    def _is_worth_a_word(self, leaf: Leaf) -> bool:
+    def _is_unused(self, leaf: Leaf) -> bool:
+        """Return whether no table of the same group and length uses other times than these."""
         return not any(home.time[:-1] == leaf.path[:-1] and home.meant == leaf.meant[0] for home in self._homes)
 
     def _group(self, home: _Home, leaves: Sequence[Leaf], notes: tuple[str, ...]) -> Group:
         columns: list[tuple[str, Column]] = []
         if home.time:
-            beside = (one for path, one in self._times.items() if path[:-1] == home.time[:-1])
-            times = [one for one in beside if one.meant[0] == home.meant]
+            neighbours = (one for path, one in self._times.items() if path[:-1] == home.time[:-1])
+            times = [one for one in neighbours if one.meant[0] == home.meant]
             for leaf in [self._times[home.time]] if _stem(home.time[-1]) else times:
                 columns += self._columns(leaf, home)
         for leaf in leaves:
@@ -164,9 +167,9 @@ class Grouping:
         return Group(self._title(home, leaves), named, home.rows, time, notes)
 
     def _title(self, home: _Home, leaves: Sequence[Leaf]) -> str:
-        """Name a group as its folder is called; where that holds several, by its first array too."""
-        if told := self._found.word((*home.folder, GROUP)):
-            return told
+        """Return the name of a table: that of its group, or, if that has several tables, also of its first array."""
+        if stored := self._found.word((*home.folder, GROUP)):
+            return stored
         rivals = [other for other in self._homes if other.folder == home.folder]
         if len(rivals) == 1:
             return self._joint.join(home.folder)
@@ -194,7 +197,7 @@ class Grouping:
         return list(zip(names, columns, strict=True))
 
     def _name(self, leaf: Leaf, home: _Home) -> str:
-        """Return the name of an array: the file's own for it, or where it is."""
+        """Return the name of an array: the one in its attributes, or its path."""
         if leaf.path == home.time and _stem(leaf.path[-1]):
             return "time"
         own = self._found.word((*leaf.path, NAME))
@@ -204,14 +207,14 @@ class Grouping:
         return self._joint.join(below)
 
     def _axes(self, leaf: Leaf, name: str, count: int) -> list[str]:
-        """Return the names of an array's columns, where the file gives as many."""
+        """Return the names of an array's columns, if the file has a list of that length."""
         for texts in self._texts(leaf, _NAMES):
             if len(texts) == count and all(texts):
                 return [f"{name}_{text}" for text in texts] if all(len(text) == 1 for text in texts) else list(texts)
         return []
 
     def _units(self, leaf: Leaf, count: int) -> Sequence[str]:
-        """Return the units of an array's columns, "" where the file gives none."""
+        """Return the units of an array's columns, "" where the file has none."""
         for texts in self._texts(leaf, _UNITS):
             if len(texts) == count:
                 return texts
@@ -220,7 +223,7 @@ class Grouping:
         return [self._described.get(leaf.path[-1], "")] * count
 
     def _texts(self, leaf: Leaf, words: Sequence[str]) -> list[tuple[str, ...]]:
-        """Find texts about an array: its own, beside it, and those of its folder, which are not about times."""
+        """Return texts about an array: its attributes, those next to it, and, except for times, those of its group."""
         folder, name = leaf.path[:-1], leaf.path[-1]
         places = [(*leaf.path, word) for word in words]
         places += [(*folder, f"{name}_{word}") for word in words] + [(*folder, word, name) for word in words]
@@ -228,7 +231,7 @@ class Grouping:
             places += [(*folder, word) for word in words]
         return [self._found.words[place] for place in places if place in self._found.words]
 
-    def _said(self, path: Path) -> str:
+    def _shown(self, path: Path) -> str:
         return repr(self._joint.join(path))
 
 
@@ -237,9 +240,9 @@ def _rows(leaf: Leaf, meant: int) -> int:
 
 
 def _stem(name: str) -> str:
-    """Return of what alone an array is the time, "" if it is of all beside it, or none."""
-    found = None if is_time_name(name) else _OWN_TIME.fullmatch(parse_header(name)[0])
-    return "".join(part for part in found.groups() if part) if found else ""
+    """Return `force` for `force_time`, the time of one array only; "" for times of all arrays, and for other names."""
+    match = None if is_time_name(name) else _OWN_TIME.fullmatch(parse_header(name)[0])
+    return "".join(part for part in match.groups() if part) if match else ""
 
 
 def _is_of(name: str, stem: str) -> bool:
@@ -247,7 +250,7 @@ def _is_of(name: str, stem: str) -> bool:
 
 
 def _parts(leaf: Leaf, rows: int, index: tuple[int, ...], unit: str) -> list[Column]:
-    """Return a column of an array, or the two of complex numbers."""
+    """Return a column of an array, or two columns for complex numbers."""
 
     def read(start: int, stop: int) -> NDArray[np.generic]:
         return leaf.take((*index[:rows], slice(start, stop), *index[rows:]))

@@ -1,4 +1,4 @@
-"""Names of columns beside arrays whose own names cannot be such: `force (kN)` is kept as `force_kN`."""
+"""Store the names of columns next to arrays, whose own names must be identifiers: `force (kN)` becomes `force_kN`."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from becalm.files.groups import GROUP, START
 from becalm.files.text.csv_header import unique_names
 
 VARIABLES, NAMES, UNITS = "becalm_variables", "becalm_names", "becalm_units"
-"""Lists in a file: arrays, the columns that they hold, and their units."""
+"""Names of lists in a file: the arrays, the names of their columns, and their units."""
 
 NAME = "becalm.name"
-"""Of an array, the column that it holds."""
+"""Attribute of an array: the name of its column."""
 
 FLAG = "becalm.flag"
-"""Of an array of whole numbers, that they are true and false."""
+"""Attribute of an array of whole numbers: they mean true and false."""
 
 OF_TABLE = (GROUP, START)
-"""What is told of each table, and not of all."""
+"""Metadata that belong to one table, not to the file."""
 
 _OWN = {VARIABLES, NAMES, UNITS, *(key.replace(".", "_") for key in OF_TABLE)}
 _LONGEST = 50  # letters; MATLAB reads 63
 
 
 def variables(names: Sequence[str]) -> tuple[str, ...]:
-    """Return an identifier for each name, all different."""
+    """Return a distinct identifier for each name."""
     plain = [re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_")[:_LONGEST] for name in names]
     return unique_names([one if re.match(r"[A-Za-z]", one) else f"c_{one}".rstrip("_") for one in plain])
 
 
 def folder_name(group: str, taken: Collection[str]) -> str:
-    """Return an identifier for a group that no other folder has."""
+    """Return an identifier for a group that no other group has."""
     return variables((*taken, group))[-1]
 
 
 def take_labels(found: FileArrays) -> None:
-    """Give arrays the names and units that becalm wrote beside them, and forget the lists."""
+    """Give arrays the names and units from the lists that becalm wrote, and remove the lists."""
     for folder in [path[:-1] for path in found.words if path[-1] == VARIABLES]:
         lists = [found.words.pop((*folder, key), ()) for key in (VARIABLES, NAMES, UNITS)]
         if len({len(one) for one in lists}) == 1:

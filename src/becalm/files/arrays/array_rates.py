@@ -1,4 +1,4 @@
-"""Rates that files of arrays tell: `fs`, `sampling_rate`, `dt`, beside the arrays or as their attributes."""
+"""Find sample rates in files of arrays: `fs`, `sampling_rate`, `dt`, next to the arrays or as their attributes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _RATES = re.compile(r"fs|fsample|sr|srate|rate|sampl(?:e|ing)(?:rate|freq|freque
 _STEPS = re.compile(
     r"dt|ts|deltat|timestep|timeincrement|wfincrement|tinterval|xspacing|sampl(?:e|ing)(?:interval|period|time|step)"
 )
-_TOO_SHORT = ("rate", "sr", "ts")  # to be part of a longer name: a heart_rate is none
+_TOO_SHORT = ("rate", "sr", "ts")  # not used as part of a longer name: heart_rate is not a sample rate
 _HERTZ = {"Hz": 1.0, "hz": 1.0, "HZ": 1.0, "kHz": 1e3, "MHz": 1e6, "S/s": 1.0, "Sa/s": 1.0, "1/s": 1.0, "": 1.0}
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "": 1.0}
 _WRITTEN = re.compile(r"([-+.\deE]+)\s*([a-zA-Z/]*)")
@@ -23,37 +23,37 @@ _AGREE = 1e-3
 
 
 class Rates:
-    """The rates in a file.
+    """The sample rates in a file.
 
     Parameters
     ----------
     found : FileArrays
-        All that it holds.
+        The contents of the file.
     """
 
     def __init__(self, found: FileArrays) -> None:
         self._found = found
-        self._told: dict[Path, list[tuple[str, float]]] = {}
+        self._numbers: dict[Path, list[tuple[str, float]]] = {}
         for path, number in [*found.numbers.items(), *_written(found)]:
             unit = next((word for name in ("units", "unit") if (word := found.word((*path, name)))), "")
-            told = (path[-1], _in_unit(path, number, unit) if unit else number)
-            self._told.setdefault(path[:-1], []).append(told)
+            named = (path[-1], _in_unit(path, number, unit) if unit else number)
+            self._numbers.setdefault(path[:-1], []).append(named)
 
     def of(self, leaf: Leaf) -> tuple[Path, float] | None:
-        """Return the rate of an array in Hz and where it is told: by itself, or by the nearest folder that does."""
-        own = _one(self._found, leaf.path, [_hertz(*told) for told in self._told.get(leaf.path, [])])
+        """Return the path and the value in Hz of an array's rate: its own, or that of the nearest group above it."""
+        own = _one(self._found, leaf.path, [_hertz(*named) for named in self._numbers.get(leaf.path, [])])
         if own is not None:
             return leaf.path, own
         for depth in range(len(leaf.path) - 1, -1, -1):
             folder = leaf.path[:depth]
-            beside = self._told.get(folder, [])
-            for rates in ([_specific(leaf.path[-1], *told) for told in beside], [_hertz(*told) for told in beside]):
+            numbers = self._numbers.get(folder, [])
+            for rates in ([_specific(leaf.path[-1], *one) for one in numbers], [_hertz(*one) for one in numbers]):
                 if (rate := _one(self._found, folder, rates)) is not None:
                     return folder, rate
         return None
 
     def start(self, folder: Path) -> str:
-        """Return the first instant as ISO 8601 text, "" where the file does not tell it."""
+        """Return the start of the recording as ISO 8601 text, or "" if the file does not have it."""
         for depth in range(len(folder), -1, -1):
             for path, texts in self._found.words.items():
                 if path[:-1] == folder[:depth] and path[-1].lower() in _STARTS and (instant := _instant(texts[0])):
@@ -62,12 +62,12 @@ class Rates:
 
 
 def hertz_of(name: str, number: float, unit: str) -> float | None:
-    """Return the rate in Hz that a number of this name tells, in its unit or, where that is "", in Hz or seconds."""
+    """Return the rate in Hz from a named number in a unit; with unit "" it is in Hz or seconds, as its name implies."""
     return _hertz(name, _in_unit((name,), number, unit) if unit else number)
 
 
 def _written(found: FileArrays) -> list[tuple[Path, float]]:
-    """Numbers that are written as texts: "100 Hz"."""
+    """Return rates that are written as texts, such as "100 Hz"."""
     out = []
     for path, texts in found.words.items():
         if len(texts) == 1 and _hertz(path[-1], 1.0) and (match := _WRITTEN.fullmatch(texts[0])):
@@ -79,7 +79,7 @@ def _written(found: FileArrays) -> list[tuple[Path, float]]:
 
 
 def _in_unit(path: Path, number: float, unit: str) -> float:
-    """Return a rate in Hz or a step in s; one whose unit is unknown is none."""
+    """Return a rate in Hz or a step in s; NaN if the unit is unknown."""
     spelt = tidy_unit(unit)
     scale = _HERTZ.get(spelt) if _is(_RATES, path[-1]) else _SECONDS.get(spelt)
     return number * scale if scale else np.nan
@@ -90,7 +90,7 @@ def _is(words: re.Pattern[str], name: str) -> bool:
 
 
 def _hertz(name: str, number: float) -> float | None:
-    """Return the rate that a number of this name tells."""
+    """Return the rate in Hz from a number named as a rate or a step; None if it is neither, or out of range."""
     unit = parse_header(name)[1]
     rate = None
     if _is(_RATES, name):
@@ -101,7 +101,7 @@ def _hertz(name: str, number: float) -> float | None:
 
 
 def _specific(leaf: str, name: str, number: float) -> float | None:
-    """Return the rate that `imu_fs` or `fs_imu` tells of `imu` and of `imu_acc`."""
+    """Return the rate for an array such as `imu` or `imu_acc` from a number such as `imu_fs` or `fs_imu`."""
     parts = name.split("_")
     for cut in range(1, len(parts)):
         first, last = "_".join(parts[:cut]), "_".join(parts[cut:])
@@ -113,14 +113,15 @@ def _specific(leaf: str, name: str, number: float) -> float | None:
 
 
 def _one(found: FileArrays, where: Path, rates: list[float | None]) -> float | None:
-    """Return the rate that all agree on."""
-    told = [rate for rate in rates if rate]
-    if told and max(told) > min(told) * (1.0 + _AGREE):
-        note = f"{'/'.join(where) or 'The file'} tells two rates, {min(told):g} and {max(told):g} Hz; neither is used."
+    """Return the common value of several rates; add a note and return None if they differ."""
+    present = [rate for rate in rates if rate]
+    if present and max(present) > min(present) * (1.0 + _AGREE):
+        low, high = min(present), max(present)
+        note = f"{'/'.join(where) or 'The file'} has two rates, {low:g} and {high:g} Hz; neither is used."
         if note not in found.notes:
             found.notes.append(note)
         return None
-    return told[0] if told else None
+    return present[0] if present else None
 
 
 def _instant(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Names and units that stand beside an array: in the struct that holds it alone, or in a head of its own."""
+"""Find names and units next to an array: in a struct that holds only this array, or in a separate header struct."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from becalm.files.arrays.arrays import FileArrays, Path
 _VALUES = ("data", "value", "values", "samples", "signal", "y")
 _NAMES = ("name", "label", "signalname", "channelname")
 _UNITS = ("unit", "units", "unitstring")
-_ABOUT_VALUES, _ABOUT_TIMES = "datainfo", "timeinfo"  # of MATLAB's timeseries
+_ABOUT_VALUES, _ABOUT_TIMES = "datainfo", "timeinfo"  # parts of MATLAB's timeseries
 _ABOUT_ALL = ("meta", "metadata", "info", "header", "hdr", "properties", "props", "params", "parameters", "settings")
-_HEADED = re.compile(r"(.+)_data", re.IGNORECASE)  # Channel_2_Data, of which Channel_2_Header tells
+_HEADED = re.compile(r"(.+)_data", re.IGNORECASE)  # Channel_2_Data, which Channel_2_Header describes
 
 
 def take_titles(found: FileArrays) -> None:
-    """Tell of each array what stands beside it, as if it were told of the array itself."""
+    """Copy names, units and numbers from next to each array to the array itself."""
     _lift(found)
     folders: dict[Path, dict[str, Path]] = {}
     for path in (*found.words, *found.numbers):
@@ -37,12 +37,12 @@ def take_titles(found: FileArrays) -> None:
 
 
 def is_alone(path: Path) -> bool:
-    """Tell whether an array is called as the values of a struct that holds one channel: `force.data`."""
+    """Return whether an array has the name of the values in a struct of one channel, such as `force.data`."""
     return len(path) > 1 and path[-1].lower() in _VALUES
 
 
 def _lift(found: FileArrays) -> None:
-    """Take what `meta.fs` tells for `fs`: it is about all beside `meta`, but for a name, which may be a person's."""
+    """Copy `meta.fs` to `fs`, because it concerns all arrays next to `meta`; skip names, which may be a person's."""
     for path, texts in [(path, texts) for path, texts in found.words.items() if _is_about_all(path)]:
         found.words.setdefault((*path[:-2], path[-1]), texts)
     for path, number in [(path, number) for path, number in found.numbers.items() if _is_about_all(path)]:
@@ -57,10 +57,10 @@ def _small(path: Path) -> Path:
     return tuple(part.lower() for part in path)
 
 
-def _give(found: FileArrays, leaf: Path, beside: dict[str, Path], keys: tuple[str, ...]) -> None:
-    """Give an array the names and units that it has not yet."""
+def _give(found: FileArrays, leaf: Path, paths: dict[str, Path], keys: tuple[str, ...]) -> None:
+    """Give an array a name and a unit if it has none yet."""
     for key in keys:
-        if texts := found.words.get(beside.get(key, ()), ()):
+        if texts := found.words.get(paths.get(key, ()), ()):
             if key in _UNITS:
                 found.words.setdefault((*leaf, "unit"), texts)
             elif len(texts) == 1 and texts[0]:

@@ -1,4 +1,4 @@
-"""Tables to MAT and NPZ: an array for each column, held in memory until the last row has come."""
+"""Write tables to MAT and NPZ: an array for each column, kept in memory until the end."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from becalm.files.arrays.array_labels import NAMES, OF_TABLE, UNITS, VARIABLES, 
 from becalm.files.column_arrays import refuse_strange_types, told_of, unit_of_field, whole_column
 from becalm.files.groups import GROUP
 
-_HEAD = b"MATLAB 5.0 MAT-file, written by becalm".ljust(116)  # without a date: the same recipe gives the same bytes
-_MOST_BYTES = (1 << 31) - (1 << 16)  # of a variable of version 5
+_HEAD = b"MATLAB 5.0 MAT-file, written by becalm".ljust(116)  # without a date, so that equal data give equal bytes
+_MOST_BYTES = (1 << 31) - (1 << 16)  # largest size of a variable in version 5
 
 
 class _Folder(NamedTuple):
-    """What is written of one group: arrays by their names, and texts, or lists of them."""
+    """The data to write for one group: arrays, and texts or lists of texts, by their names."""
 
     arrays: dict[str, NDArray[Any]]
     texts: dict[str, str | list[str]]
 
 
 class _ArrayRows(ABC):
-    """Takes tables of one schema; those of another group go into a folder of their own.
+    """A writer that collects tables of one schema; each group of tables goes into a folder of its own.
 
-    The lists `becalm_variables`, `becalm_names` and `becalm_units` tell which array holds which column; `becalm_group`
-    tells what a folder is called. Dates are text. Missing whole numbers and flags make their column one of float64,
-    NaN where they are missing.
+    The lists `becalm_variables`, `becalm_names` and `becalm_units` name the column and the unit of each array;
+    `becalm_group` is the name of a folder's group. Dates are text. A column of whole numbers or flags with missing
+    values becomes float64, with NaN where missing.
 
     Parameters
     ----------
     file : binary file
-        Where to.
+        The file to write.
     """
 
     form = ""
@@ -50,7 +50,7 @@ class _ArrayRows(ABC):
         self._held: dict[str, list[pa.Table]] = {}
 
     def write(self, table: pa.Table) -> None:
-        """Hold some rows of a group."""
+        """Collect rows of a group."""
         group = told_of(table.schema).get(GROUP, "")
         if group not in self._held:
             refuse_strange_types(table.schema, self.form)
@@ -59,60 +59,60 @@ class _ArrayRows(ABC):
         self._refuse_size(rows, 8 * rows * (table.num_columns if group else 1))
 
     def close(self) -> None:
-        """Write all; the file stays open."""
+        """Write all tables; the file itself stays open."""
         if not self._held:
             return
         root = _Folder({}, {})
         folders: dict[str, _Folder] = {}
         for group in list(self._held):
             table = pa.concat_tables(self._held.pop(group))
-            told = told_of(table.schema)
-            root.texts.update(_texts({key: text for key, text in told.items() if key not in OF_TABLE}))
-            made = _folder(table, {key: text for key, text in told.items() if key in OF_TABLE})
+            metadata = told_of(table.schema)
+            root.texts.update(_texts({key: text for key, text in metadata.items() if key not in OF_TABLE}))
+            folder = _folder(table, {key: text for key, text in metadata.items() if key in OF_TABLE})
             if group:
-                folders[folder_name(group, {*folders, *root.texts})] = made
+                folders[folder_name(group, {*folders, *root.texts})] = folder
             else:
-                root.arrays.update(made.arrays)
-                root.texts.update(made.texts)
+                root.arrays.update(folder.arrays)
+                root.texts.update(folder.texts)
         self._save(root, folders)
 
     def drop(self) -> None:
-        """Forget what is held."""
+        """Discard all rows."""
         self._held = {}
 
     def _refuse_size(self, rows: int, most_bytes: int) -> None:
-        """Refuse what the format cannot hold."""
-        del rows, most_bytes  # one that can be of any size
+        """Raise an error if the format cannot hold so many rows; by default it can hold any number."""
+        del rows, most_bytes
 
     @abstractmethod
     def _save(self, root: _Folder, folders: dict[str, _Folder]) -> None:
-        """Write all of it."""
+        """Write all groups."""
 
 
-def _folder(table: pa.Table, told: Mapping[str, str]) -> _Folder:
+def _folder(table: pa.Table, metadata: Mapping[str, str]) -> _Folder:
     names = variables(table.column_names)
     arrays = {name: whole_column(column) for name, column in zip(names, table.columns, strict=True)}
     units = [unit_of_field(field) for field in table.schema]
     lists = {VARIABLES: list(names), NAMES: table.column_names, UNITS: units}
-    return _Folder(arrays, lists | _texts(told))
+    return _Folder(arrays, lists | _texts(metadata))
 
 
-def _texts(told: Mapping[str, str]) -> dict[str, str | list[str]]:
-    return {re.sub(r"\W", "_", key): text for key, text in told.items()}
+def _texts(metadata: Mapping[str, str]) -> dict[str, str | list[str]]:
+    return {re.sub(r"\W", "_", key): text for key, text in metadata.items()}
 
 
 class MatRows(_ArrayRows):
-    """Writes version 5 of MAT: columns as variables, text as matrices of letters, a struct for each group.
+    """A writer of MAT version 5: columns are variables, texts are char matrices, and each group is a struct.
 
     Parameters
     ----------
     file : binary file
-        Where to.
+        The file to write.
 
     Raises
     ------
     OutputError
-        If a column, or a group of several, takes more than 2 GB, which that version cannot hold.
+        If a column, or a struct, takes more than 2 GB, the limit of that version.
     """
 
     form = "MAT"
@@ -121,7 +121,7 @@ class MatRows(_ArrayRows):
         if most_bytes > _MOST_BYTES:
             raise OutputError(
                 f"{rows} rows are more than a MAT file of version 5 can hold, 2 GB a variable; write .h5, which MATLAB"
-                " reads by h5read."
+                " reads with h5read."
             )
 
     def _save(self, root: _Folder, folders: dict[str, _Folder]) -> None:
@@ -144,7 +144,7 @@ class MatRows(_ArrayRows):
 
 
 def _members(folder: _Folder) -> dict[str, Any]:
-    """Return variables, or fields of a struct: columns as such, lists as cells."""
+    """Return variables, or fields of a struct: column vectors, and lists as cells."""
     columns = {name: values.reshape(-1, 1) for name, values in folder.arrays.items()}
     cells = {
         name: texts if isinstance(texts, str) else np.array([*texts, None], object)[:-1].reshape(-1, 1)
@@ -154,12 +154,14 @@ def _members(folder: _Folder) -> dict[str, Any]:
 
 
 class NpzRows(_ArrayRows):
-    """Writes NPZ: columns as arrays, nothing pickled; what repeats is packed; names of a group begin with `folder/`.
+    """A writer of NPZ: columns are arrays; names in a group begin with `folder/`.
+
+    Nothing is pickled. Arrays other than floats are compressed.
 
     Parameters
     ----------
     file : binary file
-        Where to.
+        The file to write.
     """
 
     form = "NPZ"
@@ -173,7 +175,7 @@ class NpzRows(_ArrayRows):
 
 
 def _add(archive: zipfile.ZipFile, name: str, values: NDArray[Any]) -> None:
-    member = zipfile.ZipInfo(name)  # its date is always the same
+    member = zipfile.ZipInfo(name)  # with a constant date, so that equal data give equal bytes
     member.compress_type = zipfile.ZIP_STORED if values.dtype.kind == "f" else zipfile.ZIP_DEFLATED
     with archive.open(member, "w", force_zip64=True) as file:
         npy.write_array(file, np.ascontiguousarray(values), allow_pickle=False)

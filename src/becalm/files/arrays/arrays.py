@@ -1,4 +1,4 @@
-"""Named arrays in folders, as MAT, HDF5 and NPZ files hold them, before anyone asked which of them belong together."""
+"""Hold the named arrays of a MAT, HDF5 or NPZ file, before they are grouped into tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Path = tuple[str, ...]
-"""Folders, and the name in the last of them."""
+"""Names of nested groups (structs, folders), and last the name of the array itself."""
 
 Key = tuple[int | slice, ...]
 
@@ -25,15 +25,15 @@ class Leaf(NamedTuple):
     Attributes
     ----------
     path : tuple of str
-        Where it is, and its name.
+        The groups that contain it, and its name.
     shape : tuple of int
-        Of all of it.
+        Shape of the part that is in the file.
     type : numpy.dtype
-        Of its values: a number, a flag, an instant, or `object` for text.
+        Type of its values: number, flag, instant, or `object` for text.
     take : callable
-        Gives its values at an index or a slice for each axis.
+        Returns its values at an index or a slice for each axis.
     claimed : tuple of int
-        The shape that the file claims, where it ends before that; () where it does not.
+        The shape in the file's header, if the file is truncated before its end; otherwise ().
     """
 
     path: Path
@@ -51,16 +51,16 @@ class Leaf(NamedTuple):
 
     @property
     def length(self) -> int:
-        """How many values its longest axis has."""
+        """Return the length of its longest axis."""
         return max(self.shape, default=1)
 
     @property
     def meant(self) -> tuple[int, ...]:
-        """The shape that it has in a file that is not cut short."""
+        """Return the shape that it has in a file that is not truncated."""
         return self.claimed or self.shape
 
     def squeezed(self) -> Leaf:
-        """Return it without axes of one value: MATLAB's vectors have one."""
+        """Return the array without axes of length one, which MATLAB's vectors have."""
         kept = [axis for axis, size in enumerate(self.meant) if size != 1]
         if len(kept) == len(self.shape):
             return self
@@ -75,18 +75,18 @@ class Leaf(NamedTuple):
 
 @dataclass
 class FileArrays:
-    """All that a file holds.
+    """The contents of a file: arrays, texts and numbers.
 
     Attributes
     ----------
     leaves : list of Leaf
         Arrays, in the order of the file.
     words : dict
-        Texts, and lists of texts, by where they are.
+        Texts, and lists of texts, by path.
     numbers : dict
-        Single numbers.
+        Single numbers, by path.
     notes : list of str
-        What a person must know, as sentences.
+        Sentences that the user must know.
     """
 
     leaves: list[Leaf] = field(default_factory=list)
@@ -95,7 +95,7 @@ class FileArrays:
     notes: list[str] = field(default_factory=list)
 
     def add(self, leaf: Leaf) -> None:
-        """Keep an array; what is single is a number or a text, and a few texts may also name or give units."""
+        """Add an array. A single value becomes a number or a text; a few texts are kept as possible names and units."""
         if 0 in leaf.shape:
             return
         leaf = leaf.squeezed()
@@ -109,18 +109,18 @@ class FileArrays:
             self.numbers[leaf.path] = float(leaf.take(()))
 
     def word(self, path: Path) -> str:
-        """Return a single text, "" where there is none."""
+        """Return a single text, or "" if there is none."""
         texts = self.words.get(path, ())
         return texts[0] if len(texts) == 1 else ""
 
     def described_units(self) -> dict[str, str]:
-        """Return the units that descriptions give to names in quotes: "`imu_gyr` in rad/s"."""
+        """Return units by name from descriptions such as "`imu_gyr` in rad/s"."""
         texts = (texts[0] for texts in self.words.values() if len(texts) == 1 and len(texts[0]) < _LONG)
         return {name: unit.rstrip(".") for text in texts for name, unit in _SPECIFIED.findall(text)}
 
 
 def as_text(values: NDArray[Any]) -> NDArray[np.object_]:
-    """Return texts of any kind, bytes among them, as an array of str; what is no text becomes what it prints."""
+    """Return values as an array of str; bytes are decoded, and other objects converted by `str`."""
     out = np.empty(values.shape, object)
     out.ravel()[:] = [_text(value) for value in values.ravel()]
     return out

@@ -1,4 +1,4 @@
-"""HDF5, by h5py: arrays read when they are asked for; netCDF 4 and the tables of pandas and PyTables are HDF5."""
+"""Read HDF5 files with h5py, arrays only when needed; netCDF 4 and the tables of pandas and PyTables are HDF5 too."""
 
 from __future__ import annotations
 
@@ -17,42 +17,42 @@ from becalm.files.source import RawTable
 
 
 def is_hdf5(head: bytes) -> bool:
-    """Tell it by its first bytes."""
+    """Return whether a file is HDF5, from its first bytes."""
     return head.startswith(SIGNATURE)
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Look into an HDF5 file: arrays of one folder that are of one length, or share a time, are a table.
+    """Read the tables of an HDF5 file; arrays of one group form a table if they share a time, or have one length.
 
     Raises
     ------
     InputError
         If nothing in it can be read.
     """
-    return read_tree(Foreign(path, "HDF5"), "hdf5", _understood)
+    return read_tree(Foreign(path, "HDF5"), "hdf5", _grouping)
 
 
-def _understood(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
-    found = Tree(foreign, opened, h5py).walk(opened.file)
-    follow_customs(found)
-    return Grouping(found, "/", apart=True)
+def _grouping(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
+    contents = Tree(foreign, opened, h5py).walk(opened.file)
+    follow_customs(contents)
+    return Grouping(contents, "/", apart=True)
 
 
 def read_tree(
     foreign: Foreign, form: str, understood: Callable[[Foreign, Hdf5File, ModuleType], Grouping], base: int = 0
 ) -> tuple[RawTable, ...]:
-    """Look into a file of HDF5's kind, and close it if nothing can be read.
+    """Read the tables of a file that is HDF5 inside; close it if nothing can be read.
 
     Parameters
     ----------
     foreign : Foreign
         The file.
     form : str
-        Its format in short.
+        Short name of its format.
     understood : callable
-        Finds out what is in the open file.
+        Reads the contents of the open file and returns their grouping.
     base : int
-        Bytes before its HDF5.
+        Number of bytes before the HDF5 signature.
 
     Raises
     ------

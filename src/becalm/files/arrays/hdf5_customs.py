@@ -1,4 +1,4 @@
-"""What writers of HDF5 agreed on among themselves: pandas its tables, netCDF its scales, fill values and times."""
+"""Apply conventions of HDF5 writers: tables of pandas, and scales, fill values and times of netCDF."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _STEPS = {
     "h": ("hour", "hours", "h", "hr"),
     "D": ("day", "days", "d"),
 }
-"""NumPy's units of time, and how they are called in netCDF."""
+"""NumPy's units of time, and their names in netCDF."""
 
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 
 
 def follow_customs(found: FileArrays) -> None:
-    """Give arrays the names, types and values that their writers meant."""
+    """Give arrays the names, types and values that their writer's conventions define."""
     found.leaves = [
         _pandas(found, _netcdf(found, leaf))
         for leaf in found.leaves
@@ -61,7 +61,7 @@ def _scaled(leaf: Leaf, fills: list[float], scale: float, offset: float) -> Leaf
 
 
 def _since(found: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
-    """Make instants of a count since a date."""
+    """Convert a count since a date, such as "days since 2000-01-01", to instants."""
     step = next((step for step, words in _STEPS.items() if word.lower() in words), None)
     plain = re.sub(r"(?:\s*UTC|Z|[+-]00:?00|\s*\+0:00)$", "", text.strip()).replace(" ", "T", 1)
     try:
@@ -76,9 +76,9 @@ def _since(found: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> L
     def take(key: Key) -> NDArray[Any]:
         raw = leaf.take(key)
         if raw.dtype.kind == "f":
-            known = np.isfinite(raw)
-            ticks = np.round(np.where(known, raw, 0.0) * float(ns)).astype(np.int64).astype("m8[ns]")
-            return np.where(known, first + ticks, np.datetime64("NaT", "ns"))
+            finite = np.isfinite(raw)
+            ticks = np.round(np.where(finite, raw, 0.0) * float(ns)).astype(np.int64).astype("m8[ns]")
+            return np.where(finite, first + ticks, np.datetime64("NaT", "ns"))
         return np.asarray(first + (raw.astype(np.int64) * ns).astype("m8[ns]"))
 
     return leaf._replace(type=np.dtype("M8[ns]"), take=take)
@@ -103,7 +103,7 @@ def _pandas(found: FileArrays, leaf: Leaf) -> Leaf:
 
 
 def _pickled_names(text: str) -> tuple[str, ...]:
-    """Read a list of names that was pickled, without running what may be in it."""
+    """Read a pickled list of names, without running code in it."""
     if not text.startswith("(lp"):
         return ()
     try:

@@ -1,4 +1,4 @@
-"""Parts of a dataset that nobody wrote: HDF5 gives zeros for them, which nobody must take for readings."""
+"""Mark the chunks of a dataset that were never written; HDF5 returns zeros for them, which are not readings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _ABSENT = {"M": np.datetime64("NaT"), "m": np.timedelta64("NaT"), "c": complex(n
 
 
 def is_there(chunk: Any, end: int) -> bool:
-    """Tell whether a chunk lies before the end of the file; one of no bytes, or at its head, was read from zeros."""
+    """Return whether a chunk lies before the end of the file; empty ones, and those at offset 0, come from zeros."""
     return bool(chunk.byte_offset > 0 and 0 < chunk.size <= end - chunk.byte_offset)
 
 
@@ -23,11 +23,11 @@ class WrittenChunks:
     Parameters
     ----------
     dataset : h5py.Dataset
-        In chunks, and not all of them there.
+        A dataset in chunks, some of which may be missing.
     rows : int
-        Of its first axis that count.
+        Number of rows, on its first axis, to consider.
     end : int
-        Where the file ends, in bytes; chunks beyond are not there.
+        Length of the file in bytes; chunks beyond it are missing.
     """
 
     def __init__(self, dataset: Any, rows: int, end: int) -> None:
@@ -51,15 +51,18 @@ class WrittenChunks:
 
     @property
     def missing(self) -> int:
-        """How many chunks are not there."""
+        """Return the number of missing chunks."""
         return int(self._there.size - np.count_nonzero(self._there))
 
     def type_of(self, plain: np.dtype[Any]) -> np.dtype[Any]:
-        """Return the type of values some of which are missing."""
+        """Return a type that can hold these values and missing ones."""
         return np.dtype(np.float64) if plain.kind in "biu" else plain
 
     def applied(self, values: NDArray[Any], key: Key) -> NDArray[Any]:
-        """Return values at an index or a slice for each axis (and others behind those), missing where none are."""
+        """Return values with those of missing chunks replaced by the missing value.
+
+        `key` has an index or a slice for each axis of the dataset; the values may have further axes after these.
+        """
         axes = [range(size)[part] for size, part in zip(self._shape, key, strict=False)]
         chunks = [np.atleast_1d(np.asarray(one)) // step for one, step in zip(axes, self._steps, strict=True)]
         there = self._there[np.ix_(*chunks)].reshape([len(one) for one in axes if isinstance(one, range)])

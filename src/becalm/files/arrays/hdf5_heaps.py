@@ -1,6 +1,6 @@
-"""The heaps in which HDF5 keeps texts: in a damaged one its library goes round, or makes room for any length.
+"""Check the heaps in which HDF5 stores texts: in a damaged one its library loops forever, or allocates any length.
 
-After "HDF5 File Format Specification", III.E and VIII.B: what points to a text is its length, its heap, and its number.
+After "HDF5 File Format Specification", III.E and VIII.B: a pointer to a text has its length, heap and number.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MARK, _HEADER, _OBJECT = b"GCOL\x01\0\0\0", 16, 16
-_SMALLEST, _MOST_TEXTS = 4096, 0xFFFF  # bytes of a heap, and what it may hold
+_SMALLEST, _MOST_TEXTS = 4096, 0xFFFF  # smallest heap in bytes, and largest number of texts in one
 _POINTER, _LENGTH = struct.Struct("<IQI"), 4
 _BLOCK = 1 << 22
-_HARMLESS = 1 << 26  # bytes; a view of other datasets points into a heap as well, after what looks like a shorter text
+_HARMLESS = 1 << 26  # bytes; a virtual dataset points into a heap too, and the bytes before look like such a length
 
 
 def damaged_heap(path: Path, base: int) -> bool:
-    """Tell whether a heap's objects do not fill it one after another, or a text claims to be longer than the file.
+    """Return whether a heap is inconsistent, or a text claims to be longer than the file.
 
     Parameters
     ----------
     path : Path
         The file.
     base : int
-        Bytes before its HDF5.
+        Number of bytes before the HDF5 signature.
     """
     heaps = []
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
@@ -41,7 +41,7 @@ def damaged_heap(path: Path, base: int) -> bool:
 
 
 def _is_too_long(data: mmap.mmap, heaps: NDArray[np.uint64]) -> bool:
-    """Tell whether anything that points into the heaps has a length beyond the file's."""
+    """Return whether a pointer into the heaps has a length beyond that of the file."""
     for start in range(0, len(data), _BLOCK):
         block = data[max(0, start - _LENGTH) : start + _BLOCK + _POINTER.size]
         for shift in range(min(8, len(block))):
@@ -54,7 +54,7 @@ def _is_too_long(data: mmap.mmap, heaps: NDArray[np.uint64]) -> bool:
 
 
 def _claims_more(pointer: bytes, most: int) -> bool:
-    """Tell whether the bytes around what is like the place of a heap point to a text, and to one longer than that."""
+    """Return whether bytes around a heap's address are a pointer to a text, with a length above `most`."""
     if len(pointer) < _POINTER.size:
         return False
     length, _, number = _POINTER.unpack(pointer)

@@ -1,4 +1,4 @@
-"""HDF5 files opened, whole or cut short, and which rows of a dataset are really there."""
+"""Open HDF5 files, complete or truncated, and find the rows of a dataset that are really in the file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from becalm.files.arrays.hdf5_packing import refuse_swollen
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _CACHE_BYTES = 8 << 20
-_END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # where a superblock of that version says how long the file is
+_END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # by version of the superblock: offset of the end-of-file address
 
 
 class Hdf5File:
@@ -29,20 +29,20 @@ class Hdf5File:
     path : Path
         The file.
     base : int
-        Bytes before it, which MATLAB puts there.
+        Number of bytes before the HDF5 signature; MATLAB writes a header there.
 
     Attributes
     ----------
     file : h5py.File
-        As the library gives it.
+        The open file.
     size : int or None
-        How many bytes there are of a file that is cut short.
+        Number of bytes of a truncated file; None if the file is complete.
     """
 
     def __init__(self, h5py: ModuleType, path: Path, base: int = 0) -> None:
         self._h5py = h5py
         if damaged_heap(path, base):
-            raise OSError("its texts are not where it says, or not as long")
+            raise OSError("its texts are not where its pointers lead, or not as long")
         self.size: int | None = None
         self._base, self._length = base, path.stat().st_size - base
         self._stretched: _Stretched | None = None
@@ -52,7 +52,7 @@ class Hdf5File:
             if "truncated file" not in str(cause):
                 raise
             self.size = path.stat().st_size
-            self._stretched = _Stretched(path, _told_end(path, base))
+            self._stretched = _Stretched(path, _claimed_end(path, base))
             try:
                 self.file = h5py.File(self._stretched, "r", rdcc_nbytes=_CACHE_BYTES)
             except BaseException:
@@ -60,25 +60,25 @@ class Hdf5File:
                 raise
 
     def close(self) -> None:
-        """Close it."""
+        """Close the file."""
         self.file.close()
         if self._stretched is not None:
             self._stretched.close()
 
     def whole_rows(self, dataset: Any) -> int:
-        """Return how many entries of a dataset's first axis are before the end of the file.
+        """Return the number of entries on a dataset's first axis that are before the end of the file.
 
         Raises
         ------
         ValueError
-            If it would unpack to more than its rows.
+            If a chunk would unpack to more bytes than its rows need.
         """
         refuse_swollen(dataset)
         rows = dataset.shape[0] if dataset.shape else 1
         if self.size is None:
             return self._written_rows(dataset, int(rows))
         if self._h5py.check_string_dtype(dataset.dtype) and dataset.dtype.kind == "O":
-            return 0  # its texts are somewhere else
+            return 0  # its texts are elsewhere in the file
         if dataset.chunks is None:
             return self._contiguous_rows(dataset, int(rows))
         for number in range(dataset.id.get_num_chunks()):
@@ -88,21 +88,21 @@ class Hdf5File:
         return int(rows)
 
     def written(self, dataset: Any, rows: int) -> WrittenChunks | None:
-        """Return which parts of so many rows are in the file; None where all are."""
+        """Return which chunks of the first `rows` rows are in the file, or None if all are."""
         if dataset.chunks is None:
             return None
-        told = WrittenChunks(dataset, rows, self._length)
-        return told if told.missing else None
+        chunks = WrittenChunks(dataset, rows, self._length)
+        return chunks if chunks.missing else None
 
     def _contiguous_rows(self, dataset: Any, rows: int) -> int:
-        """Return how many rows there is room for: in the file, or in the header of a small dataset."""
+        """Return the number of rows whose bytes are in the file, or in the header of a small dataset."""
         offset = dataset.id.get_offset()
         room = dataset.id.get_storage_size() if offset is None else self._length + self._base - offset
         row_bytes = dataset.id.get_type().get_size() * int(np.prod(dataset.shape[1:], dtype=object))
         return int(max(0, min(rows, room // max(row_bytes, 1))))
 
     def _written_rows(self, dataset: Any, rows: int) -> int:
-        """Return how many rows were written of a dataset that a logger made larger beforehand."""
+        """Return the number of rows that were written, if a logger enlarged the dataset beforehand."""
         sizes = dataset.chunks
         if sizes is None:
             return self._contiguous_rows(dataset, rows)
@@ -120,27 +120,27 @@ class Hdf5File:
 
 
 class _Stretched(io.RawIOBase):
-    """A file cut short that claims its full length: zeros stand beyond its end, which nobody must take for readings."""
+    """A truncated file that claims its full length; beyond its end it returns zeros, which are not readings."""
 
     def __init__(self, path: Path, length: int) -> None:
         self._file = path.open("rb")
         self._length, self._at = length, 0
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Move."""
+        """Set the position, and return it."""
         self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._length}[whence]
         return self._at
 
     def tell(self) -> int:
-        """Return where it is."""
+        """Return the position."""
         return self._at
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a buffer with what is there, and zeros."""
+        """Fill a buffer from the file, and with zeros beyond its end."""
         self._file.seek(self._at)
-        there = self._file.readinto(buffer)
+        count = self._file.readinto(buffer)
         view = memoryview(buffer).cast("B")
-        view[there:] = bytes(len(view) - there)
+        view[count:] = bytes(len(view) - count)
         self._at += len(view)
         return len(view)
 
@@ -158,8 +158,8 @@ class _Stretched(io.RawIOBase):
         super().close()
 
 
-def _told_end(path: Path, base: int) -> int:
-    """Return how long a file says that it is."""
+def _claimed_end(path: Path, base: int) -> int:
+    """Return the length that a file's superblock claims, in bytes."""
     with path.open("rb") as file:
         file.seek(base)
         head = file.read(64)

@@ -1,4 +1,4 @@
-"""Packed chunks of HDF5 that would unpack to more than their rows: HDF5 gives them whatever room they take."""
+"""Reject packed HDF5 chunks that would unpack to more bytes than their rows need; HDF5 would allocate any size."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-_SPARE = 1 << 16  # bytes that packing may add to what cannot be packed, and checksums
-_LARGE = 1 << 20  # packed bytes from which on a chunk is looked into: smaller ones unpack to a gigabyte at the most
+_SPARE = 1 << 16  # bytes that packing and checksums may add to incompressible data
+_LARGE = 1 << 20  # packed size in bytes from which a chunk is checked; smaller ones unpack to at most a gigabyte
 
 
 def refuse_swollen(dataset: Any) -> None:
-    """Refuse a dataset, an h5py.Dataset, some chunk of which unpacks to more than its rows.
+    """Raise an error if a chunk of a dataset (an h5py.Dataset) unpacks to more bytes than its rows need.
 
     Raises
     ------
     ValueError
-        If there is one.
+        If there is such a chunk.
     """
     if dataset.chunks is None or dataset.compression is None:
         return
@@ -42,5 +42,5 @@ def refuse_swollen(dataset: Any) -> None:
 def _unpacks_beyond(packed: bytes, most: int) -> bool:
     try:
         return len(zlib.decompressobj().decompress(packed, most + 1)) > most
-    except zlib.error:  # packed otherwise, or damaged: HDF5 says so
+    except zlib.error:  # packed in another way, or damaged; HDF5 will report it
         return False

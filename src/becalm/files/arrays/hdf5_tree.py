@@ -1,4 +1,4 @@
-"""The arrays in an HDF5 file: folder by folder, never beyond the file."""
+"""Walk through the groups of an HDF5 file and collect its arrays, without following links to other files."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from becalm.files.arrays.hdf5_opening import Hdf5File
 from becalm.files.library_reader import Foreign
 
 DEEPEST = 64
-"""Folder in folder."""
+"""Deepest nesting of groups."""
 
 _ATTRIBUTE_BYTES = 1 << 20
-_HIDDEN = (b"TINDEX", b"INDEX")  # classes of folders that PyTables keeps for itself
+_HIDDEN = (b"TINDEX", b"INDEX")  # classes of groups for internal use by PyTables
 _FIELD_UNITS = ("units", "unit")
 
 
 class _Shapes(NamedTuple):
-    """The shape of what is there, the one that a file cut short claims, () if it does not, and what has gaps."""
+    """The shape in the file, the shape that a truncated file claims (else ()), and the chunks if some are missing."""
 
     there: tuple[int, ...]
     claimed: tuple[int, ...]
@@ -39,20 +39,20 @@ class _Shapes(NamedTuple):
 
 
 class Tree:
-    """Finds what a file holds.
+    """A walk through a file that collects its contents.
 
     Parameters
     ----------
     foreign : Foreign
         The file.
     opened : Hdf5File
-        The same, open.
+        The open file.
     h5py : module
         The library.
     """
 
     entries = "rows"
-    """What the first axis of a dataset counts."""
+    """The name, for messages, of the entries of a dataset's first axis."""
 
     def __init__(self, foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> None:
         self._foreign, self._opened, self.h5py = foreign, opened, h5py
@@ -61,7 +61,7 @@ class Tree:
         self._claimed = 0
 
     def walk(self, group: Any, path: Path = ()) -> FileArrays:
-        """Look into a folder and all in it."""
+        """Collect the contents of a group and of all groups in it."""
         self._met.add(self._identity(group))
         self.take_attributes(group, path)
         if len(path) >= DEEPEST:
@@ -77,12 +77,12 @@ class Tree:
         return self.found
 
     def look(self, group: Any, name: str, path: Path) -> None:
-        """Take what a name in a folder leads to, if it is in this file and not met before."""
+        """Collect the object that a name in a group links to, if it is in this file and not collected already."""
         link = group.get(name, getlink=True)
         if isinstance(link, self.h5py.ExternalLink):
             self.note(path, f"it leads to another file, {link.filename!r}")
         if not isinstance(link, self.h5py.HardLink):
-            return  # what a soft link leads to is found by itself
+            return  # the target of a soft link is found at its own place
         thing = group[name]
         if (identity := self._identity(thing)) in self._met:
             return
@@ -98,13 +98,13 @@ class Tree:
         return self.h5py.h5o.get_info(thing.id).addr
 
     def note(self, path: Path, why: str) -> None:
-        """Say that something is not read."""
+        """Add a note that something is not read, with the reason."""
         self.found.notes.append(f"{'/'.join(path)!r} is not read: {why}.")
 
     def take_attributes(self, thing: Any, path: Path) -> None:
-        """Keep numbers and texts."""
+        """Collect the numbers and texts in the attributes of an object."""
         for name in thing.attrs:
-            with suppress(OSError, KeyError, RuntimeError, ValueError, TypeError):  # a damaged one says nothing
+            with suppress(OSError, KeyError, RuntimeError, ValueError, TypeError):  # damaged attributes are skipped
                 self._take_attribute(thing, name, path)
 
     def _take_attribute(self, thing: Any, name: str, path: Path) -> None:
@@ -123,7 +123,7 @@ class Tree:
             self.found.numbers[(*path, name)] = float(values.ravel()[0])
 
     def take_dataset(self, dataset: Any, path: Path) -> None:
-        """Keep a dataset; what cannot be read, or leads out of the file, is noted."""
+        """Collect a dataset, or add a note if it cannot be read or leads out of the file."""
         if dataset.shape is None:
             return
         if why := self.why_not(dataset):
@@ -132,7 +132,7 @@ class Tree:
             self.keep_dataset(dataset, path)
 
     def keep_dataset(self, dataset: Any, path: Path) -> None:
-        """Keep what may be read: a dataset, or each field of one."""
+        """Collect a dataset that may be read, or each of its fields."""
         rows = self._opened.whole_rows(dataset)
         shape = (rows, *dataset.shape[1:]) if dataset.shape else ()
         if shape != dataset.shape:
@@ -196,14 +196,14 @@ class Tree:
             numbers = Leaf(path, shape, plain, lambda key: np.asarray(take(key)).astype(plain, copy=False), claimed)
             self.found.add(self.placed(shapes.with_gaps(numbers)))
         elif not h5py.check_ref_dtype(kind):
-            self.note(path, f"it holds {kind}, no numbers and no text")
+            self.note(path, f"it holds {kind}, which is neither numbers nor text")
 
     def placed(self, leaf: Leaf) -> Leaf:
-        """Return an array with its axes in the order that is meant."""
+        """Return an array with its axes in the writer's order."""
         return leaf
 
     def why_not(self, dataset: Any) -> str:
-        """Say why a dataset is not read, "" if it is; whoever reads one asks this before."""
+        """Return why a dataset must not be read, or "" if it may; call this before every read."""
         if dataset.external:
             return f"its values are in another file, {dataset.external[0][0]!r}"
         if dataset.is_virtual:
@@ -213,8 +213,10 @@ class Tree:
         for number in range(settings.get_nfilters()):
             code, _, _, name = settings.get_filter(number)
             if not self.h5py.h5z.filter_avail(code):
-                called = name.decode("latin-1") or "no name"
-                return f"it is packed by filter {code} ({called}), which is not here; type: h5repack -f GZIP=4 IN OUT"
+                label = name.decode("latin-1") or "no name"
+                return (
+                    f"it is packed by filter {code} ({label}), which is not installed; type: h5repack -f GZIP=4 IN OUT"
+                )
         return ""
 
 

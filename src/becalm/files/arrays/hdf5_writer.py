@@ -1,4 +1,4 @@
-"""Tables to HDF5: a dataset for each column, filled chunk by chunk."""
+"""Write tables to HDF5: one dataset for each column, chunk by chunk."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from becalm.files.column_arrays import is_text, numbers_of, refuse_strange_types
 from becalm.files.groups import GROUP
 
 _CHUNK_ROWS = 1 << 15
-_FEWEST = 16  # rows of a chunk
-_LONGEST = 64  # letters of a date
+_FEWEST = 16  # smallest number of rows in a chunk
+_LONGEST = 64  # largest number of letters in a date
 
 
 class _Sheltered:
-    """A file whose failures are kept for later: HDF5 ends the whole process where writing fails."""
+    """A file that stores exceptions for later, because HDF5 ends the whole process if a write fails."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -63,16 +63,16 @@ class _Sheltered:
 
 
 class Hdf5Rows:
-    """Writes tables of one schema below each other; those of another group go into a folder of their own.
+    """A writer that appends tables of one schema; each table group of becalm goes into its own HDF5 group.
 
-    Each column is a dataset of its own, with its unit as the attribute `unit`; where a name cannot be that of a
-    dataset, the attribute `becalm.name` has it. Dates are text. Missing whole numbers have the value that the
-    attribute `_FillValue` tells. What is told of the table stands in the attributes of the file, or of the folder.
+    Each column is a dataset, with its unit in the attribute `unit`. If the column's name is not valid for a dataset,
+    the attribute `becalm.name` has it. Dates are text. Missing whole numbers have the value of the attribute
+    `_FillValue`. Metadata of the table are attributes of the file, or of the group.
 
     Parameters
     ----------
     file : binary file
-        Where to; it is read, too.
+        The file to write; it must be readable, too.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -81,23 +81,23 @@ class Hdf5Rows:
         self._tables: dict[str, _Table] = {}
 
     def write(self, table: pa.Table) -> None:
-        """Write some rows of a group."""
+        """Append rows to a group."""
         if self._out is None:
             self._out = _h5py().File(self._file, "w", libver="v108", track_order=True)
-        told = told_of(table.schema)
-        group = told.get(GROUP, "")
+        metadata = told_of(table.schema)
+        group = metadata.get(GROUP, "")
         if group not in self._tables:
             refuse_strange_types(table.schema, "HDF5")
             name = folder_name(group, self._out.keys())
             folder = self._out.create_group(name, track_order=True) if group else self._out
             self._tables[group] = _Table(folder, table)
-            for key, text in {GROUP: "", **told}.items():
+            for key, text in {GROUP: "", **metadata}.items():
                 (folder if key in OF_TABLE else self._out).attrs[key] = text
         self._tables[group].write(table)
         self._file.raise_failure()
 
     def close(self) -> None:
-        """Finish the file, which stays open."""
+        """Finish writing; the file itself stays open."""
         if self._out is None:
             return
         for table in self._tables.values():
@@ -106,9 +106,9 @@ class Hdf5Rows:
         self._file.raise_failure()
 
     def drop(self) -> None:
-        """Let go of the file."""
+        """Stop writing and discard the result."""
         if self._out is not None:
-            with suppress(Exception):  # it is unwanted, and may be half written
+            with suppress(Exception):  # the file is not needed any more, and may be incomplete
                 self._out.close()
 
 
@@ -119,7 +119,7 @@ class _Table:
         self._datasets: list[Any] = []
         self._missing = [False] * table.num_columns
         self._rows = 0
-        chunk = (min(_CHUNK_ROWS, max(_FEWEST, table.num_rows)),)  # a short table need not hold a long one's room
+        chunk = (min(_CHUNK_ROWS, max(_FEWEST, table.num_rows)),)  # small chunks for a short table save space
         for variable, field in zip(variables(table.column_names), table.schema, strict=True):
             kind = _stored(field, table.column(field.name), _h5py())
             packed = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if kind.kind != "f" else {}
@@ -154,7 +154,7 @@ class _Table:
             encoded = np.array([text.encode() for text in texts])
             if encoded.dtype.itemsize > dataset.dtype.itemsize:
                 raise OutputError(
-                    f"{max(encoded, key=len).decode()!r} in {dataset.name!r} is longer than the words before it;"
+                    f"{max(encoded, key=len).decode()!r} in {dataset.name!r} is longer than the words in earlier rows;"
                     " cast that column to pyarrow.string()."
                 )
             return encoded
@@ -169,11 +169,11 @@ def _h5py() -> Any:
     try:
         return import_module("h5py")
     except ModuleNotFoundError as cause:
-        raise OutputError("HDF5 is written by h5py. Type: pip install 'becalm[formats]'") from cause
+        raise OutputError("Writing HDF5 needs h5py. Type: pip install 'becalm[formats]'") from cause
 
 
 def _stored(field: pa.Field, column: pa.ChunkedArray, h5py: Any) -> np.dtype[Any]:
-    """Return the type of a dataset: words that repeat are short, and packed well where all have one length."""
+    """Return the type of a dataset; repeating words get a fixed length, which packs well."""
     if not is_text(field.type):
         kind = numbers_of(column)[0].dtype
         return np.dtype(np.uint8) if kind.kind == "b" else kind
@@ -185,5 +185,5 @@ def _stored(field: pa.Field, column: pa.ChunkedArray, h5py: Any) -> np.dtype[Any
 
 
 def _fill(kind: np.dtype[Any]) -> Any:
-    """Return the whole number that stands for none."""
+    """Return the whole number that marks a missing value."""
     return np.iinfo(kind).max if kind.kind == "u" else np.iinfo(kind).min

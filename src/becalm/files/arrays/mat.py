@@ -1,4 +1,4 @@
-"""MAT files of versions 4 and 5: one variable after another, held in memory; version 7.3 is HDF5."""
+"""Read MAT files of versions 4 and 5 into memory, one variable after another; version 7.3 is HDF5."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
 
 MOST_ELEMENTS = 1024
-"""Of a cell or an array of structs that are looked into."""
+"""Largest number of elements that are read of a cell array or an array of structs."""
 
 SAVE_AS = "; save it from MATLAB as plain arrays: S = table2struct(T, 'ToScalar', true)"
-"""What to do about what only MATLAB opens."""
+"""Advice for objects that only MATLAB can open."""
 
 
 def is_mat5(head: bytes) -> bool:
-    """Tell version 5 (which calls itself 6 and 7, too) by its first bytes."""
+    """Return whether a file is MAT version 5 (also called 6 or 7), from its first bytes."""
     return head[124:128] in (b"\x00\x01IM", b"\x01\x00MI")
 
 
 def is_mat4(head: bytes) -> bool:
-    """Tell version 4, which has no mark, by a first variable that makes sense."""
+    """Return whether a file is MAT version 4, which has no signature: its first variable must be plausible."""
     for order in "<>":
         if len(head) < 22:
             return False
@@ -52,12 +52,12 @@ _KINDS4 = {
 
 
 def is_mat(head: bytes) -> bool:
-    """Tell versions 4 and 5."""
+    """Return whether a file is MAT version 4 or 5, from its first bytes."""
     return is_mat5(head) or is_mat4(head)
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Look into a MAT file of version 4 or 5; what is nested has dotted names.
+    """Read the tables of a MAT file of version 4 or 5; nested variables get dotted names.
 
     Raises
     ------
@@ -65,33 +65,33 @@ def read(path: Path) -> tuple[RawTable, ...]:
         If no variable in it can be read.
     """
     foreign = Foreign(path, "MAT")
-    found = FileArrays()
+    contents = FileArrays()
     with foreign.damage_told():
         data = memoryview(path.read_bytes())
         for variable in variables5(foreign, data) if is_mat5(bytes(data[:128])) else variables4(data):
-            _add(found, variable)
-    take_labels(found)
-    groups = Grouping(found, ".", apart=False).groups()
-    if not groups and found.notes:
-        raise InputError(f"{path} holds no channel that can be read: {' '.join(found.notes)[:500]}")
+            _add(contents, variable)
+    take_labels(contents)
+    groups = Grouping(contents, ".", apart=False).groups()
+    if not groups and contents.notes:
+        raise InputError(f"{path} holds no channel that can be read: {' '.join(contents.notes)[:500]}")
     return tables(foreign, "mat", groups)
 
 
-def _add(found: FileArrays, variable: Variable) -> None:
-    """Read one variable; what is wrong with it is noted."""
+def _add(contents: FileArrays, variable: Variable) -> None:
+    """Add one variable, or a note if it cannot be read."""
     if not variable.name and not variable.why:
-        return  # what MATLAB keeps for itself
-    called = repr(variable.name) if variable.name else "A variable"
+        return  # internal data of MATLAB
+    label = repr(variable.name) if variable.name else "A variable"
     why = variable.why
     if not why:
         try:
             held = _values(variable)
-        except Exception as cause:  # of a damaged variable, scipy raises anything
+        except Exception as cause:  # scipy raises many types for a damaged variable
             why = " ".join(str(cause).split())[:100] or type(cause).__name__
         else:
-            _hold(found, (variable.name,), held)
+            _hold(contents, (variable.name,), held)
     if why:
-        found.notes.append(f"{called} is not read: {why}{SAVE_AS if 'only MATLAB' in why else ''}.")
+        contents.notes.append(f"{label} is not read: {why}{SAVE_AS if 'only MATLAB' in why else ''}.")
 
 
 def _values(variable: Variable) -> Any:
@@ -103,41 +103,41 @@ def _values(variable: Variable) -> Any:
     return loadmat(io.BytesIO(variable.data))[variable.name]  # type: ignore[arg-type]  # takes files
 
 
-def _hold(found: FileArrays, path: tuple[str, ...], value: Any) -> None:
-    """Take a value apart, down to arrays."""
+def _hold(contents: FileArrays, path: tuple[str, ...], value: Any) -> None:
+    """Add the arrays of a value, also those nested in structs and cells."""
     if isinstance(value, Opaque):
-        found.notes.append(f"{'.'.join(path)!r} is not read: only MATLAB opens it{SAVE_AS}.")
+        contents.notes.append(f"{'.'.join(path)!r} is not read: only MATLAB can open it{SAVE_AS}.")
     elif value.dtype.names:
-        _hold_struct(found, path, value)
+        _hold_struct(contents, path, value)
     elif value.dtype.kind == "O":
-        _hold_cells(found, path, value)
+        _hold_cells(contents, path, value)
     else:
-        found.add(Leaf.of(path, value))
+        contents.add(Leaf.of(path, value))
 
 
-def _hold_struct(found: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
+def _hold_struct(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
     elements = value.ravel(order="F")
     names = value.dtype.names or ()
     records = len(elements) > 1 and all(_is_single(one) for name in names for one in elements[name])
     for name in names:
         held = elements[name]
         if records:
-            found.add(Leaf.of((*path, name), np.array([one.item() if one.size else "" for one in held])))
+            contents.add(Leaf.of((*path, name), np.array([one.item() if one.size else "" for one in held])))
             continue
         for number, one in enumerate(held[:MOST_ELEMENTS], start=1):
             where = path if len(elements) == 1 else (*path[:-1], f"{path[-1]}({number})")
-            _hold(found, (*where, name), one)
+            _hold(contents, (*where, name), one)
 
 
-def _hold_cells(found: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
+def _hold_cells(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
     cells = value.ravel(order="F")
     if all(isinstance(one, np.ndarray) and one.dtype.kind == "U" and one.size <= 1 for one in cells):
-        found.add(Leaf.of(path, np.array([one.item() if one.size else "" for one in cells], object)))
+        contents.add(Leaf.of(path, np.array([one.item() if one.size else "" for one in cells], object)))
     elif len(cells) > 1 and all(isinstance(one, np.ndarray) and _is_number(one) for one in cells):
-        found.add(Leaf.of(path, np.array([one.item() for one in cells])))
+        contents.add(Leaf.of(path, np.array([one.item() for one in cells])))
     else:
         for number, one in enumerate(cells[:MOST_ELEMENTS], start=1):
-            _hold(found, (*path[:-1], f"{path[-1]}{{{number}}}"), one)
+            _hold(contents, (*path[:-1], f"{path[-1]}{{{number}}}"), one)
 
 
 def _is_number(value: NDArray[Any]) -> bool:
@@ -145,5 +145,5 @@ def _is_number(value: NDArray[Any]) -> bool:
 
 
 def _is_single(value: object) -> bool:
-    """Tell a number, or a text."""
+    """Return whether a value is a single number or a single text."""
     return isinstance(value, np.ndarray) and (_is_number(value) or (value.dtype.kind == "U" and value.size <= 1))

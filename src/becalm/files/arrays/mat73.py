@@ -1,4 +1,4 @@
-"""MAT files of version 7.3, which are HDF5: MATLAB's arrays, structs, cells and texts, read when they are asked for."""
+"""Read MAT files of version 7.3, which are HDF5: MATLAB's arrays, structs, cells and texts, only when needed."""
 
 from __future__ import annotations
 
@@ -27,38 +27,38 @@ _NUMBERS = {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for b
 
 
 def is_mat73(head: bytes) -> bool:
-    """Tell it by its first bytes."""
+    """Return whether a file is MAT version 7.3, from its first bytes."""
     return head.startswith(b"MATLAB 7.3") or head[124:128] in (b"\x00\x02IM", b"\x02\x00MI")
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Look into a MAT file of version 7.3; what is nested has dotted names.
+    """Read the tables of a MAT file of version 7.3; nested variables get dotted names.
 
     Raises
     ------
     InputError
         If nothing in it can be read.
     """
-    return read_tree(Foreign(path, "MAT 7.3"), "mat", _understood, _USER_BLOCK)
+    return read_tree(Foreign(path, "MAT 7.3"), "mat", _grouping, _USER_BLOCK)
 
 
-def _understood(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
-    found = _MatlabTree(foreign, opened, h5py).walk(opened.file)
-    take_labels(found)
-    return Grouping(found, ".", apart=False)
+def _grouping(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
+    contents = _MatlabTree(foreign, opened, h5py).walk(opened.file)
+    take_labels(contents)
+    return Grouping(contents, ".", apart=False)
 
 
 class _MatlabTree(Tree):
-    """Finds what a file holds, as MATLAB has it."""
+    """A walk through a MATLAB file that collects its contents."""
 
     entries = "columns"
     _left = _MOST_REFERENCES
 
     def look(self, group: Any, name: str, path: Where) -> None:
-        """Pass over what MATLAB keeps for itself, and what only it can open."""
+        """Collect an object, except internal data of MATLAB and objects that only MATLAB can open."""
         if name.startswith("#"):
             return
-        inside = isinstance(group.get(name, getlink=True), self.h5py.HardLink)  # others may lead out of the file
+        inside = isinstance(group.get(name, getlink=True), self.h5py.HardLink)  # other links may leave the file
         thing = group.get(name, getclass=True) if inside else None
         if thing is self.h5py.Group and (kind := _kind(group[name])) not in ("", "struct"):
             self.note(path, f"it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}")
@@ -68,7 +68,7 @@ class _MatlabTree(Tree):
             super().look(group, name, path)
 
     def keep_dataset(self, dataset: Any, path: Where) -> None:
-        """Keep an array as MATLAB has it: its axes are the other way round in the file."""
+        """Collect a dataset as MATLAB's array; the file has its axes in reverse order."""
         kind = _kind(dataset)
         if "MATLAB_empty" in dataset.attrs or not dataset.shape:
             return
@@ -88,16 +88,16 @@ class _MatlabTree(Tree):
 
     def _take_text(self, dataset: Any, path: Where) -> None:
         if dataset.size * 2 > _TEXT_BYTES:
-            self.note(path, f"it is a text of {dataset.size} letters")
+            self.note(path, f"it is a text of {dataset.size} letters, which is too long")
             return
         codes = np.atleast_2d(dataset[()].T).astype("<u2")
         lines = [row.tobytes().decode("utf-16-le", "replace").rstrip() for row in codes]
         self.found.add(Leaf.of(path, np.array(lines, object)))
 
     def _take_references(self, dataset: Any, path: Where, struct: bool) -> None:
-        """Take a cell, or a field of an array of structs, apart."""
+        """Collect the elements of a cell array, or of a field in an array of structs."""
         if dataset.size > min(self._left, _MOST_REFERENCES) or len(path) > DEEPEST:
-            self.note(path, f"it has {dataset.size} elements, too many to look into")
+            self.note(path, f"it has {dataset.size} elements, which are too many")
             return
         self._left -= dataset.size
         things = [self.h5py.h5r.dereference(ref, dataset.id) for ref in dataset[()].T.ravel(order="F")]
@@ -118,7 +118,7 @@ class _MatlabTree(Tree):
                 self.walk(self.h5py.Group(thing), where)
 
     def _in_records(self, field: Any) -> bool:
-        """Tell whether the first of the structs that this is a field of has single numbers and texts only."""
+        """Return whether the first struct with this field has only single numbers and texts."""
         group, firsts = field.parent, []
         for name in group:
             if not isinstance(group.get(name, getlink=True), self.h5py.HardLink) or self.why_not(group[name]):
@@ -132,7 +132,7 @@ class _MatlabTree(Tree):
         return str(np.asarray(dataset[()].T).astype("<u2").tobytes().decode("utf-16-le", "replace"))
 
     def placed(self, leaf: Leaf) -> Leaf:
-        """Turn the axes round."""
+        """Return the array with its axes reversed."""
         turned = leaf._replace(shape=leaf.shape[::-1], claimed=leaf.claimed[::-1])
         return turned._replace(take=lambda key: np.asarray(leaf.take(key[::-1])).T)
 

@@ -1,6 +1,6 @@
-"""Variables of MAT files as bytes: found, unpacked and looked over before a library trusts what they claim.
+"""Find, unpack and check the variables of MAT files as bytes, before a library trusts the sizes that they claim.
 
-Of version 5 after "MAT-File Format", MathWorks: a tag of type and length before each element, elements in elements.
+Version 5 after "MAT-File Format", MathWorks: each element begins with a tag of type and length, and may be nested.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _LETTERS = {1, 2, 3, 4, 16, 17, 18}
 _TYPES = _VALUES | _LETTERS | {MATRIX}
 _FEWEST_PARTS = {CELL: 3, STRUCT: 5, OBJECT: 6}
 _COMPLEX = 0x800
-_DEEPEST = 32  # struct in struct: more would fill the stack of a library
+_DEEPEST = 32  # nesting of structs; deeper nesting would overflow a library's stack
 _SPARE = 1024
-_NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of version 4
+_NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of a type in version 4
 
 
 SPARSE = "it is a sparse matrix; save it from MATLAB as full(A)"
-"""Why such a matrix is not read, and what to do."""
+"""Message: why a sparse matrix is not read, and what to do."""
 
 
 class Variable(NamedTuple):
@@ -34,13 +34,13 @@ class Variable(NamedTuple):
     Attributes
     ----------
     name : str
-        "" where it is damaged so that it tells none.
+        Its name; "" if damage makes it unreadable.
     data : bytes
-        Its element, unpacked; of version 4 a file which holds nothing else; empty where it must not be read.
+        Its unpacked element; in version 4, a file with only this variable. Empty if it must not be read.
     why : str
-        Why it must not be.
+        Why it must not be read; else "".
     order : str
-        Of its bytes, "<" or ">"; "" in version 4.
+        Byte order, "<" or ">"; "" in version 4.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Variable(NamedTuple):
 
 
 class MatElement(NamedTuple):
-    """An element in an element: its type, where its bytes begin, and how many they are."""
+    """An element within an element: its type, the offset of its bytes, and their number."""
 
     kind: int
     start: int
@@ -58,11 +58,11 @@ class MatElement(NamedTuple):
 
 
 class DamageError(Exception):
-    """What is wrong with an element."""
+    """An element is damaged; the message says how."""
 
 
 def variables5(foreign: Foreign, data: memoryview) -> Iterator[Variable]:
-    """Give the variables of a file of version 5, unpacked; the last without data where the file ends in it."""
+    """Yield the unpacked variables of a file of version 5; a last, truncated one has no data."""
     order = "<" if bytes(data[126:128]) == b"IM" else ">"
     unpacked, at = 0, 128
     while at < len(data):
@@ -76,14 +76,14 @@ def variables5(foreign: Foreign, data: memoryview) -> Iterator[Variable]:
             element, whole = _unpacked(element[8:], foreign, unpacked, order)
             unpacked += len(element)
         elif kind != MATRIX:
-            yield Variable("", b"", f"it begins with the type {kind}, which is none")
+            yield Variable("", b"", f"it begins with the type {kind}, which does not exist")
             return
-        yield _looked_over(element, order, whole)
+        yield _checked(element, order, whole)
         at = end if kind == _COMPRESSED else end + -length % 8
 
 
 def variables4(data: memoryview) -> Iterator[Variable]:
-    """Give the variables of a file of version 4."""
+    """Yield the variables of a file of version 4."""
     at, order = 0, "<"
     while at < len(data):
         if at + 20 > len(data):
@@ -94,7 +94,7 @@ def variables4(data: memoryview) -> Iterator[Variable]:
         kind, rows, columns, imaginary, letters = struct.unpack(order + "IIIII", data[at : at + 20])
         stored, content = kind // 10 % 10, kind % 10
         if kind >= 5000 or stored >= len(_NUMBERS4) or content > 2 or letters > 256 or imaginary > 1:
-            yield Variable("", b"", "it begins with a type that is none")
+            yield Variable("", b"", "it begins with a type that does not exist")
             return
         end = at + 20 + letters + rows * columns * (1 + imaginary) * _NUMBERS4[stored]
         name = bytes(data[at + 20 : at + 20 + letters]).rstrip(b"\0").decode("latin-1")
@@ -106,7 +106,7 @@ def variables4(data: memoryview) -> Iterator[Variable]:
 
 
 def _unpacked(packed: memoryview, foreign: Foreign, before: int, order: str) -> tuple[memoryview, bool]:
-    """Unpack an element as far as it goes; whether it is whole."""
+    """Unpack an element as far as possible; also return whether it is complete."""
     unpacker = zlib.decompressobj()
     try:
         tag = unpacker.decompress(packed, 8)
@@ -120,7 +120,7 @@ def _unpacked(packed: memoryview, foreign: Foreign, before: int, order: str) -> 
     return memoryview(tag + rest), len(rest) == length
 
 
-def _looked_over(element: memoryview, order: str, whole: bool) -> Variable:
+def _checked(element: memoryview, order: str, whole: bool) -> Variable:
     name = ""
     try:
         end = 8 + struct.unpack(order + "II", element[:8])[1] if len(element) >= 8 else 0
@@ -137,7 +137,7 @@ def _looked_over(element: memoryview, order: str, whole: bool) -> Variable:
 
 
 def parts_of(data: memoryview, start: int, end: int, order: str, to_the_end: bool = True) -> list[MatElement]:
-    """List the elements in an element."""
+    """Return the elements within an element."""
     parts: list[MatElement] = []
     while start < end:
         if start + 8 > end:
@@ -145,7 +145,7 @@ def parts_of(data: memoryview, start: int, end: int, order: str, to_the_end: boo
                 return parts
             raise DamageError("its last part is cut off")
         kind, length = struct.unpack(order + "II", data[start : start + 8])
-        if kind >> 16:  # a small one keeps its bytes in its tag
+        if kind >> 16:  # a small element has its bytes in its tag
             kind, length, at, following = kind & 0xFFFF, kind >> 16, start + 4, start + 8
         else:
             at, following = start + 8, start + 8 + length + -length % 8
@@ -174,7 +174,7 @@ def _name(data: memoryview, parts: list[MatElement]) -> str:
 
 
 def _why_not(data: memoryview, parts: list[MatElement], order: str) -> str:
-    """Say why an array that only MATLAB opens, or a sparse one, is not read."""
+    """Return why a sparse array, or one that only MATLAB can open, is not read."""
     if kind_of(data, parts, order) == _SPARSE:
         return SPARSE
     texts = [bytes(data[one.start :][: one.length]).decode("latin-1") for one in parts[1:] if one.kind in (1, 2, 16)]
@@ -182,12 +182,12 @@ def _why_not(data: memoryview, parts: list[MatElement], order: str) -> str:
 
 
 def _check(data: memoryview, start: int, end: int, order: str, depth: int) -> None:
-    """Refuse an array that claims more values than it has, or holds itself too often.
+    """Check that an array has as many values as it claims, and is not nested too deep.
 
     Raises
     ------
     DamageError
-        If it does.
+        If the check fails.
     """
     if depth > _DEEPEST:
         raise DamageError(f"it is nested more than {_DEEPEST} deep")
@@ -197,9 +197,9 @@ def _check(data: memoryview, start: int, end: int, order: str, depth: int) -> No
     kind = kind_of(data, parts, order)
     inner = [part for part in parts if part.kind == MATRIX]
     if any(part.kind not in _TYPES for part in parts):
-        raise DamageError("a part of it is of a type that there is not")
+        raise DamageError("a part of it has a type that does not exist")
     if not 0 < kind <= OPAQUE:
-        raise DamageError(f"it is of the class {kind}, which there is not")
+        raise DamageError(f"it has the class {kind}, which does not exist")
     if kind not in (OPAQUE, _FUNCTION):
         _check_kinds(data, parts, order, kind, len(inner))
         _check_count(data, parts, order, kind, len(inner))
@@ -208,7 +208,7 @@ def _check(data: memoryview, start: int, end: int, order: str, depth: int) -> No
 
 
 def _check_kinds(data: memoryview, parts: list[MatElement], order: str, kind: int, inner: int) -> None:
-    """Refuse other parts than an array of this kind has."""
+    """Check that an array has the parts of its class, and no others."""
     if [part.kind for part in parts[:2]] != [6, 5] or parts[2:3] == [] or parts[2].kind not in (1, 2, 16):
         raise DamageError("it does not say what it is")
     flags = struct.unpack(order + "I", data[parts[0].start : parts[0].start + 4])[0]
@@ -218,7 +218,7 @@ def _check_kinds(data: memoryview, parts: list[MatElement], order: str, kind: in
     elif kind != _SPARSE and (len(parts) != (5 if flags & _COMPLEX else 4) or inner):
         raise DamageError("it has other parts than its kind")
     elif not {part.kind for part in parts[3:]} <= (_LETTERS if kind == CHAR else _VALUES):
-        raise DamageError("its values are of a type that they cannot be")
+        raise DamageError("its values have a type that is not allowed")
 
 
 def _check_count(data: memoryview, parts: list[MatElement], order: str, kind: int, inner: int) -> None:

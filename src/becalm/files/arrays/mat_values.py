@@ -1,6 +1,6 @@
-"""Values of variables of MAT files of version 5, from bytes that were looked over.
+"""Read values of MAT variables of version 5 from bytes that `mat_elements` has checked.
 
-Read here, since scipy ends the whole process on some damaged files; the format is that of `mat_elements`.
+scipy is not used, because some damaged files make it end the whole process. `mat_elements` describes the format.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LOGICAL = 0x200
 
 
 class Opaque:
-    """A value that only MATLAB opens."""
+    """A value that only MATLAB can open."""
 
 
 def value_of(data: memoryview, start: int, end: int, order: str) -> NDArray[Any] | Opaque:
@@ -59,20 +59,20 @@ def value_of(data: memoryview, start: int, end: int, order: str) -> NDArray[Any]
 def _numbers(data: memoryview, parts: list[MatElement], sizes: tuple[int, ...], order: str) -> NDArray[Any]:
     flags = struct.unpack(order + "I", data[parts[0].start : parts[0].start + 4])[0]
     kind = np.dtype(_CLASSES[flags & 0xFF])
-    found = []
+    components = []
     for part in parts[3:5]:
         stored = np.dtype(_STORED[part.kind]).newbyteorder("<" if order == "<" else ">")
         if part.length % stored.itemsize or part.length // stored.itemsize != np.prod(sizes, dtype=object):
             raise DamageError("it has another number of values than it claims")
         with np.errstate(invalid="ignore", over="ignore"):
-            found.append(np.frombuffer(_bytes(data, part), stored).astype(kind).reshape(sizes, order="F"))
-    if len(found) == 2:
-        return found[0] + 1j * found[1]
-    return found[0] != 0 if flags & _LOGICAL else found[0]
+            components.append(np.frombuffer(_bytes(data, part), stored).astype(kind).reshape(sizes, order="F"))
+    if len(components) == 2:
+        return components[0] + 1j * components[1]
+    return components[0] != 0 if flags & _LOGICAL else components[0]
 
 
 def _texts(data: bytes, kind: int, sizes: tuple[int, ...], order: str) -> NDArray[Any]:
-    """Return the lines of a matrix of letters."""
+    """Return the lines of a char matrix."""
     if kind in _CODECS:
         codec = _CODECS[kind] + ({"<": "-le", ">": "-be"}[order] if kind > 16 else "")
         letters = data.decode(codec, "replace")
@@ -95,12 +95,12 @@ def _cells(inner: list[Any], sizes: tuple[int, ...]) -> NDArray[Any]:
 def _records(
     data: memoryview, parts: list[MatElement], inner: list[Any], sizes: tuple[int, ...], order: str
 ) -> NDArray[Any]:
-    """Return an array of structs; their fields stand one after another, struct by struct."""
+    """Return an array of structs from their fields, which are stored struct by struct."""
     letters = struct.unpack(order + "i", data[parts[0].start :][:4])[0]
     text = _bytes(data, parts[1])
     names = [text[at : at + letters].split(b"\0")[0].decode("latin-1") for at in range(0, len(text), letters)]
     if len(set(names)) != len(names) or not all(names):
-        raise DamageError("its fields have no names of their own")
+        raise DamageError("its fields have no distinct names")
     records = np.empty(len(inner) // len(names) if names else 0, [(name, object) for name in names])
     for position, name in enumerate(names):
         for row, value in enumerate(inner[position :: len(names)]):

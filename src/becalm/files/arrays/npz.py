@@ -1,4 +1,4 @@
-"""NPZ and NPY, NumPy's own files, held in memory; nothing in them is ever unpickled."""
+"""Read NPZ and NPY, NumPy's own files, into memory; nothing is ever unpickled."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _READERS = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0, 3: npy.r
 
 
 def is_npz(head: bytes) -> bool:
-    """Tell an archive of arrays, or one array, by its first bytes."""
+    """Return whether a file is NPZ or NPY, from its first bytes."""
     if head.startswith(npy.MAGIC_PREFIX):
         return True
     letters = int.from_bytes(head[26:28], "little")
@@ -33,7 +33,7 @@ def is_npz(head: bytes) -> bool:
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Look into an NPZ or NPY file.
+    """Read the tables of an NPZ or NPY file.
 
     Raises
     ------
@@ -41,82 +41,86 @@ def read(path: Path) -> tuple[RawTable, ...]:
         If no array in it can be read.
     """
     foreign = Foreign(path, "NPZ")
-    found = FileArrays()
+    contents = FileArrays()
     with foreign.damage_told():
         with path.open("rb") as file:
             alone = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
         if alone:
-            _take(found, (path.stem or "array",), path.read_bytes(), whole=True)
+            _take(contents, (path.stem or "array",), path.read_bytes(), whole=True)
         else:
-            _take_members(found, foreign)
-        take_labels(found)
-        groups = Grouping(found, ".", apart=False).groups()
-    if not groups and found.notes:
-        raise InputError(f"{path} holds no channel that can be read: {' '.join(found.notes)[:500]}")
+            _take_members(contents, foreign)
+        take_labels(contents)
+        groups = Grouping(contents, ".", apart=False).groups()
+    if not groups and contents.notes:
+        raise InputError(f"{path} holds no channel that can be read: {' '.join(contents.notes)[:500]}")
     return tables(foreign, "npz", groups)
 
 
-def _take_members(found: FileArrays, foreign: Foreign) -> None:
+def _take_members(contents: FileArrays, foreign: Foreign) -> None:
     listed, whole = members(foreign.path)
     if not whole:
-        found.notes.append("The archive is cut short; what is before its end was read.")
+        contents.notes.append("The archive is cut short; what is before its end was read.")
     foreign.refuse_claim(sum(member.bytes for member in listed))
     own = {folder for member in listed if (folder := member.name.removesuffix(f"/{VARIABLES}.npy")) != member.name}
     for member in listed:
         if member.why:
-            found.notes.append(f"{member.name!r} is not read: {member.why}.")
+            contents.notes.append(f"{member.name!r} is not read: {member.why}.")
         elif member.name.endswith(".npy"):
             name = member.name.removesuffix(".npy")
-            path = tuple(name.split("/"))  # a folder has times of its own
+            path = tuple(name.split("/"))  # each folder may have its own times
             if len(path) > 1 and "/".join(path[:-1]) not in own:
-                found.words[(*path, NAME)] = (name,)
-            _take_member(found, foreign, member, path)
+                contents.words[(*path, NAME)] = (name,)
+            _take_member(contents, foreign, member, path)
 
 
-def _take_member(found: FileArrays, foreign: Foreign, member: Member, path: tuple[str, ...]) -> None:
+def _take_member(contents: FileArrays, foreign: Foreign, member: Member, path: tuple[str, ...]) -> None:
     data, undamaged = content(foreign, member)
     if not undamaged and len(data) == member.bytes:
-        found.notes.append(f"{member.name!r} is not read: it is damaged.")
+        contents.notes.append(f"{member.name!r} is not read: it is damaged.")
         return
-    _take(found, path, data, undamaged)
+    _take(contents, path, data, undamaged)
 
 
-def _take(found: FileArrays, path: tuple[str, ...], data: bytes, whole: bool) -> None:
-    """Read one array, or the rows of it that are whole."""
+def _take(contents: FileArrays, path: tuple[str, ...], data: bytes, whole: bool) -> None:
+    """Read one array, or its complete rows."""
     name = "/".join(path)
     file = io.BytesIO(data)
     try:
         version = npy.read_magic(file)
         shape, by_columns, kind = _READERS[version[0]](file, max_header_size=_HEADER_LETTERS)
     except (ValueError, KeyError, EOFError, SyntaxError, TypeError, RecursionError) as cause:
-        found.notes.append(f"{name!r} is not read: {' '.join(str(cause).split())[:100] or 'its header is damaged'}.")
+        contents.notes.append(f"{name!r} is not read: {' '.join(str(cause).split())[:100] or 'its header is damaged'}.")
         return
     if kind.hasobject:
-        found.notes.append(f"{name!r} is not read: it holds Python objects, which could run anything.")
+        contents.notes.append(f"{name!r} is not read: it holds Python objects, which could run anything.")
         return
     row_bytes = int(np.prod(shape[1:], dtype=object)) * kind.itemsize
     claimed: tuple[int, ...] = ()
-    there = len(data) - file.tell()
-    rows = there // row_bytes if row_bytes else 0
+    available = len(data) - file.tell()
+    rows = available // row_bytes if row_bytes else 0
     if shape and rows < shape[0]:
         if (by_columns and len(shape) > 1) or not rows:
-            found.notes.append(f"{name!r} is not read: the file ends in it.")
+            contents.notes.append(f"{name!r} is not read: the file ends in it.")
             return
-        found.notes.append(_CUT.format(name, rows, shape[0]))
+        contents.notes.append(_CUT.format(name, rows, shape[0]))
         claimed, shape = shape, (rows, *shape[1:])
-    elif there < kind.itemsize:
-        found.notes.append(f"{name!r} is not read: the file ends in it.")
+    elif available < kind.itemsize:
+        contents.notes.append(f"{name!r} is not read: the file ends in it.")
         return
     count = int(np.prod(shape, dtype=object))
     values = np.frombuffer(data, kind, count, file.tell()).reshape(shape, order="F" if by_columns else "C")
-    _hold(found, path, values, claimed)
+    _hold(contents, path, values, claimed)
 
 
-def _hold(found: FileArrays, path: tuple[str, ...], values: NDArray[Any], claimed: tuple[int, ...]) -> None:
+def _hold(contents: FileArrays, path: tuple[str, ...], values: NDArray[Any], claimed: tuple[int, ...]) -> None:
     if values.dtype.names:
         for name in values.dtype.names:
-            _hold(found, (*path, name), values[name], (*claimed, *values[name].shape[values.ndim :]) if claimed else ())
+            _hold(
+                contents, (*path, name), values[name], (*claimed, *values[name].shape[values.ndim :]) if claimed else ()
+            )
     elif values.dtype.kind in "biufcSU" or (values.dtype.kind in "mM" and values.dtype.str[4:]):
-        found.add(Leaf.of(path, values)._replace(claimed=claimed))
+        contents.add(Leaf.of(path, values)._replace(claimed=claimed))
     else:
-        found.notes.append(f"{'.'.join(path)!r} is not read: it holds {values.dtype}, no numbers and no text.")
+        contents.notes.append(
+            f"{'.'.join(path)!r} is not read: it holds {values.dtype}, which is neither numbers nor text."
+        )

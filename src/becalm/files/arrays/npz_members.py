@@ -1,4 +1,4 @@
-"""Members of a ZIP archive, also of one whose end is missing: where they are, and as much of them as there is."""
+"""Find and read the members of a ZIP archive, also of a truncated one, as far as they are in the file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import BinaryIO, NamedTuple
 from becalm.files.library_reader import Foreign
 
 LOCAL = b"PK\x03\x04"
-_HEAD = 30  # bytes before the name of a member
+_HEAD = 30  # bytes of a member's header before its name
 _STORED, _PACKED = 0, 8
 _ENCRYPTED = 1
 _IN_ZIP64 = 0xFFFFFFFF
@@ -23,15 +23,15 @@ class Member(NamedTuple):
     Attributes
     ----------
     name : str
-        Its path in it.
+        Its path in the archive.
     at, packed_bytes, bytes : int
-        Where its content begins, and how long it is, packed and not.
+        Offset of its content, and the content's packed and unpacked size.
     packed : bool
-        Whether it is packed at all.
+        Whether it is packed.
     crc : int
-        What its bytes sum up to.
+        CRC-32 of its unpacked content.
     why : str
-        Why it must not be read, "" if it may.
+        Why it must not be read, or "" if it may.
     """
 
     name: str
@@ -44,35 +44,35 @@ class Member(NamedTuple):
 
 
 def members(path: Path) -> tuple[list[Member], bool]:
-    """Find the members; and whether the archive is whole."""
+    """Return the members of an archive, and whether it is complete."""
     try:
         with zipfile.ZipFile(path) as archive:
             starts = [info.header_offset for info in archive.infolist()]
-            told = [(info.file_size, info.compress_size, info.CRC) for info in archive.infolist()]
+            listed = [(info.file_size, info.compress_size, info.CRC) for info in archive.infolist()]
     except zipfile.BadZipFile:
         return _walked(path), False
     with path.open("rb") as file:
-        found = []
-        for start, (size, packed_size, crc) in zip(starts, told, strict=True):
+        checked = []
+        for start, (size, packed_size, crc) in zip(starts, listed, strict=True):
             member = _local(file, start)
             if member is None:
                 raise zipfile.BadZipFile("a member is not where the archive says")
-            found.append(member._replace(bytes=size, packed_bytes=packed_size, crc=crc))
-    return found, True
+            checked.append(member._replace(bytes=size, packed_bytes=packed_size, crc=crc))
+    return checked, True
 
 
 def _walked(path: Path) -> list[Member]:
-    """Go from one member to the next."""
-    found, at = [], 0
+    """Return the members by reading their headers one after another, without the archive's index."""
+    walked, at = [], 0
     size = path.stat().st_size
     with path.open("rb") as file:
         while at < size:
             member = _local(file, at)
             if member is None or (member.packed_bytes == 0 and member.bytes != 0):
                 break
-            found.append(member)
+            walked.append(member)
             at = member.at + member.packed_bytes
-    return found
+    return walked
 
 
 def _local(file: BinaryIO, start: int) -> Member | None:
@@ -89,19 +89,19 @@ def _local(file: BinaryIO, start: int) -> Member | None:
     if flags & _ENCRYPTED:
         why = "it is encrypted"
     elif method not in (_STORED, _PACKED):
-        why = f"it is packed by method {method}, which is not known here"
+        why = f"it is packed by method {method}, which becalm cannot unpack"
     elif PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name.replace("\\", "/")).parts:
         why = "its name leads out of the archive"
     return Member(name, start + _HEAD + letters + more, packed, size, method == _PACKED, crc, why)
 
 
 def content(foreign: Foreign, member: Member) -> tuple[bytes, bool]:
-    """Return the bytes of a member as far as they are there; and whether they are all, and undamaged.
+    """Return the bytes of a member as far as they are in the file, and whether they are complete and undamaged.
 
     Raises
     ------
     InputError
-        If it claims absurdly much.
+        If the member claims an absurd size.
     """
     foreign.refuse_claim(member.bytes)
     with foreign.path.open("rb") as file:

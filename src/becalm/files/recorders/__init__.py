@@ -1,1 +1,1 @@
-"""Recorders of cars, laboratories and sound: MF4, TDMS, UFF, WAV and IDE."""
+"""Read and write files of recorders in cars, laboratories and sound: MF4, TDMS, UFF, WAV and IDE."""

@@ -1,4 +1,4 @@
-"""IDE: what the shock and vibration recorders of enDAQ (Mide) write; each channel with a time of its own."""
+"""Read IDE files of enDAQ (Mide) shock and vibration recorders; each channel has its own time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from becalm.files.source import RawTable, ToldTime
 from becalm.files.stamps import instant
 from becalm.files.text.csv_header import unique_names
 
-_PER_SECOND = 1e-6  # of the microseconds that the library gives
+_PER_SECOND = 1e-6  # the library returns microseconds
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
@@ -35,18 +35,18 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "IDE")
     library = foreign.library("idelib.importer")
-    with foreign.damage_told(), path.open("rb") as file, _unheard():
+    with foreign.damage_told(), path.open("rb") as file, _without_logging():
         opened = WatchedFile(file)
         recording = library.openFile(opened, quiet=True)
         notes = _cut_off(recording.ebmldoc, opened)
-        library.readData(recording)  # all blocks, as they are in the file; they are decoded when asked for
+        library.readData(recording)  # loads all blocks undecoded; they are decoded when their rows are read
         groups = _groups(recording, notes)
     return tables(foreign, "ide", groups)
 
 
 @contextmanager
-def _unheard() -> Iterator[None]:
-    """Keep the library from logging what is said in a sentence."""
+def _without_logging() -> Iterator[None]:
+    """Suppress the library's log messages, because becalm reports the same as a note."""
     before = logging.root.manager.disable
     logging.disable(logging.CRITICAL)
     try:
@@ -56,9 +56,9 @@ def _unheard() -> Iterator[None]:
 
 
 def _cut_off(document: Any, opened: WatchedFile) -> tuple[str, ...]:
-    """Let the file end with its last whole element, of which the library would else refuse all."""
+    """Set the end of the file to that of its last complete element, because the library rejects a truncated file."""
     whole = 0
-    with suppress(Exception):  # the library's, of a damaged element: of any kind; those before are whole
+    with suppress(Exception):  # the library raises many types for a damaged element; those before it are complete
         for element in document:
             end = element.payloadOffset + element.size
             if end > opened.size:
@@ -90,7 +90,7 @@ def _group(channel: Any, which: str, events: Any, notes: tuple[str, ...]) -> Gro
 
 
 def _start(events: Any, samples: _Samples) -> str:
-    """Return when the first sample was taken, where the recorder's clock was set."""
+    """Return the instant of the first sample, or "" if the recorder's clock was not set."""
     utc_s = events.session.utcStartTime
     return instant(np.array([int((utc_s + samples.seconds(0, 1)[0]) * 1e6) * 1000])) if utc_s else ""
 
@@ -101,7 +101,7 @@ class _Samples:
     Parameters
     ----------
     events : idelib.dataset.EventArray
-        Gives times in microseconds, and below them a row for each subchannel.
+        Returns times in microseconds in its first row, and a further row for each subchannel.
     """
 
     def __init__(self, events: Any) -> None:
@@ -114,10 +114,10 @@ class _Samples:
         return self._held
 
     def seconds(self, start: int, stop: int) -> Floats:
-        """Return the times of rows on the recorder's clock."""
+        """Return the times of rows on the recorder's clock, in seconds."""
         seconds: Floats = self._decoded(start, stop)[0] * _PER_SECOND
         return seconds
 
     def row(self, place: int) -> Callable[[int, int], NDArray[np.generic]]:
-        """Return what reads one subchannel."""
+        """Return a function that reads one subchannel."""
         return lambda start, stop: self._decoded(start, stop)[place]

@@ -1,4 +1,4 @@
-"""MDF, as cars' loggers write it (MF4, and 2 and 3): a group for each master; logs of a CAN bus by their DBC."""
+"""Read MDF files of car loggers (MF4, and versions 2 and 3): a table for each master; CAN bus logs with a DBC file."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from becalm.files.text.csv_header import unique_names
 
 _VARIABLE_LENGTH, _BUS_EVENT = 1, 2  # flags of a channel group
 _TIME_MASTERS, _INDEX = (0, 1), 4  # kinds of synchronisation; others are angle and distance
-_CUT = "The file is incomplete; what is whole of it was read."
-_MESSAGE = re.compile(r"message (?P<name>\S+) 0x")  # of a decoded group
+_CUT = "The file is incomplete; its complete parts were read."
+_MESSAGE = re.compile(r"message (?P<name>\S+) 0x")  # in the comment of a decoded group
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Look into an MDF file.
+    """Read the tables of an MDF file.
 
     Raises
     ------
     InputError
-        If it is damaged, or a log of a bus without a database beside it that knows its frames.
+        If it is damaged, or is a bus log and no DBC file in its folder describes its frames.
     """
     foreign = Foreign(path, "MDF")
     library = foreign.library("asammdf")
@@ -52,12 +52,12 @@ def read(path: Path) -> tuple[RawTable, ...]:
         buses = [index for index, group in enumerate(log.groups) if _is_bus(group)]
         groups = list(_groups(foreign, log, [index for index in log.virtual_groups if index not in buses]))
         if any(log.groups[index].channel_group.cycles_nr for index in buses):
-            decoded, told = _decoded(foreign, log, bool(groups))
-            notes += told
+            decoded, bus_notes = _decoded(foreign, log, bool(groups))
+            notes += bus_notes
             if decoded is not None:
                 stack.callback(decoded.close)
                 groups += _groups(foreign, decoded, list(decoded.virtual_groups))
-        notes += [note for one in groups if set(one.columns) <= {TIME} for note in one.notes]  # which is no table
+        notes += [note for one in groups if set(one.columns) <= {TIME} for note in one.notes]  # groups without channels
         held = stack.pop_all()
         return tables(foreign, "mf4", [one._replace(notes=(*one.notes, *notes)) for one in groups], held.close)
 
@@ -66,18 +66,18 @@ def _opened(library: ModuleType, file: Any) -> Any:
     try:
         with redirect_stdout(io.StringIO()):
             return library.MDF(file, raise_on_multiple_occurrences=False, add_array_components=False)
-    except Exception as cause:  # asammdf's, of a damaged file: of any kind
-        told, sys.unraisablehook = sys.unraisablehook, lambda _: None  # half an object complains when it goes
+    except Exception as cause:  # asammdf raises many types for a damaged file
+        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None  # the partial object prints errors when deleted
         try:
             clear_frames(cause.__traceback__)
             gc.collect()
         finally:
-            sys.unraisablehook = told
+            sys.unraisablehook = hook
         raise ValueError(str(cause)) from None
 
 
 def _refuse_outside(log: Any) -> None:
-    """Refuse a channel of versions 2 and 3 that lies outside its rows, for asammdf's C code reads whatever is there."""
+    """Raise an error if a channel (versions 2 and 3) lies outside its rows; asammdf's C code would read beyond them."""
     for group in log.groups if log.version < "4" else ():
         for channel in group.channels:
             stop = 8 * getattr(channel, "additional_byte_offset", 0) + channel.start_offset + channel.bit_count
@@ -90,10 +90,10 @@ def _is_bus(group: Any) -> bool:
 
 
 def _decoded(foreign: Foreign, log: Any, more: bool) -> tuple[Any, list[str]]:
-    """Have the frames of a bus decoded by the databases that lie beside the log; say why, if that gives nothing."""
+    """Decode the frames of a bus with the DBC files in the log's folder; if that fails, return None and the reason."""
     path = foreign.path
     databases = sorted(one for one in path.parent.iterdir() if one.suffix.lower() == ".dbc")
-    why = f"{path} is a log of a CAN bus; put the .dbc file that knows its frames beside it."
+    why = f"{path} is a log of a CAN bus; put the .dbc file that describes its frames into the same folder."
     if databases:
         with redirect_stdout(io.StringIO()):
             decoded = log.extract_bus_logging(database_files={"CAN": [(str(one), 0) for one in databases]})
@@ -101,7 +101,10 @@ def _decoded(foreign: Foreign, log: Any, more: bool) -> tuple[Any, list[str]]:
             return decoded, []
         decoded.close()
         names = ", ".join(one.name for one in databases)
-        why = f"{path} is a log of a CAN bus whose frames {names} does not know; put the .dbc file that does beside it."
+        why = (
+            f"{path} is a log of a CAN bus whose frames {names} does not describe; put the .dbc file that does into the"
+            " same folder."
+        )
     if not more:
         raise InputError(why)
     return None, [why]
@@ -120,8 +123,8 @@ def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Grou
         named: list[tuple[str, Column]] = []
         for one, numbers in log.included_channels(index)[index].items():
             for number in numbers:
-                made, note = columns_of(foreign, Mf4Channel(log, one, number))
-                named += made
+                read_columns, note = columns_of(foreign, Mf4Channel(log, one, number))
+                named += read_columns
                 notes += note
         master, time = _master(log, index)
         names = unique_names([*master, *(name for name, _ in named)])
@@ -131,11 +134,11 @@ def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Grou
 
 
 def _rows(group: Any) -> int:
-    """Return how many rows the blocks of a group can hold."""
+    """Return the number of rows that the blocks of a group can hold."""
     head = group.channel_group
     invalidation = 0 if getattr(group, "uses_ld", False) else getattr(head, "invalidation_bytes_nr", 0)
     width = head.samples_byte_nr + invalidation
-    if not width:  # nothing but a time that is counted
+    if not width:  # only a virtual master, which counts rows
         return int(head.cycles_nr)
     blocks = group.get_data_blocks() if hasattr(group, "get_data_blocks") else ()
     return int(sum(block.original_size for block in blocks) // width)
@@ -146,18 +149,18 @@ def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
     if number is None:
         return {}, None
     channel = log.groups[index].channels[number]
-    if getattr(channel, "sync_type", 1) == _INDEX:  # the number of the row
+    if getattr(channel, "sync_type", 1) == _INDEX:  # a row number, not a time
         return {}, None
     if getattr(channel, "sync_type", 1) not in _TIME_MASTERS:
-        made = Column(
+        angle = Column(
             pa.float64(), lambda first, last: log.get_master(index, record_offset=first, record_count=last - first)
         )
-        return {channel.name: made._replace(unit=channel.unit)}, None
+        return {channel.name: angle._replace(unit=channel.unit)}, None
     time = MasterTime(Mf4Channel(log, index, number))
     start = ""
     if str(getattr(log.groups[index].channel_group, "comment", "")) == NO_START:
         return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME)
-    with suppress(Exception):  # a date that is none is no reason to refuse the file
+    with suppress(Exception):  # an invalid date is not a reason to reject the file
         start = _instant(log, time.first_s)
     return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME, None, start)
 

@@ -1,4 +1,4 @@
-"""The blocks of an MDF 4 file, looked through before it is read: cut off, unfinished, or in rings."""
+"""Check the blocks of an MDF 4 file before it is read, and repair truncated and unfinished ones in a copy."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from typing import IO, NamedTuple
 from becalm.files.library_reader import Foreign
 from becalm.files.unpacking import unpacked
 
-_HEADER_LINKS = 88  # of the file; links of all other blocks begin after 24 bytes
+_HEADER_LINKS = 88  # offset of the file header's links; the links of all other blocks begin after 24 bytes
 _HEAD = 24
-_FLAGS = 60  # where the first two bytes tell what the recorder left undone
+_FLAGS = 60  # offset of two bytes of flags for what the recorder did not finish
 _VERSION = 8
 _COUNTERS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10
 _MOST_BLOCKS = 1_000_000
 _COUNTED = (3, 6)  # kinds of channels that are not in the rows
 _MAY_BE_INVALID = 2
 _NUMBERS = (b"##DT", b"##DV", b"##DI", b"##SD", b"##RD", b"##RV", b"##RI")
-_PACKED = struct.Struct("<B5xQQ")  # of a ##DZ: how, then its bytes before and after, from 26 on
+_PACKED = struct.Struct("<B5xQQ")  # at byte 26 of a ##DZ: method, unpacked and packed size
 _PACKED_AT, _PACKED_HEAD = 26, 48
-_PACKINGS = ("deflate", "deflate", "zstd", "zstd", "lz4", "lz4")  # each second one is of columns
+_PACKINGS = ("deflate", "deflate", "zstd", "zstd", "lz4", "lz4")  # every second one is transposed
 _ALL = -1
 _FOLLOWED: dict[bytes, tuple[int, ...]] = {
     b"##DG": (0, 1, 2),
@@ -40,36 +40,36 @@ _FOLLOWED: dict[bytes, tuple[int, ...]] = {
     b"##DL": (_ALL,),
     b"##LD": (_ALL,),
 }
-"""Which links of a block lead to others that belong to it alone."""
+"""The links of each kind of block that lead to blocks which belong to it alone."""
 _ANY = re.compile(rb"##[A-Z]{2}\0{4}")
 
 
 class _Link(NamedTuple):
-    place: int  # of the link itself
-    source: bytes  # the kind of block that it is in
-    group: int = 0  # the data group that it belongs to
-    channels: int = 0  # the channel group that it belongs to
+    place: int  # offset of the link itself
+    source: bytes  # kind of the block that contains it
+    group: int = 0  # offset of its data group
+    channels: int = 0  # offset of its channel group
 
 
 class Mending(NamedTuple):
-    """What is to be changed in a copy of a file before it can be read.
+    """The repairs that a copy of a file needs before it can be read.
 
     Attributes
     ----------
     patches : dict of int to bytes
-        What to write, and where; empty where the file can be read as it is.
+        Bytes to write, by their offset; empty if the file can be read without repair.
     cut : bool
-        Whether blocks, or parts of them, are not there.
+        Whether blocks, or parts of them, are missing.
     """
 
     patches: dict[int, bytes]
     cut: bool
 
     def opened(self, path: Path) -> IO[bytes]:
-        """Open the file, or a mended copy of it that is gone once it is closed."""
+        """Open the file, or a repaired temporary copy that is removed when closed."""
         if not self.patches:
             return path.open("rb")
-        copy = TemporaryFile()  # noqa: SIM115 - closed by who asked for it
+        copy = TemporaryFile()  # noqa: SIM115 - the caller closes it
         with path.open("rb") as file:
             shutil.copyfileobj(file, copy)
         for place, change in self.patches.items():
@@ -80,17 +80,17 @@ class Mending(NamedTuple):
 
 
 def looked_through(foreign: Foreign) -> Mending:
-    """Follow the blocks of a file of version 4.
+    """Follow the blocks of a file of version 4 and return the repairs that it needs.
 
     Raises
     ------
     InputError
-        If they are packed and claim to hold what no recording of this size holds.
+        If packed blocks claim more data than a file of this size can hold.
     ValueError
-        If they form a ring, there are far too many, or one is not what it says.
+        If blocks form a ring, there are far too many, or one is inconsistent.
     """
     with foreign.path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
-        if data[_VERSION : _VERSION + 1] != b"4":  # other versions know no such blocks
+        if data[_VERSION : _VERSION + 1] != b"4":  # other versions do not have these blocks
             return Mending({}, False)
         if len(data) < _HEADER_LINKS + 48 or data[64:68] != b"##HD":
             raise ValueError("it has no header block")
@@ -98,7 +98,7 @@ def looked_through(foreign: Foreign) -> Mending:
         patches: dict[int, bytes] = {}
         cut, chained = _follow(foreign, data, flags, patches)
         left = flags & ~_LAST_LENGTH | (_COUNTERS if patches else 0)
-        if chained and left & _LAST_LIST:  # asammdf completes one list, but goes round and round in a chain of them
+        if chained and left & _LAST_LIST:  # asammdf completes a single list, but loops forever in a chain of lists
             left, cut = left & ~_LAST_LIST, True
         if patches or flags:
             patches |= {0: b"UnFinMF " if left else b"MDF     ", _FLAGS: struct.pack("<H", left)}
@@ -106,14 +106,14 @@ def looked_through(foreign: Foreign) -> Mending:
 
 
 def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
-    """Note what to change: links that lead nowhere, and wrong lengths.
+    """Follow all blocks, and add patches for links that lead nowhere and for wrong lengths.
 
     Returns
     -------
     cut : bool
-        Whether anything is not there.
+        Whether data are missing.
     chained : bool
-        Whether a list of blocks goes on in another one.
+        Whether a list of blocks continues in another list.
     """
     cut = chained = False
     seen: set[int] = set()
@@ -133,35 +133,35 @@ def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes])
             raise ValueError(f"its blocks form a ring at {address:#x}")
         seen.add(address)
         chained |= link.source == kind == b"##DL"
-        there = len(data) - address
-        if kind in _NUMBERS and (length > there or _is_open(flags, link, length)):
+        available = len(data) - address
+        if kind in _NUMBERS and (length > available or _is_open(flags, link, length)):
             stop = _next_block(data, address)
             patches[address + 8] = struct.pack("<Q", stop - address)
-            cut = cut or length > there
+            cut = cut or length > available
             if kind == b"##SD":
                 _shorten(data, link.group, address, patches)
-        elif length > there:
+        elif length > available:
             patches[link.place], cut = bytes(8), True
         else:
             if kind == b"##DZ":
-                _refuse_unlike(foreign, data, address)
-            _refuse_lies(data, address, kind, link.channels)
+                _check_packed(foreign, data, address)
+            _check_claims(data, address, kind, link.channels)
             todo += _links(data, address, kind, link)
     return cut, chained
 
 
-def _refuse_lies(data: mmap, address: int, kind: bytes, channels: int) -> None:
-    """Refuse what asammdf would believe: a channel outside its rows, a text beyond its block."""
+def _check_claims(data: mmap, address: int, kind: bytes, channels: int) -> None:
+    """Raise an error for claims that asammdf does not check: a channel outside its rows, a text beyond its block."""
     if kind == b"##CN":
-        _refuse_outside(data, address, channels)
+        _check_channel(data, address, channels)
     elif kind == b"##SD":
         end = address + _length(data, address)
         if _whole_texts(data, address + _HEAD, end)[0] + 4 <= end:
             raise ValueError(f"a text in the block at {address:#x} is longer than the block")
 
 
-def _refuse_unlike(foreign: Foreign, data: mmap, address: int) -> None:
-    """Refuse a packed block that does not hold what it says, for asammdf unpacks it whole, however much that is."""
+def _check_packed(foreign: Foreign, data: mmap, address: int) -> None:
+    """Raise an error if a packed block has another size than it claims; asammdf would unpack any size."""
     how, plain, packed = _PACKED.unpack_from(data, address + _PACKED_AT)
     if how >= len(_PACKINGS) or packed > _length(data, address) - _PACKED_HEAD:
         raise ValueError(f"the block at {address:#x} is packed in an unknown way, or beyond its end")
@@ -171,7 +171,7 @@ def _refuse_unlike(foreign: Foreign, data: mmap, address: int) -> None:
 
 
 def _is_open(flags: int, link: _Link, length: int) -> bool:
-    """Tell whether the length of a block of numbers was left open by the recorder."""
+    """Return whether the recorder left the length of a block of numbers open."""
     return bool(flags & _LAST_LENGTH) and (length <= _HEAD or link.source == b"##DG")
 
 
@@ -196,26 +196,26 @@ def _links(data: mmap, address: int, kind: bytes, link: _Link) -> Iterator[_Link
 
 
 def _next_block(data: mmap, address: int) -> int:
-    """Return where the next block begins, or the file ends."""
-    for found in _ANY.finditer(data, address + _HEAD):
-        if found.start() % 8 == 0:
-            return found.start()
+    """Return the offset of the next block, or of the end of the file."""
+    for match in _ANY.finditer(data, address + _HEAD):
+        if match.start() % 8 == 0:
+            return match.start()
     return len(data)
 
 
 def _shorten(data: mmap, group: int, texts: int, patches: dict[int, bytes]) -> None:
-    """Leave out the rows of a group whose bytes of variable length, in a block of their own, are cut off."""
+    """Drop the rows of a group whose texts, in a separate block, are truncated."""
     stop, rows = _whole_texts(data, texts + _HEAD, len(data))
     patches[texts + 8] = struct.pack("<Q", stop - texts)
     channels, numbers = struct.unpack_from("<QQ", data, group + _HEAD + 8)
     if data[group + 56] or not _is_block(data, numbers) or data[numbers : numbers + 4] != b"##DT":
-        return  # rows of several groups, or in several blocks, are not counted
+        return  # the rows are mixed with those of other groups, or in several blocks
     width = sum(_widths(data, channels))
     patches[numbers + 8] = struct.pack("<Q", min(_HEAD + rows * width, len(data) - numbers))
 
 
 def _whole_texts(data: mmap, at: int, end: int) -> tuple[int, int]:
-    """Return where the last whole text of a block ends, and how many there are; each begins with its length."""
+    """Return the end of a block's last complete text, and the number of texts; each begins with its length."""
     count = 0
     while at + 4 <= end:
         (length,) = struct.unpack_from("<I", data, at)
@@ -226,18 +226,18 @@ def _whole_texts(data: mmap, at: int, end: int) -> tuple[int, int]:
 
 
 def _body(data: mmap, address: int) -> int:
-    """Return where a block goes on after its links."""
+    """Return the offset of a block's data after its links."""
     return address + _HEAD + 8 * int(struct.unpack_from("<Q", data, address + 16)[0])
 
 
 def _widths(data: mmap, channels: int) -> tuple[int, int]:
-    """Return how many bytes a row of a channel group has: of samples, and of bits that say which are invalid."""
+    """Return the bytes in a row of a channel group: for samples, and for bits that mark invalid samples."""
     samples, invalid = struct.unpack_from("<II", data, _body(data, channels) + 24)
     return int(samples), int(invalid)
 
 
-def _refuse_outside(data: mmap, channel: int, channels: int) -> None:
-    """Refuse a channel that lies outside its rows, for asammdf's C code reads whatever is there."""
+def _check_channel(data: mmap, channel: int, channels: int) -> None:
+    """Raise an error if a channel lies outside its rows, because asammdf's C code would read beyond them."""
     samples, invalid = _widths(data, channels)
     kind, bit, byte, bits, flags, invalid_bit = struct.unpack_from("<BxxBIIII", data, _body(data, channel))
     if kind not in _COUNTED and 8 * byte + bit + bits > 8 * samples:

@@ -1,4 +1,4 @@
-"""Channels of an MDF file as columns: conversions applied once, invalid samples missing, texts as texts."""
+"""Read the channels of an MDF file as columns: apply conversions once, and mark invalid samples as missing."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from becalm.files.library_reader import Foreign
 
 _LINEAR, _FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS = 1, 3, 7, 8  # types of conversions
 _MOST_PARTS = 4096
-_ELSEWHERE = 1  # a type of channel whose rows hold places in a block of values, each after its length
+_ELSEWHERE = 1  # type of channel whose rows hold offsets into a block of values, each preceded by its length
 _LENGTH_BYTES = 4
-_ENOUGH = 1000  # rows that tell whether a channel is of names or of numbers
+_ENOUGH = 1000  # rows to inspect to decide whether a channel has names or numbers
 _MOSTLY = 0.5
 
 NO_START = "Its first instant is not known; that of the file is another group's."
-"""The comment on a group which the start of the file is not about."""
+"""Comment of a channel group to which the start time of the file does not apply."""
 
 Values = NDArray[Any]
 Tidy = Callable[[Values], Values]
 
 
 class Mf4Channel(NamedTuple):
-    """A channel of a file: the file as asammdf has it, and the numbers of its group and of itself there."""
+    """A channel of a file: asammdf's file object, and the indices of the channel's group and of the channel."""
 
     log: Any
     group: int
@@ -37,16 +37,16 @@ class Mf4Channel(NamedTuple):
 
     @property
     def head(self) -> Any:
-        """What the file says of it."""
+        """Return asammdf's description of the channel."""
         return self.log.groups[self.group].channels[self.number]
 
     @property
     def unit(self) -> str:
-        """As the file has it."""
+        """Return the unit that the file states, or ""."""
         return str(self.log.get_channel_unit(group=self.group, index=self.number) or "")
 
     def read(self, first: int, last: int, raw: bool = False) -> tuple[Values, Values | None]:
-        """Return samples, and which of them are invalid; raw ones are not converted."""
+        """Return samples, unconverted if `raw`, and a mask of the invalid ones, if any."""
         values, invalid = self.log.get(
             group=self.group,
             index=self.number,
@@ -59,9 +59,9 @@ class Mf4Channel(NamedTuple):
         return values, invalid
 
     def points_wrongly(self) -> bool:
-        """Tell whether a row points outside the channel's values; asammdf takes whatever is there for a length.
+        """Return whether a row points outside the channel's values, where asammdf would read any bytes as a length.
 
-        Only its inside gives the places and the values without following them.
+        This uses internals of asammdf, because only they return the offsets without following them.
         """
         if getattr(self.head, "channel_type", 0) != _ELSEWHERE or not hasattr(self.log.groups[self.group], "sorted"):
             return False
@@ -80,7 +80,7 @@ class Mf4Channel(NamedTuple):
 
 
 class MasterTime:
-    """The times of a group, from its first row on; of a master channel."""
+    """The times of a group since its first row, from its master channel."""
 
     def __init__(self, channel: Mf4Channel) -> None:
         self._channel = channel
@@ -92,11 +92,11 @@ class MasterTime:
 
     @property
     def first_s(self) -> float:
-        """The time of the first row in seconds, as the file counts them."""
+        """Return the time of the first row in seconds since the start of the file."""
         return float(self._first) * self._second + self._offset if self._linear else float(self._first)
 
     def read(self, first: int, last: int) -> Floats:
-        """Return seconds since the first row; the difference is taken before it is scaled."""
+        """Return seconds since the first row; the difference is taken before scaling, so that no digits are lost."""
         if not self._linear:
             return np.asarray(self._seconds(first, last) - self._first, np.float64)
         raw = self._raw(first, last)
@@ -112,7 +112,7 @@ class MasterTime:
 
 
 def columns_of(foreign: Foreign, channel: Mf4Channel) -> tuple[list[tuple[str, Column]], list[str]]:
-    """Return the columns of a channel, by their names, and what is to be said of it."""
+    """Return the named columns of a channel, and notes about it."""
     conversion, name, unit = channel.head.conversion, channel.head.name, channel.unit
     if why := _not_converted(foreign, conversion):
         return [], [f"{name!r} was left out: {why}."]
@@ -124,18 +124,18 @@ def columns_of(foreign: Foreign, channel: Mf4Channel) -> tuple[list[tuple[str, C
     parts = _parts(name, probe)
     if len(parts) > _MOST_PARTS:
         return [], [f"{name!r} was left out: it has {len(parts)} values a row."]
-    made = []
+    columns = []
     for title, pick in parts:
         flag = channel.head.bit_count == 1 and conversion is None
         of_type, tidy = _type_of(pick(probe).astype(bool) if flag else pick(probe), conversion is not None)
         if of_type is None:
             return [], [f"{name!r} was left out: it holds values of an unknown type."]
-        made.append((title, Column(of_type, _reader(channel, _both(pick, tidy)), unit)))
-    return made, []
+        columns.append((title, Column(of_type, _reader(channel, _both(pick, tidy)), unit)))
+    return columns, []
 
 
 def _of_texts(channel: Mf4Channel) -> Column:
-    """Return a channel of names; or of numbers, of which some are called by a name, "invalid"."""
+    """Return a column of names; or of numbers, if only some values have a name such as "invalid"."""
     conversion = channel.head.conversion
     if np.isnan(_numbers(channel.read(0, _ENOUGH)[0])).mean() < _MOSTLY:
         return Column(pa.float64(), _reader(channel, _numbers), channel.unit)
@@ -147,7 +147,7 @@ def _of_texts(channel: Mf4Channel) -> Column:
 
 
 def _not_converted(foreign: Foreign, conversion: Any) -> str:
-    """Say why a conversion, or one that it falls back on, is not made; "" if it is."""
+    """Return why a conversion, or one that it refers to, cannot be applied, or "" if it can."""
     if conversion is None:
         return ""
     if getattr(conversion, "conversion_type", 0) == _FORMULA:
@@ -168,13 +168,13 @@ def _is_linear(conversion: Any) -> bool:
 
 
 def _parts(name: str, values: Values) -> list[tuple[str, Tidy]]:
-    """Take samples of several numbers apart; each part knows how to find itself in them."""
+    """Split samples of several numbers; return the name of each part and a function that picks it."""
     if values.dtype.names:
-        found = []
+        parts = []
         for field in values.dtype.names:
             inner = _parts(name if field == name else f"{name}.{field}", values[field])
-            found += [(title, _both(itemgetter(field), pick)) for title, pick in inner]
-        return found
+            parts += [(title, _both(itemgetter(field), pick)) for title, pick in inner]
+        return parts
     if values.ndim > 1 and values.dtype.kind in "biufc":
         return [(f"{name}_{at}", _element(at)) for at in range(int(np.prod(values.shape[1:])))]
     return [(name, np.asarray)]
@@ -206,7 +206,7 @@ def _texts(values: Values) -> Values:
 
 
 def _numbers(values: Values) -> Values:
-    """Return numbers, NaN where a text says that there is none."""
+    """Return numbers as float64; NaN if the values are texts."""
     return np.full(len(values), np.nan) if values.dtype.kind in "SUO" else values.astype(np.float64)
 
 
@@ -215,7 +215,7 @@ def _reader(channel: Mf4Channel, tidy: Tidy, raw: bool = False) -> Callable[[int
         values, invalid = channel.read(first, last, raw)
         if len(values) != last - first:
             raise ValueError(f"a channel has {first + len(values)} values where {last} were promised")
-        made = tidy(values)
-        return made if invalid is None else np.ma.masked_array(made, np.asarray(invalid, bool))
+        tidied = tidy(values)
+        return tidied if invalid is None else np.ma.masked_array(tidied, np.asarray(invalid, bool))
 
     return read_rows

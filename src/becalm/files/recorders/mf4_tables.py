@@ -1,4 +1,4 @@
-"""One table as a channel group of an MF4 file: its master, its channels, and their rows chunk by chunk."""
+"""Write one table as a channel group of an MF4 file: its master, its channels, and their rows chunk by chunk."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from becalm.files.timing.times import PER_SECOND, SECONDS
 from becalm.files.unit_spelling import parse_header
 
 _MOST_WORDS = 1 << 16
-_TIME, _INDEX = ("time", 1), ("index", 4)  # names of masters, and what kind they are
+_TIME, _INDEX = ("time", 1), ("index", 4)  # names of masters, and their synchronisation types
 
 Samples = tuple[NDArray[Any], NDArray[np.bool_] | None]
 
@@ -32,9 +32,9 @@ class MdfTable:
     library : module
         asammdf.
     group : str
-        What the table is called.
+        The name of the table's group.
     start : str
-        Its first instant as ISO 8601 text, "" where it is not known.
+        Its first instant as ISO 8601 text, or "" if unknown.
     """
 
     def __init__(self, library: ModuleType, group: str, start: str) -> None:
@@ -44,16 +44,16 @@ class MdfTable:
         self._first_s = 0.0
         self._words: dict[str, dict[str, int]] = {}
         self.after_ns: int | None = 0
-        """By how much its zero is later than the start of the file; None where nobody knows."""
+        """How much later its zero is than the start of the file, in ns; None if unknown."""
 
     @property
     def zero_ns(self) -> int | None:
-        """The instant of its zero, in ns since 1970; None where it is not known."""
+        """Return the instant of its zero, in ns since 1970, or None if unknown."""
         start = instant_ns(self.start)
         return None if start is None else start - round(self._first_s * 1e9)
 
     def write(self, log: Any, table: pa.Table) -> None:
-        """Write some rows; the first that are there make the channels."""
+        """Append rows; the first ones define the channels."""
         if not table.num_rows:
             return
         times, kind = self._master(table)
@@ -67,7 +67,7 @@ class MdfTable:
         self._rows += table.num_rows
 
     def close(self, log: Any) -> None:
-        """Tell what was not known before the last row."""
+        """Set the conversions and the time offset, which are known only after the last row."""
         if self._number is None:
             return
         channels = log.groups[self._number].channels
@@ -77,7 +77,7 @@ class MdfTable:
         if self.after_ns is None:
             log.groups[self._number].channel_group.comment = NO_START
         elif self.after_ns:
-            channels[0].conversion = self._made({"a": 1.0, "b": self.after_ns / 1e9})
+            channels[0].conversion = self._from_values({"a": 1.0, "b": self.after_ns / 1e9})
 
     def _append(self, log: Any, fields: list[pa.Field], samples: list[Samples], times: Floats, kind: Any) -> int:
         signals = [
@@ -106,7 +106,7 @@ class MdfTable:
         return np.arange(self._rows, self._rows + table.num_rows, dtype=np.float64), _INDEX
 
     def _samples(self, field: pa.Field, column: pa.ChunkedArray) -> Samples:
-        """Return values, and which are invalid where there may be such: NaN needs no such mark."""
+        """Return values, and a mask of invalid ones if there may be any; floats use NaN instead."""
         if pa.types.is_dictionary(field.type):
             listed = [str(word) for chunk in column.chunks for word in chunk.dictionary.drop_null().to_pylist()]
             return self._codes(field.name, listed, texts_of(column)), None
@@ -118,12 +118,12 @@ class MdfTable:
         return values.astype(np.uint8) if values.dtype.kind == "b" else values, missing
 
     def _codes(self, name: str, listed: list[str], texts: NDArray[np.object_]) -> NDArray[np.uint16]:
-        """Return the codes of words: their places in the first list of them, and after it."""
+        """Return the codes of words: their indices in the first list of words, extended by new words."""
         words = self._words.setdefault(name, {})
         for word in listed:
             words.setdefault(word, len(words))
-        met, places = np.unique(texts.astype(str), return_inverse=True)
-        codes = [words.setdefault(str(word), len(words)) for word in met]
+        distinct, places = np.unique(texts.astype(str), return_inverse=True)
+        codes = [words.setdefault(str(word), len(words)) for word in distinct]
         if len(words) > _MOST_WORDS:
             raise OutputError(f"{name!r} holds more than {_MOST_WORDS} words; cast that column to pyarrow.string().")
         return np.array(codes, np.uint16)[places]
@@ -132,14 +132,14 @@ class MdfTable:
         pairs = {f"val_{code}": code for code in words.values()} | {
             f"text_{code}": word for word, code in words.items()
         }
-        return self._made({**pairs, "default": ""})
+        return self._from_values({**pairs, "default": ""})
 
-    def _made(self, told: dict[str, Any]) -> Any:
-        return self._library.blocks.conversion_utils.from_dict(told)
+    def _from_values(self, values: dict[str, Any]) -> Any:
+        return self._library.blocks.conversion_utils.from_dict(values)
 
 
 def instant_ns(text: str) -> int | None:
-    """Return an instant that is written as ISO 8601, in ns since 1970; None if it is none."""
+    """Return an ISO 8601 instant in ns since 1970, or None if the text is not an instant."""
     try:
         return int(np.datetime64(text.removesuffix("Z"), "ns").astype(np.int64)) if text else None
     except ValueError:

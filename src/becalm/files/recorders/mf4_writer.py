@@ -1,4 +1,4 @@
-"""Tables to MF4, version 4.10: a channel group for each table, its rows kept in a temporary file until the end."""
+"""Write tables to MF4, version 4.10: a channel group for each table; rows are in a temporary file until the end."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from becalm.files.recorders.mf4_tables import MdfTable
 from becalm.files.temporary_files import in_waiting
 from becalm.installation import version
 
-_UTC, _LOCAL = 2, 1  # flags of a header's time
+_UTC, _LOCAL = 2, 1  # flags of the time in a header
 
 
 class Mf4Rows:
-    """Writes tables of one schema below each other; those of another group go into a channel group of their own.
+    """A writer that appends tables of one schema; each table group of becalm goes into its own channel group.
 
-    The master of a group is its first column of times in numbers, in s; without one it counts rows. Words that repeat
-    are codes, with a conversion from value to text. Missing whole numbers and flags are invalid samples. What is told
-    of the file stands in its history (##FH), and the first instant is its start.
+    The master of a group is its first numeric column of times, in s; without one it counts rows. Repeating words are
+    codes with a conversion from value to text. Missing whole numbers and flags are invalid samples. Metadata of the
+    file are in its history (##FH), and its start time is the first instant.
 
     Parameters
     ----------
     file : binary file
-        Where to; what is not yet in it waits in its folder.
+        The file to write. Until the end, rows are in a temporary file in the same folder.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -42,30 +42,30 @@ class Mf4Rows:
         self._library = _asammdf()
         self._log: Any = None
         self._tables: dict[str, MdfTable] = {}
-        self._told: dict[str, str] = {}
+        self._metadata: dict[str, str] = {}
 
     def write(self, table: pa.Table) -> None:
-        """Write some rows of a group."""
-        told = told_of(table.schema)
-        group = told.get(GROUP, "")
+        """Append rows to a group."""
+        metadata = told_of(table.schema)
+        group = metadata.get(GROUP, "")
         if group not in self._tables:
             refuse_strange_types(table.schema, "MF4")
-            self._told |= {key: text for key, text in told.items() if key not in OF_TABLE}
-            self._tables[group] = MdfTable(self._library, group, told.get(START, ""))
+            self._metadata |= {key: text for key, text in metadata.items() if key not in OF_TABLE}
+            self._tables[group] = MdfTable(self._library, group, metadata.get(START, ""))
         if self._log is None:
-            self._log = self._begun()
+            self._log = self._empty_log()
         with _sentence(self._library):
             self._tables[group].write(self._log, table)
 
     def close(self) -> None:
-        """Write all; the file stays open."""
+        """Write all rows; the file itself stays open."""
         if self._log is None:
             return
-        self._tell_start()
+        self._set_start()
         history = self._library.blocks.v4_blocks.FileHistory()
-        # the hour of writing is left out: the same recipe gives the same bytes
+        # omit the time of writing, so that equal data give equal bytes
         history.abs_time, history.tz_offset, history.daylight_save_time, history.time_flags = 0, 0, 0, _UTC
-        history.comment = _comment(self._told)
+        history.comment = _comment(self._metadata)
         self._log.file_history.append(history)
         with _sentence(self._library):
             for table in self._tables.values():
@@ -74,13 +74,13 @@ class Mf4Rows:
         self.drop()
 
     def drop(self) -> None:
-        """Let go of what waits."""
+        """Remove the temporary file."""
         self._log = None
-        with suppress(Exception):  # it is unwanted by now, and may be half written
+        with suppress(Exception):  # the temporary file is not needed any more, and may be incomplete
             self._stack.close()
 
-    def _begun(self) -> Any:
-        """Return an empty log, whose rows wait beside the output, where there is the room for them."""
+    def _empty_log(self) -> Any:
+        """Return an empty log, whose temporary rows are next to the output, where there is enough disk space."""
         folder = None
         if isinstance(getattr(self._file, "name", None), str):
             folder = Path(f"{self._file.name}.rows")
@@ -90,13 +90,13 @@ class Mf4Rows:
         self._stack.callback(log.close)
         return log
 
-    def _tell_start(self) -> None:
-        """Set the first instant of the file, and when each group begins after it."""
+    def _set_start(self) -> None:
+        """Set the start time of the file, and the offset of each group from it."""
         header = self._log.header
         header.abs_time, header.tz_offset, header.daylight_save_time, header.time_flags = 0, 0, 0, _UTC
-        begun = [table for table in self._tables.values() if table.zero_ns is not None]
-        zoned = bool(begun) and begun[0].start.endswith("Z")
-        alike = [table for table in begun if table.start.endswith("Z") == zoned]
+        dated = [table for table in self._tables.values() if table.zero_ns is not None]
+        zoned = bool(dated) and dated[0].start.endswith("Z")
+        alike = [table for table in dated if table.start.endswith("Z") == zoned]
         if alike:
             header.abs_time = min(table.zero_ns or 0 for table in alike)
             header.time_flags = _UTC if zoned else _LOCAL
@@ -104,8 +104,8 @@ class Mf4Rows:
                 table.after_ns = (table.zero_ns or 0) - header.abs_time if table in alike else None
 
 
-def _comment(told: Mapping[str, str]) -> str:
-    entries = "".join(f"<e name={quoteattr(key)}>{escape(text)}</e>" for key, text in told.items())
+def _comment(metadata: Mapping[str, str]) -> str:
+    entries = "".join(f"<e name={quoteattr(key)}>{escape(text)}</e>" for key, text in metadata.items())
     return (
         "<FHcomment><TX>Written by becalm</TX><tool_id>becalm</tool_id><tool_vendor>becalm</tool_vendor>"
         f"<tool_version>{version()}</tool_version><common_properties>{entries}</common_properties></FHcomment>"
@@ -124,4 +124,4 @@ def _asammdf() -> ModuleType:
     try:
         return import_module("asammdf")
     except ModuleNotFoundError as cause:
-        raise OutputError("MF4 is written by asammdf. Type: pip install 'becalm[formats]'") from cause
+        raise OutputError("Writing MF4 needs asammdf. Type: pip install 'becalm[formats]'") from cause

@@ -1,4 +1,4 @@
-"""TDMS, as LabVIEW and DIAdem write it: waveforms by their properties, else by a channel of times."""
+"""Read TDMS files of LabVIEW and DIAdem; the time comes from waveform properties or from a channel of times."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from becalm.files.unit_spelling import tidy_unit
 _LEAD_IN = struct.Struct("<4siiQQ")
 _UNFINISHED = 0xFFFFFFFFFFFFFFFF
 _BIG_ENDIAN = 1 << 6
-_PRESET_S = 1.0  # a step that stands there if nobody set one; a channel of times beside it knows better
-_NOT_SET_BEFORE = np.datetime64("1905-01-01")  # 1904 is their zero
+_PRESET_S = 1.0  # default time step of LabVIEW; a channel of times in the same group is more reliable
+_NOT_SET_BEFORE = np.datetime64("1905-01-01")  # the zero of TDMS times is 1904
 
 
 class _Base(NamedTuple):
-    """What channels of one time have in common."""
+    """The properties that channels with the same time share."""
 
-    rows: int  # that were meant to be written
+    rows: int  # number of rows that should have been written
     time: ToldTime | None
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Look into a TDMS file.
+    """Read the tables of a TDMS file.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "TDMS")
     library = foreign.library("nptdms")
-    file = _File(path)  # an index file beside it may be of another state
+    file = _File(path)  # an open file, so that npTDMS does not use an index file, which may be outdated
     try:
         with foreign.damage_told():
             held = library.TdmsFile.open(file, raw_timestamps=True)
@@ -67,7 +67,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 
 class _File(io.FileIO):
-    """A file that makes no room for more than it holds."""
+    """A file whose reads never allocate more than the file holds."""
 
     def read(self, size: int | None = -1) -> bytes:
         """Read up to `size` bytes, all by default."""
@@ -80,7 +80,7 @@ def _cut(rows: int) -> str:
 
 
 def _ends_whole(path: Path) -> bool:
-    """Tell whether the last segment is as long as it says."""
+    """Return whether the last segment is as long as it claims."""
     size, at = path.stat().st_size, 0
     with path.open("rb") as file:
         while at + _LEAD_IN.size <= size:
@@ -96,13 +96,13 @@ def _ends_whole(path: Path) -> bool:
 
 
 def _overpromised(held: Any) -> bool:
-    """Tell whether a segment is to hold more than there is room for in it; only the library's inside knows."""
+    """Return whether a segment promises more values than fit into it; this uses internals of the library."""
     segments = getattr(getattr(held, "_reader", None), "_segments", ())
     return any(getattr(one, "final_chunk_lengths_override", None) for one in segments)
 
 
 def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[Group]:
-    """Sort the channels of a group by their time."""
+    """Yield a table for each time base in a group."""
     held: dict[_Base, list[Any]] = {}
     empty = [channel.name for channel in group.channels() if not len(channel)]
     clocks = {len(channel) for channel in group.channels() if is_time_name(channel.name)}
@@ -111,10 +111,10 @@ def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[G
     for channel in group.channels():
         if len(channel):
             preset = len(channel) in clocks and channel.properties.get("wf_increment") == _PRESET_S
-            time = dated if preset or dated else _told_time(channel.properties)
+            time = dated if preset or dated else _waveform_time(channel.properties)
             base = _Base(len(channel) + missing.get(channel.path, 0), time)
             held.setdefault(base, []).append(channel)
-    for base in [base for base in held if base.time is None]:  # beside waveforms of one time, of that time
+    for base in [base for base in held if base.time is None]:  # they take the time of waveforms with as many rows
         timed = [other for other in held if other.time is not None and other.rows == base.rows]
         if len(timed) == 1:
             order = {channel.path: number for number, channel in enumerate(group.channels())}
@@ -124,16 +124,16 @@ def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[G
         columns: dict[str, Column] = {}
         notes = [f"{name!r} has no rows, and was left out." for name in empty]
         for channel in members:
-            made = dict(_columns(channel))
-            if not made:
+            own = dict(_columns(channel))
+            if not own:
                 notes.append(f"{channel.name!r} holds values of an unknown type, and was left out.")
-            columns |= made
+            columns |= own
         foreign.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
         yield Group(name, columns, rows, base.time, tuple(notes))
 
 
-def _told_time(properties: dict[str, Any]) -> ToldTime | None:
-    """Return the time of a waveform."""
+def _waveform_time(properties: dict[str, Any]) -> ToldTime | None:
+    """Return rate and start of a waveform, or None if its properties do not contain them."""
     step_s = properties.get("wf_increment")
     if not isinstance(step_s, float | int) or not 0.0 < step_s < np.inf:
         return None
@@ -147,15 +147,15 @@ def _told_time(properties: dict[str, Any]) -> ToldTime | None:
 
 
 def _columns(channel: Any) -> Iterator[tuple[str, Column]]:
-    """Give the columns of a channel: one; two of complex values; none of what nobody knows."""
+    """Yield the columns of a channel: one, or two for complex values, or none for an unknown type."""
     kind = np.dtype(channel.dtype).newbyteorder("=")
     unit, fill = _unit(channel.properties), channel.properties.get(FILL)
     if kind.kind in "iu" and fill is not None:
 
-        def holed(values: NDArray[Any]) -> NDArray[np.float64]:
+        def with_missing(values: NDArray[Any]) -> NDArray[np.float64]:
             return np.where(values == fill, np.nan, values.astype(np.float64))
 
-        yield channel.name, Column(pa.float64(), _reader(channel, holed), unit)
+        yield channel.name, Column(pa.float64(), _reader(channel, with_missing), unit)
         return
     if kind.kind in "iufb":
         yield (

@@ -1,4 +1,4 @@
-"""Large chunks of a TDMS file in pieces: npTDMS reads the whole chunk of a channel for every block of its rows."""
+"""Split large chunks of a TDMS file, because npTDMS reads a channel's whole chunk for every block of rows."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from copy import copy
 from typing import Any
 
-_PIECE_BYTES = 1 << 22  # of a channel, or of rows that hold all of them
+_PIECE_BYTES = 1 << 22  # size of a piece of one channel, or of interleaved rows
 _INTERLEAVED = 1 << 5
 
 
 def in_pieces(held: Any) -> None:
-    """Make segments of the large chunks of an open file, which npTDMS then seeks one by one; only its inside can."""
+    """Replace the large chunks of an open file by small segments, which npTDMS reads one by one; uses its internals."""
     reader = getattr(held, "_reader", None)
     if reader is not None:
         reader._segments = [piece for segment in reader._segments for piece in _pieces(segment)]
@@ -35,13 +35,13 @@ def _pieces(segment: Any) -> Iterator[Any]:
 
 
 def _counts(segment: Any, objects: list[Any], chunk: int) -> dict[str, int]:
-    """Return how many values each channel has in a chunk; the last one may be cut."""
+    """Return the number of values of each channel in a chunk; the last chunk may be truncated."""
     cut = segment.final_chunk_lengths_override if chunk == segment.num_chunks - 1 else None
     return {one.path: one.number_values if cut is None else cut.get(one.path, 0) for one in objects}
 
 
 def _piece(segment: Any, counts: dict[str, int], start: int, rows: tuple[int, int], interleaved: bool) -> Any:
-    """Return a segment of some rows of a chunk, in which the size of a channel leads to the next one's rows."""
+    """Return a segment with some rows of a chunk; `data_size` of a channel is the distance to the next one's rows."""
     made, objects, places, at = copy(segment), [], [], start
     for one in segment.ordered_objects:
         part = copy(one)

@@ -1,4 +1,4 @@
-"""Tables to TDMS: a group for each table, a channel for each column, a segment for each chunk of rows."""
+"""Write tables to TDMS: a group for each table, a channel for each column, a segment for each chunk of rows."""
 
 from __future__ import annotations
 
@@ -16,22 +16,21 @@ from becalm.files.column_arrays import is_text, numbers_of, refuse_strange_types
 from becalm.files.groups import GROUP
 
 FILL = "_FillValue"
-"""Of a channel, the whole number that stands for none."""
+"""Property of a channel: the whole number that marks a missing value."""
 
 _NAMELESS = "recording"
 
 
 class TdmsRows:
-    """Writes tables of one schema below each other; those of another group go into a group of their own.
+    """A writer that appends tables of one schema; each table group of becalm goes into its own TDMS group.
 
-    Each channel has its unit as `unit_string`; words and dates are texts. Missing whole numbers have the value that
-    the property `_FillValue` tells. What is told of the file stands in its properties, what is told of a table in
-    those of its group.
+    Each channel has its unit as `unit_string`; words and dates are texts. Missing whole numbers have the value of the
+    property `_FillValue`. Metadata of the file are properties of the file, metadata of a table those of its group.
 
     Parameters
     ----------
     file : binary file
-        Where to.
+        The file to write.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -41,52 +40,52 @@ class TdmsRows:
         self._out.open()
 
     def write(self, table: pa.Table) -> None:
-        """Write some rows of a group."""
-        told = told_of(table.schema)
-        group = told.get(GROUP, "")
+        """Append rows to a group."""
+        metadata = told_of(table.schema)
+        group = metadata.get(GROUP, "")
         if group not in self._groups:
             refuse_strange_types(table.schema, "TDMS")
-            self._begin(group, told)
+            self._begin(group, metadata)
         if table.num_rows:
             channels = zip(table.schema, table.columns, strict=True)
             name = self._groups[group]
             self._out.write_segment([self._channel(name, field, column) for field, column in channels])
 
     def close(self) -> None:
-        """Finish the file, which stays open."""
+        """Finish writing; the file itself stays open."""
         if not self._groups:
             self._out.write_segment([self._library.RootObject()])
         self._out.close()
 
     def drop(self) -> None:
-        """Let go of the file."""
+        """Stop writing and discard the result."""
         self._out.close()
 
-    def _begin(self, group: str, told: Mapping[str, str]) -> None:
-        """Write what is told of a group, and of the file."""
+    def _begin(self, group: str, metadata: Mapping[str, str]) -> None:
+        """Write the metadata of a group and of the file."""
         names = (group or _NAMELESS, *(f"{_NAMELESS} {number}" for number in range(2, len(self._groups) + 3)))
         self._groups[group] = next(name for name in names if name not in self._groups.values())
-        of_file = {key: text for key, text in told.items() if key not in OF_TABLE}
-        of_group = {GROUP: "", **{key: text for key, text in told.items() if key in OF_TABLE}}
+        of_file = {key: text for key, text in metadata.items() if key not in OF_TABLE}
+        of_group = {GROUP: "", **{key: text for key, text in metadata.items() if key in OF_TABLE}}
         library = self._library
         self._out.write_segment(
             [library.RootObject(of_file), library.GroupObject(self._groups[group], properties=of_group)]
         )
 
     def _channel(self, group: str, field: pa.Field, column: pa.ChunkedArray) -> Any:
-        properties = dict(_told_of_channel(field))
+        properties = dict(_properties(field))
         if is_text(column.type):
             return self._library.ChannelObject(group, field.name, texts_of(column), properties)
         values, missing = numbers_of(column)
         if values.dtype.kind == "b" and missing.any():
-            raise OutputError(f"Flags in {field.name!r} are missing, which TDMS has no word for; write .h5 instead.")
+            raise OutputError(f"{field.name!r} has missing flags, which TDMS cannot represent; write .h5 instead.")
         if values.dtype.kind in "iu" and missing.any():
             properties[FILL] = _fill(values.dtype)
             values = np.where(missing, properties[FILL], values)
         return self._library.ChannelObject(group, field.name, values, properties)
 
 
-def _told_of_channel(field: pa.Field) -> Iterator[tuple[str, Any]]:
+def _properties(field: pa.Field) -> Iterator[tuple[str, Any]]:
     if unit := unit_of_field(field):
         yield "unit_string", unit
 
@@ -100,4 +99,4 @@ def _nptdms() -> ModuleType:
     try:
         return import_module("nptdms")
     except ModuleNotFoundError as cause:
-        raise OutputError("TDMS is written by npTDMS. Type: pip install 'becalm[formats]'") from cause
+        raise OutputError("Writing TDMS needs npTDMS. Type: pip install 'becalm[formats]'") from cause

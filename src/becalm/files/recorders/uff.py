@@ -1,4 +1,4 @@
-"""UFF58 and 58b, the universal files of vibration testing: time responses; sets of equal time are one group."""
+"""Read time responses in UFF58 and 58b, the universal files of vibration testing; sets of equal time form a table."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ class _Set(NamedTuple):
 
     @property
     def second(self) -> float:
-        """What one of its units of time is in seconds."""
+        """Return the length of its unit of time in seconds."""
         return _SECONDS[_label(self.header, "abscissa")]
 
     @property
     def time(self) -> tuple[object, ...]:
-        """What sets of one group have in common."""
-        told = (self.rows, self.even, self.second, _start(self.header))
+        """Return a key that is equal for all sets of one table."""
+        shared = (self.rows, self.even, self.second, _start(self.header))
         if self.even:
-            return (*told, self.header["abscissa_min"], self.header["abscissa_inc"])
-        return (*told, hashlib.blake2b(self.values.abscissa(0, self.rows).tobytes()).digest())
+            return (*shared, self.header["abscissa_min"], self.header["abscissa_inc"])
+        return (*shared, hashlib.blake2b(self.values.abscissa(0, self.rows).tobytes()).digest())
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Look into a universal file.
+    """Read the tables of a universal file.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     with foreign.damage_told():
         blocks, cut = blocks_of(path)
         if not blocks:
-            raise InputError(f"{path} is UFF without a whole set 58; a function of time is needed.")
+            raise InputError(f"{path} is UFF without a complete set 58; becalm needs a function of time.")
         left_out: list[str] = []
         sets: list[_Set] = []
         for header, block in zip(_headers(library.UFF, blocks), blocks, strict=True):
@@ -84,33 +84,33 @@ def read(path: Path) -> tuple[RawTable, ...]:
                 " as a function of time (type 1)."
             )
         ends = ("The file ends within the head of a set, which was left out.",) if cut else ()
-        return tables(foreign, "uff", list(_groups(sets, (*_told(left_out), *ends))))
+        return tables(foreign, "uff", list(_groups(sets, (*_left_out_notes(left_out), *ends))))
 
 
 def _headers(reader: Callable[[str], Any], blocks: Sequence[UffBlock]) -> list[dict[str, Any]]:
-    """Have the heads of all sets read, without their numbers."""
+    """Read the headers of all sets with the library, without their numbers."""
     with TemporaryDirectory() as folder:
         heads = Path(folder) / "heads.uff"
         heads.write_bytes(b"".join(b"    -1\n" + block.head + b"    -1\n" for block in blocks))
-        found = reader(str(heads)).read_sets(header_only=True)
-    return found if isinstance(found, list) else [found]
+        headers = reader(str(heads)).read_sets(header_only=True)
+    return headers if isinstance(headers, list) else [headers]
 
 
 def _not_read(header: dict[str, Any]) -> str:
-    """Say why a set is none of ours; "" if it is."""
+    """Return why a set is not read, or "" if it is."""
     of_time = header["abscissa_spec_data_type"] == _ABSCISSA_TIME
     if header["func_type"] != _TIME_RESPONSE and not (header["func_type"] == _GENERAL and of_time):
-        return f"is a function of type {header['func_type']}, no time response"
+        return f"is a function of type {header['func_type']}, not a time response"
     if header["ord_data_type"] not in (2, 4):
         return "has complex values"
     if (unit := _label(header, "abscissa")) not in _SECONDS:
-        return f"is told over {unit!r}, which is no unit of time"
+        return f"is a function of {unit!r}, which is not a unit of time"
     if header["abscissa_spacing"] and not 0.0 < header["abscissa_inc"] < np.inf:
         return f"has a time step of {header['abscissa_inc']}"
     return ""
 
 
-def _told(left_out: Sequence[str]) -> Iterator[str]:
+def _left_out_notes(left_out: Sequence[str]) -> Iterator[str]:
     if left_out:
         more = f", and {len(left_out) - 1} more sets" if len(left_out) > 1 else ""
         yield f"Left out: {left_out[0]}{more}."
@@ -152,26 +152,26 @@ def _seconds(one: _Set) -> Callable[[int, int], Floats]:
 
 def _name(header: dict[str, Any]) -> str:
     name = str(header["id1"]).strip()
-    return name if _is_told(name) else f"node {_place(header)}"
+    return name if _is_given(name) else f"node {_place(header)}"
 
 
 def _place(header: dict[str, Any]) -> str:
-    """Return where and in which direction it was measured: `3+Z`."""
+    """Return the node and direction of a measurement, such as `3+Z`."""
     node, direction = header["rsp_node"], header["rsp_dir"]
     return f"{node}{'-' if direction < 0 else '+'}{_AXES.get(abs(direction), '')}" if direction else f"{node}"
 
 
-def _is_told(text: str) -> bool:
+def _is_given(text: str) -> bool:
     return text.upper() not in ("", "NONE")
 
 
 def _label(header: dict[str, Any], axis: str) -> str:
     unit = str(header.get(f"{axis}_axis_units_lab", "")).strip()
-    return tidy_unit(unit) if _is_told(unit) else ""
+    return tidy_unit(unit) if _is_given(unit) else ""
 
 
 def _start(header: dict[str, Any]) -> str:
-    """Return when it was recorded, if the third line says so in the usual form."""
+    """Return the start of the recording from the third line of the header, or "" if it is not a date."""
     with suppress(ValueError):
         return datetime.strptime(str(header["id3"]).strip(), _DATE).isoformat()
     return ""

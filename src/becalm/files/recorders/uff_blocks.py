@@ -1,4 +1,4 @@
-"""Where the sets of a universal file lie, and their numbers, read from there."""
+"""Find the sets of a universal file, and read their numbers."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
 
-_HEAD_LINES = 12  # after the mark; the first of them names the set
-_LONGEST = 400  # bytes of such a line; 80 is usual
-_SIZE = slice(31, 43)  # where that first line of a binary set tells the bytes of its numbers
-_LINE = re.compile(rb"^ {0,5}-1 *\r?(?:\n|\Z)", re.MULTILINE)  # four blanks, of which some writers leave out a few
+_HEAD_LINES = 12  # lines of a header after the mark; the first of them has the set's number
+_LONGEST = 400  # largest number of bytes in such a line; 80 is usual
+_SIZE = slice(31, 43)  # columns of a binary set's first header line with the size of its numbers in bytes
+_LINE = re.compile(rb"^ {0,5}-1 *\r?(?:\n|\Z)", re.MULTILINE)  # four blanks, but some writers use fewer
 _MARK = re.compile(rb" {4}-1 *\r?(?:\n|\Z)")
 _AFTER_NUMBERS = re.compile(rb"[\r\n ]*?-1 *\r?(?:\n|\Z)")
 
 
 class Values(NamedTuple):
-    """The numbers of a set; times, where they are uneven, stand beside them.
+    """The numbers of a set, paired with times if these are uneven.
 
     Attributes
     ----------
     pairs : (N,) or (N, 2) array
-        As they are in the file.
+        The numbers in the order and type of the file.
     complete : bool
-        Whether all that its head promises are there.
+        Whether there are as many as the header promises.
     """
 
     pairs: NDArray[np.generic]
@@ -36,7 +36,7 @@ class Values(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """Return the number of rows."""
         return len(self.pairs)
 
     def ordinate(self, first: int, last: int) -> Floats:
@@ -55,14 +55,14 @@ class Values(NamedTuple):
 
 
 class UffBlock(NamedTuple):
-    """A set 58: its head, and where its numbers are.
+    """A set 58: its header, and the place of its numbers.
 
     Attributes
     ----------
     head : bytes
-        The twelve lines that describe it.
+        The twelve lines of its header.
     start, stop : int
-        Its numbers in the file, in bytes; `stop` is where the next mark was found, or the file ends.
+        Byte range of its numbers in the file; `stop` is the next mark, or the end of the file.
     """
 
     head: bytes
@@ -70,7 +70,7 @@ class UffBlock(NamedTuple):
     stop: int
 
     def values(self, path: Path, header: dict[str, Any]) -> Values:
-        """Find the numbers of a set with this header."""
+        """Return the numbers of a set with this header."""
         promised, uneven = max(header["num_pts"], 0), not header["abscissa_spacing"]
         if not header["binary"]:
             with path.open("rb") as file:
@@ -87,8 +87,8 @@ class UffBlock(NamedTuple):
 
 
 def blocks_of(path: Path) -> tuple[list[UffBlock], bool]:
-    """Find all sets 58 of a file; and whether it ends within the head of one."""
-    found: list[UffBlock] = []
+    """Return all sets 58 of a file, and whether it ends within the header of one."""
+    blocks: list[UffBlock] = []
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
         at = 0
         while mark := _LINE.search(data, at):
@@ -100,10 +100,10 @@ def blocks_of(path: Path) -> tuple[list[UffBlock], bool]:
             head = _lines(data, mark.end(), _HEAD_LINES)
             begin = mark.end() + len(head)
             if head.count(b"\n") < _HEAD_LINES:
-                return found, True
+                return blocks, True
             stop, at = _numbers(data, begin, first)
-            found.append(UffBlock(head, begin, stop))
-    return found, False
+            blocks.append(UffBlock(head, begin, stop))
+    return blocks, False
 
 
 def _lines(data: mmap, at: int, count: int) -> bytes:
@@ -112,10 +112,10 @@ def _lines(data: mmap, at: int, count: int) -> bytes:
 
 
 def _numbers(data: mmap, begin: int, first: bytes) -> tuple[int, int]:
-    """Return where the numbers of a set stop, and where the next set may begin."""
+    """Return the end of a set's numbers, and where the next set may begin."""
     if first[6:7].lower() != b"b":
         closing = _LINE.search(data, begin)
-        if closing is None:  # a line that is cut off tells wrong numbers
+        if closing is None:  # drop the last, truncated line, because its numbers may be wrong
             return max(data.rfind(b"\n", begin) + 1, begin), len(data)
         return closing.start(), closing.end()
     size = first[_SIZE].strip()
@@ -129,7 +129,7 @@ def _numbers(data: mmap, begin: int, first: bytes) -> tuple[int, int]:
 
 
 def _of_text(text: bytes, double: bool, uneven: bool, promised: int) -> Values:
-    """Read numbers of fixed widths, without blanks between them; or, where lines are otherwise, between blanks."""
+    """Read numbers in fixed-width columns; if the line lengths do not fit these, read numbers between blanks."""
     time, signal = 13, 20 if double else 13
     width = time + signal if uneven else signal
     lines = [line.rstrip() for line in text.replace(b"D", b"E").splitlines()]

@@ -1,4 +1,4 @@
-"""WAV: sound cards and vibration recorders; samples are parts of full scale."""
+"""Read WAV files of sound cards and vibration recorders; samples are fractions of full scale."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable, ToldTime
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
-_UNKNOWN = (0, 0xFFFFFFFF)  # lengths of a recorder that was not stopped, and of one that writes to a pipe
+_UNKNOWN = (0, 0xFFFFFFFF)  # lengths written by a recorder that was not stopped, or that writes to a pipe
 _MOST_FORMAT = 1024  # bytes; a format takes 16 to 40
-_SCALE = "Samples are parts of full scale, 1.0; the unit and the scale of the sensor are not in a WAV file."
+_SCALE = "Samples are fractions of full scale, 1.0; a WAV file does not contain the sensor's unit and scale."
 
 
 class _Sound(NamedTuple):
-    """What the head of a file says."""
+    """The header of a file."""
 
-    order: str  # of bytes, as struct has it
+    order: str  # byte order, as in struct
     format: bytes
-    start: int  # of the samples, in bytes
-    length: int  # of the samples as far as they are there, in bytes
+    start: int  # offset of the samples, in bytes
+    length: int  # bytes of samples that are in the file
     complete: bool
 
     def field(self, kind: str, offset: int) -> int:
@@ -43,17 +43,17 @@ class _Sound(NamedTuple):
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Look into a WAV file.
+    """Read the table of a WAV file.
 
     Raises
     ------
     InputError
-        If it is damaged, or coded otherwise than as plain numbers.
+        If it is damaged, or its samples are not plain numbers.
     """
     foreign = Foreign(path, "WAV")
     decoder = foreign.library("scipy.io.wavfile")
     with foreign.damage_told():
-        sound = _understood(foreign)
+        sound = _header(foreign)
         channels, rate_hz, width = sound.field("H", 2), sound.field("I", 4), sound.field("H", 12)
         if sound.coding not in (_PCM, _FLOAT):
             raise InputError(
@@ -66,7 +66,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         kept: list[tuple[int, int, NDArray[np.generic]]] = []
 
         def samples(first: int, last: int) -> NDArray[np.generic]:
-            """Read rows, (n, channels); all columns ask for the same ones in turn."""
+            """Read rows, (n, channels), and keep them, because the next column needs the same rows."""
             if not kept or kept[0][:2] != (first, last):
                 with path.open("rb") as file:
                     file.seek(sound.start + first * width)
@@ -88,7 +88,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         return tables(foreign, "wav", (group,))
 
 
-def _understood(foreign: Foreign) -> _Sound:
+def _header(foreign: Foreign) -> _Sound:
     size = foreign.path.stat().st_size
     with foreign.path.open("rb") as file:
         mark = file.read(12)[:4]
@@ -104,15 +104,16 @@ def _understood(foreign: Foreign) -> _Sound:
             elif name == b"data":
                 if not form:
                     raise ValueError("its samples come before their format")
-                told = long_length if length == 0xFFFFFFFF and long_length else length
-                there = size - start
-                unknown = told in _UNKNOWN
-                return _Sound(order, form, start, there if unknown else min(told, there), not unknown and told <= there)
+                claimed = long_length if length == 0xFFFFFFFF and long_length else length
+                available = size - start
+                unknown = claimed in _UNKNOWN
+                held = available if unknown else min(claimed, available)
+                return _Sound(order, form, start, held, not unknown and claimed <= available)
     raise ValueError("there are no samples in it")
 
 
 def _chunks(file: BinaryIO, order: str, size: int) -> Iterator[tuple[bytes, int, int]]:
-    """Give the name, the place and the length of each part of the file, with the file there."""
+    """Yield the name, offset and length of each chunk, with the file positioned at its content."""
     at = 12
     while at + 8 <= size:
         file.seek(at)
@@ -122,7 +123,7 @@ def _chunks(file: BinaryIO, order: str, size: int) -> Iterator[tuple[bytes, int,
 
 
 def _little_file(sound: _Sound, data: bytes) -> bytes:
-    """Return a file of some samples only, with the format of the whole."""
+    """Return a WAV file in memory with some samples only, for the library to decode."""
     mark = b"RIFX" if sound.order == ">" else b"RIFF"
     form, pad = sound.format, bytes(len(data) % 2)
     body = b"WAVEfmt " + struct.pack(sound.order + "I", len(form)) + form + bytes(len(form) % 2)
@@ -131,9 +132,9 @@ def _little_file(sound: _Sound, data: bytes) -> bytes:
 
 
 def _scaled(values: NDArray[np.generic]) -> NDArray[np.floating]:
-    """Return numbers from -1 to 1; fractions as they are."""
+    """Return samples as fractions of full scale, from -1 to 1; floats stay unchanged."""
     if values.dtype.kind == "f":
         return values.astype(values.dtype.newbyteorder("="))
-    if values.dtype.kind == "u":  # up to 8 bits, around their middle
+    if values.dtype.kind == "u":  # up to 8 bits, with zero at 128
         return (values.astype(np.float64) - 128.0) / 128.0
     return values.astype(np.float64) / 2.0 ** (8 * values.dtype.itemsize - 1)

@@ -1,1 +1,1 @@
-"""Logs of drones and robots, each topic a table: ULog, ROS bags and MCAP."""
+"""Read logs of drones and robots (ULog, ROS bags and MCAP); each topic is a table."""

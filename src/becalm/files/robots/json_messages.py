@@ -1,4 +1,4 @@
-"""Messages written as JSON: their numbers by dotted names, and their stamps."""
+"""Decode JSON messages: numbers by dotted names, and stamps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-_LONGEST = 64  # numbers of a list that become columns
+_LONGEST = 64  # longest list that becomes columns
 _DEEPEST = 16
 _SECOND = 1_000_000_000
 _STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",))
@@ -14,12 +14,12 @@ _FRACTIONS = ("nanosec", "nsec", "nsecs", "nanos")
 
 
 class JsonDecoder:
-    """Decodes messages; it has what that of ROS has.
+    """A decoder of JSON messages, with the same interface as `RosDecoder`.
 
     Attributes
     ----------
     units : mapping of str to str
-        None are known.
+        Empty, because JSON messages have no units.
     left_out : set of str
         Names of texts, and of lists too long for columns.
     """
@@ -29,10 +29,10 @@ class JsonDecoder:
         self.left_out: set[str] = set()
 
     def __call__(self, data: bytes) -> tuple[int | None, Iterator[tuple[str, float]]]:
-        """Return the stamp of a message in nanoseconds, None without, and its numbers."""
+        """Return the stamp of a message in nanoseconds, or None, and its numbers."""
         message = json.loads(data)
         if not isinstance(message, dict):
-            raise ValueError("a message is no JSON object")
+            raise ValueError("a message is not a JSON object")
         return _stamp(message), self._numbers(message, "", 0)
 
     def _numbers(self, value: Any, name: str, depth: int) -> Iterator[tuple[str, float]]:
@@ -49,7 +49,7 @@ class JsonDecoder:
 
 
 def _stamp(message: dict[str, Any]) -> int | None:
-    """Take the time of a message from its header, as ROS and Foxglove write it, and out of its numbers."""
+    """Return the stamp of a message, in the form of ROS and Foxglove, and remove it from the message."""
     for *outer, last in _STAMPS:
         held: Any = message
         for key in outer:

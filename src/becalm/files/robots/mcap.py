@@ -1,4 +1,4 @@
-"""MCAP: messages of ROS 1, ROS 2 or JSON, read in the order of the file, whether it has an end or not."""
+"""Read MCAP files with messages of ROS 1, ROS 2 or JSON in the order of the file, also truncated ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.files.source import RawTable
 from becalm.files.unpacking import unpacked
 
 _MAGIC_BYTES = 8
-_HEAD_BYTES, _CHUNK = 9, b"\x06"  # what a record is, and its length
+_HEAD_BYTES, _CHUNK = 9, b"\x06"  # size of a record's header (opcode and length), and the opcode of a chunk
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
@@ -37,12 +37,12 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 
 class McapLog:
-    """One MCAP file.
+    """An MCAP file.
 
     Parameters
     ----------
     foreign : Foreign
-        What is read, for messages.
+        The file or folder that the user named, for messages.
     file : WatchedFile
         The file, at its start.
     """
@@ -57,7 +57,7 @@ class McapLog:
         self._damaged = 0
 
     def notes(self) -> tuple[str, ...]:
-        """Return what must be said of the file, once its messages went by."""
+        """Return notes on the file; call this after the last message."""
         notes = []
         if not self._ended:
             notes.append("The file has no end, as if recording or copying was cut off; what is whole was read.")
@@ -66,7 +66,7 @@ class McapLog:
         return tuple(notes)
 
     def messages(self) -> Iterator[Message]:
-        """Give the messages in the order of the file."""
+        """Yield the messages in the order of the file."""
         self._file.seek(_MAGIC_BYTES)
         for record in self._whole(self._file):
             if isinstance(record, self._records.DataEnd):
@@ -75,12 +75,12 @@ class McapLog:
             if isinstance(record, self._records.Chunk):
                 data = self._chunk(record)
                 for inner in () if data is None else self._whole(watched(data)):
-                    yield from self._told(inner)
+                    yield from self._messages_in(inner)
             else:
-                yield from self._told(record)
+                yield from self._messages_in(record)
 
     def _whole(self, file: WatchedFile) -> Iterator[Any]:
-        """Give records until one is damaged or cut off; of a chunk that is cut off, what is left."""
+        """Yield records up to the first damaged or truncated one; a truncated chunk is yielded with what is left."""
         reader = self._library.StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=None)
         records = iter(reader.records)
         while True:
@@ -90,7 +90,7 @@ class McapLog:
             except self._foreign.library("mcap.exceptions").EndOfFile:
                 yield from self._rest_of_chunk(file, start)
                 return
-            except Exception:  # the library's, of a damaged record: of any kind
+            except Exception:  # the library raises many types for a damaged record
                 self._damaged += 1
                 return
             if record is None or file.cut:
@@ -100,11 +100,11 @@ class McapLog:
     def _rest_of_chunk(self, file: WatchedFile, start: int) -> Iterator[Any]:
         file.seek(start)
         if file.cut and file.read(_HEAD_BYTES)[:1] == _CHUNK:
-            with suppress(Exception):  # the library's, where nothing is left
+            with suppress(Exception):  # the library raises many types if nothing is left
                 yield self._records.Chunk.read(self._foreign.library("mcap.data_stream").ReadDataStream(file))
 
     def _chunk(self, chunk: Any) -> bytes | None:
-        """Unpack a chunk; None if it is damaged."""
+        """Unpack a chunk; return None if it is damaged."""
         try:
             cut = self._file.cut
             data = unpacked(self._foreign, chunk.compression, chunk.data, chunk.uncompressed_size, cut)
@@ -116,7 +116,8 @@ class McapLog:
             return None
         return data
 
-    def _told(self, record: Any) -> Iterator[Message]:
+    def _messages_in(self, record: Any) -> Iterator[Message]:
+        """Process a record that is not a chunk; yield its message, if it has one."""
         if isinstance(record, self._records.Schema):
             self._schemas[record.id] = record
         elif isinstance(record, self._records.Channel):
@@ -129,8 +130,8 @@ class McapLog:
             yield Message(topic, schema, record.log_time, record.data)
 
     def _schema(self, channel: Any) -> Schema:
-        known = self._schemas.get(channel.schema_id)
-        if known is None:
+        schema = self._schemas.get(channel.schema_id)
+        if schema is None:
             return Schema("", channel.message_encoding)
-        definition = known.data.decode("utf-8", "replace") if channel.message_encoding != "json" else ""
-        return Schema(known.name, channel.message_encoding, definition, IDL if known.encoding == IDL else MSG)
+        definition = schema.data.decode("utf-8", "replace") if channel.message_encoding != "json" else ""
+        return Schema(schema.name, channel.message_encoding, definition, IDL if schema.encoding == IDL else MSG)

@@ -1,4 +1,4 @@
-"""Messages of ROS 1 and ROS 2: their numbers by dotted names, their stamps, and the units that their types define."""
+"""Decode messages of ROS 1 and ROS 2: numbers by dotted names, stamps, and the units that the types define."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from becalm.files.unpacking import ZSTD, unpacked
 UNITS = {
     "sensor_msgs/msg/Imu": {"linear_acceleration.": "m/s^2", "angular_velocity.": "rad/s"},
 }
-"""By type and by the beginning of a field's name, as the type defines them."""
+"""Units by type and by the beginning of a field's name, as the type's definition states them."""
 
-_LOGS = ("rosgraph_msgs/msg/Log", "rcl_interfaces/msg/Log")  # texts, with numbers of lines
+_LOGS = ("rosgraph_msgs/msg/Log", "rcl_interfaces/msg/Log")  # texts; their only numbers are line numbers
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _STAMPS = ("header.stamp", "stamp", "timestamp")
 _BYTES = ("byte", "char", "int8", "uint8")
 _TEXTS = ("string", "wstring", "wchar", "float128")
-_LONGEST = 64  # numbers of a list of any length that become columns
+_LONGEST = 64  # longest list of variable length that becomes columns
 _DEEPEST, _MOST_FIELDS = 16, 4096
 _SECOND = 1_000_000_000
 
@@ -31,18 +31,18 @@ Numbers = Iterator[tuple[str, float]]
 
 
 class Schema(NamedTuple):
-    """Of which type messages are.
+    """The type of messages.
 
     Attributes
     ----------
     type : str
-        "sensor_msgs/msg/Imu".
+        Name of the type, such as "sensor_msgs/msg/Imu".
     encoding : str
         "ros1" or "cdr".
     definition : str
-        Of the type, as text; "" where the file has none.
+        Definition of the type as text; "" if the file has none.
     language : str
-        Of the definition: MSG, also for ROS 1, or IDL.
+        Language of the definition: MSG (also for ROS 1) or IDL.
     """
 
     type: str
@@ -52,15 +52,15 @@ class Schema(NamedTuple):
 
 
 class _Fields(NamedTuple):
-    names: list[str]  # as people see them
-    most: list[int]  # numbers in a list that become columns; 0 of one number
-    paths: list[str]  # as attributes
-    out: list[str]  # left out: texts, nested lists
-    stamp: str  # the path, "" without
+    names: list[str]  # names of columns
+    most: list[int]  # longest list that becomes columns; 0 for a single number
+    paths: list[str]  # paths of attributes in the decoded message
+    out: list[str]  # fields that are left out: texts, nested lists
+    stamp: str  # path of the stamp, or ""
 
 
 class RosDecoder:
-    """Decodes the messages of one type.
+    """A decoder of the messages of one type.
 
     Parameters
     ----------
@@ -72,16 +72,16 @@ class RosDecoder:
     Attributes
     ----------
     units : mapping of str to str
-        By the beginning of a field's name.
+        Units by the beginning of a field's name.
     signals : bool
-        Whether there is anything but texts, pictures and point clouds.
+        Whether the messages hold signals, and not only texts, images and point clouds.
     left_out : set of str
-        Names of fields that were no numbers, or lists too long for columns.
+        Names of fields that are not numbers, or are lists too long for columns.
 
     Raises
     ------
     Exception
-        Of the library's own, if the type is unknown or its definition damaged.
+        Any exception of the library, if the type is unknown or its definition is damaged.
     """
 
     def __init__(self, foreign: Foreign, schema: Schema) -> None:
@@ -89,8 +89,8 @@ class RosDecoder:
         kind = foreign.library("rosbags.typesys.msg").normalize_msgtype(schema.type)
         store = _store(typesys, schema, kind)
         fields = _Fields([], [], [], [], _stamp_path(store, kind))
-        told = kind not in _LOGS and _gather(store, kind, fields, ("", ""), 0)
-        self.signals = told and any(not path.startswith("header.") for path in fields.paths)
+        is_numeric = kind not in _LOGS and _gather(store, kind, fields, ("", ""), 0)
+        self.signals = is_numeric and any(not path.startswith("header.") for path in fields.paths)
         self.left_out = set(fields.out)
         self.units = UNITS.get(kind, {})
         self._names = list(zip(fields.names, fields.most, strict=True))
@@ -102,7 +102,7 @@ class RosDecoder:
         self._decode: Callable[[bytes], Any] = lambda data: decode(data, kind)
 
     def __call__(self, data: bytes) -> tuple[int | None, Numbers]:
-        """Return the stamp of a message in nanoseconds, None without, and its numbers."""
+        """Return the stamp of a message in nanoseconds, or None, and its numbers."""
         message = self._decode(data if self._ros1 or not data.startswith(ZSTD) else self._plain(data))
         stamp = None
         if self._stamp is not None:
@@ -112,7 +112,7 @@ class RosDecoder:
         return stamp, self._numbers((values,) if self._one else values)
 
     def _plain(self, data: bytes) -> bytes:
-        """Unpack a message that is packed for itself; CDR never begins like that."""
+        """Unpack a single packed message; unpacked CDR never begins with the same bytes."""
         size = self._foreign.library("zstandard").frame_content_size(data)
         return unpacked(self._foreign, "zstd", data, size)
 
@@ -128,7 +128,7 @@ class RosDecoder:
 
 
 def _store(typesys: ModuleType, schema: Schema, kind: str) -> Any:
-    """Return the types that the file defines, or the standard ones where it defines none."""
+    """Return the types that the file defines, or the standard ones if it defines none."""
     if not schema.definition:
         return typesys.get_typestore(typesys.Stores.ROS1_NOETIC if schema.encoding == "ros1" else typesys.Stores.LATEST)
     store = typesys.get_typestore(typesys.Stores.EMPTY)
@@ -143,14 +143,14 @@ def _store(typesys: ModuleType, schema: Schema, kind: str) -> Any:
 def _types_of_idl(typesys: ModuleType, definition: str) -> dict[str, Any]:
     types: dict[str, Any] = {}
     ruler = "=" * 80 + "\n"
-    for part in definition.split(ruler):  # each but the first begins with a line that names it
+    for part in definition.split(ruler):  # each part except the first begins with a line with its name
         text = part.partition("\n")[2] if part.startswith("IDL: ") else part
         types |= typesys.get_types_from_idl(text) if text.strip() else {}
     return types
 
 
 def _stamp_path(store: Any, kind: str) -> str:
-    """Return where the stamp of a message is, "" where it has none."""
+    """Return the path of a message's stamp, or "" if it has none."""
     for path in _STAMPS:
         at = kind
         for name in path.split("."):
@@ -165,7 +165,7 @@ def _named(desc: Any) -> str:
 
 
 def _gather(store: Any, kind: str, fields: _Fields, within: tuple[str, str], depth: int) -> bool:
-    """Gather the numbers in a type, as seen and as attributes; false if it holds a picture or the like."""
+    """Add the numbers of a type to `fields`; return False if it holds an image or other bytes of any length."""
     if depth > _DEEPEST or len(fields.paths) > _MOST_FIELDS:
         raise ValueError(f"the type {kind} nests without an end")
     own_name, own_path = within
@@ -179,7 +179,7 @@ def _gather(store: Any, kind: str, fields: _Fields, within: tuple[str, str], dep
             continue
         element, count = what if isinstance(what[0], tuple) else ((node, what), None)
         base = element[1][0] if isinstance(element[1], tuple) else ""
-        if base in _BYTES and count == 0:  # of any length
+        if base in _BYTES and count == 0:  # a list of variable length
             return False
         if not base or base in _TEXTS:
             fields.out.append(name)

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2: a file, or the folder that ROS 2 records into."""
+"""Read bags of ROS 1 and ROS 2: a file, or the folder that ROS 2 records into."""
 
 from __future__ import annotations
 
@@ -57,31 +57,33 @@ def _all(logs: list[Any]) -> Iterator[Message]:
 
 def _notes(parts: list[Path], logs: list[Any]) -> tuple[str, ...]:
     if len(parts) == 1:
-        told: tuple[str, ...] = logs[0].notes()
-        return told
+        notes: tuple[str, ...] = logs[0].notes()
+        return notes
     return tuple(f"{part.name}: {note}" for part, log in zip(parts, logs, strict=True) for note in log.notes())
 
 
 def _parts(foreign: Foreign, folder: Path, held: ExitStack) -> list[Path]:
-    """Return the files of a folder in the order in which they were recorded, unpacked where they are packed whole."""
+    """Return the files of a folder in the order of recording; compressed files are unpacked first."""
     try:
         listed = foreign.library("ruamel.yaml").YAML(typ="safe").load((folder / BAG).read_text("utf-8"))
-        told = listed["rosbag2_bagfile_information"]
-        names = [PurePath(name) for name in told["relative_file_paths"]]
+        info = listed["rosbag2_bagfile_information"]
+        names = [PurePath(name) for name in info["relative_file_paths"]]
     except InputError:
         raise
     except Exception as cause:
-        raise InputError(f"{folder / BAG} does not tell the files of a ROS 2 bag; give one of them by name.") from cause
+        raise InputError(
+            f"{folder / BAG} does not list the files of a ROS 2 bag; name one file of the bag instead."
+        ) from cause
     if outside := [str(name) for name in names if name.is_absolute() or ".." in name.parts]:
         raise InputError(
-            f"{folder / BAG} names {outside[0]}, which is outside of the folder; give one file of the bag by name."
+            f"{folder / BAG} names {outside[0]}, which is outside of the folder; name one file of the bag instead."
         )
     parts = [folder / name.name for name in names]
     if missing := [part.name for part in parts if not part.is_file()]:
         raise InputError(f"{folder} lacks {few(missing)}, which its {BAG} names; copy the whole folder.")
     if not parts:
         raise InputError(f"{folder} is a ROS 2 bag without files; copy the whole folder.")
-    if str(told.get("compression_mode", "")).lower() == "file":
+    if str(info.get("compression_mode", "")).lower() == "file":
         return [_unpacked(foreign, part, held) for part in parts]
     return parts
 

@@ -1,4 +1,4 @@
-"""Bags of ROS 1, read in the order of the file, whether they have an index or not."""
+"""Read bags of ROS 1 in the order of the file, with or without an index."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class _CutError(Exception):
 
 
 class RosBag1:
-    """One bag.
+    """A bag of ROS 1.
 
     Parameters
     ----------
     foreign : Foreign
-        What is read, for messages.
+        The file or folder that the user named, for messages.
     file : WatchedFile
         The file, at its start.
 
@@ -46,11 +46,12 @@ class RosBag1:
         if first != _VERSION:
             version = first[8:].decode("ascii", "replace").strip()
             raise InputError(
-                f"{foreign.path} is a ROS bag of version {version}; 2.0 is read. Type: rosbag fix {foreign.path.name}"
+                f"{foreign.path} is a ROS bag of version {version}; becalm reads 2.0. Type: rosbag fix"
+                f" {foreign.path.name}"
             )
 
     def notes(self) -> tuple[str, ...]:
-        """Return what must be said of the file, once its messages went by."""
+        """Return notes on the file; call this after the last message."""
         notes = []
         if self._cut or not self._closed:
             notes.append("The bag was not closed, or was cut off; the messages that are whole were read.")
@@ -59,7 +60,7 @@ class RosBag1:
         return tuple(notes)
 
     def messages(self) -> Iterator[Message]:
-        """Give the messages in the order of the file."""
+        """Yield the messages in the order of the file."""
         yield from self._records(self._file)
 
     def _records(self, file: WatchedFile) -> Iterator[Message]:
@@ -69,22 +70,22 @@ class RosBag1:
                 is_chunk = header.get_uint8("op") == _CHUNK
                 if cut and not is_chunk:
                     return
-                told = [] if is_chunk else list(self._told(header, data))
+                messages = [] if is_chunk else list(self._messages_in(header, data))
                 inner = self._chunk(header, data, cut) if is_chunk else None
             except _CutError:
                 self._cut = True
                 return
             except InputError:
                 raise
-            except Exception:  # the library's, of a damaged record: of any kind
+            except Exception:  # the library raises many types for a damaged record
                 self._damaged += 1
                 return
-            yield from told
+            yield from messages
             if inner is not None:
                 yield from self._records(inner)
 
     def _record(self, file: WatchedFile) -> tuple[Any, bytes, bool]:
-        """Read a record: its header and what it holds, or what is left of that, and whether that is less."""
+        """Read a record: return its header, its content as far as it is in the file, and whether that is truncated."""
         cut = file.cut
         try:
             header = self._library.Header.read(file)
@@ -98,7 +99,8 @@ class RosBag1:
         self._cut = self._cut or cut
         return header, data, cut
 
-    def _told(self, header: Any, data: bytes) -> Iterator[Message]:
+    def _messages_in(self, header: Any, data: bytes) -> Iterator[Message]:
+        """Process a record that is not a chunk; yield its message, if it has one."""
         kind = header.get_uint8("op")
         if kind == _HEADER:
             self._closed = 0 < header.get_uint64("index_pos") <= self._file.size
@@ -117,7 +119,7 @@ class RosBag1:
             yield Message(topic, schema, header.get_time("time"), data)
 
     def _chunk(self, header: Any, data: bytes, cut: bool) -> WatchedFile | None:
-        """Unpack a chunk; None if it is damaged."""
+        """Unpack a chunk; return None if it is damaged."""
         how, size = header.get_string("compression"), header.get_uint32("size")
         try:
             return watched(unpacked(self._foreign, how, data, size, cut))
@@ -127,5 +129,5 @@ class RosBag1:
 
 
 def _prefixed(data: bytes) -> WatchedFile:
-    """Put the length before a header, as where a record begins."""
+    """Return a header with its length before it, as the library expects."""
     return watched(len(data).to_bytes(4, "little") + data)

@@ -1,4 +1,4 @@
-"""The SQLite files of ROS 2 bags, read row by row, also where they are cut off."""
+"""Read the SQLite files of ROS 2 bags row by row, also truncated ones."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _SPARE = 1 << 20  # bytes
 
 
 class RosBag2:
-    """One SQLite file, which is closed at the end of a `with`.
+    """An SQLite file of a bag, closed at the end of a `with`.
 
     Parameters
     ----------
     foreign : Foreign
-        What is read, for messages.
+        The file or folder that the user named, for messages.
     path : Path
         The file.
 
     Raises
     ------
     InputError
-        If it is a database, but no bag.
+        If it is a database, but not a bag.
     """
 
     def __init__(self, foreign: Foreign, path: Path) -> None:
@@ -48,15 +48,15 @@ class RosBag2:
         self._damaged = 0
         try:
             self._opened.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, path.stat().st_size + _SPARE)  # no message is longer
-            self._opened.execute("PRAGMA writable_schema = ON")  # then a file that is cut off may be read up to its end
+            self._opened.execute("PRAGMA writable_schema = ON")  # so that SQLite reads a truncated file up to its end
             self._opened.execute("PRAGMA trusted_schema = OFF")
-            found = self._column("SELECT name FROM sqlite_master WHERE type = 'table'")
-            if not set(_TABLES) <= set(found):
+            names = self._column("SELECT name FROM sqlite_master WHERE type = 'table'")
+            if not set(_TABLES) <= set(names):
                 raise InputError(
-                    f"{path} is an SQLite database, but no ROS 2 bag: it has no tables named {' and '.join(_TABLES)}."
+                    f"{path} is an SQLite database, but not a ROS 2 bag: it lacks the tables {' and '.join(_TABLES)}."
                     " Export what you need as CSV."
                 )
-            self._topics = dict(self._read_topics("message_definitions" in found))
+            self._topics = dict(self._read_topics("message_definitions" in names))
         except BaseException:
             self._held.close()
             raise
@@ -68,14 +68,14 @@ class RosBag2:
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close it."""
+        """Close the file."""
         self._held.close()
 
     def _column(self, query: str) -> list[object]:
         return [row[0] for row in self._opened.execute(query)]
 
     def _rows(self, query: str) -> Iterator[Any]:
-        """Give rows up to where the file is damaged."""
+        """Yield rows up to the first damage."""
         try:
             yield from self._opened.execute(query)
         except sqlite3.Error:
@@ -91,18 +91,18 @@ class RosBag2:
             yield number, (str(topic), Schema(str(kind), str(how), *definitions.get(kind, ("", MSG))))
 
     def notes(self) -> tuple[str, ...]:
-        """Return what must be said of the file, once its messages went by."""
+        """Return notes on the file; call this after the last message."""
         notes = []
         if self._cut:
             notes.append("The file is damaged or ends too early; the messages before that were read.")
         if self._damaged:
             notes.append(f"Damaged messages were left out: {self._damaged:,}.")
         if self._undefined:
-            notes.append("The bag does not define its types; the standard ones of ROS 2 were taken.")
+            notes.append("The bag does not define its types; the standard types of ROS 2 were used.")
         return tuple(notes)
 
     def messages(self) -> Iterator[Message]:
-        """Give the messages in the order of the file."""
+        """Yield the messages in the order of the file."""
         for number, log_ns, data in self._rows("SELECT topic_id, timestamp, data FROM messages"):
             if number not in self._topics or not isinstance(log_ns, int) or not isinstance(data, bytes):
                 self._damaged += 1
@@ -112,7 +112,7 @@ class RosBag2:
 
 
 def _whole_pages(path: Path, held: ExitStack) -> Path:
-    """Return a file, or a temporary copy without its last page if that is cut off: SQLite would fill it with zeros."""
+    """Return a file, or a temporary copy without a truncated last page, which SQLite would fill with zeros."""
     with path.open("rb") as file:
         page = int.from_bytes(file.read(18)[16:], "big")
         page, size = 1 << 16 if page == 1 else page, path.stat().st_size

@@ -1,4 +1,4 @@
-"""Numbers by name that arrive message by message, in columns as narrow as they can be."""
+"""Collect named numbers message by message in columns of the smallest suitable type."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 _FLAG, _WHOLE, _REAL = "b", "q", "d"
 _MOST = 4096  # columns
-_SPARSE, _ALWAYS = 64, 1 << 20  # so many cells may be missing for each that is there, and so many whatever is there
+_SPARSE, _ALWAYS = 64, 1 << 20  # missing cells that are allowed for each present cell, and in addition
 _LEAST_WHOLE, _MOST_WHOLE = -(1 << 63), (1 << 63) - 1
 
 
 class Series:
-    """Columns of equal length; what a message does not have is NaN there.
+    """Columns of equal length; a number that a message lacks is NaN.
 
     Attributes
     ----------
     count : int
-        How many messages there were.
+        Number of messages.
     full : bool
-        Whether numbers came that found no place, so that a file which invents names fills no memory.
+        Whether numbers were dropped. This limits the memory if a file has ever new names.
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class Series:
         self.full = False
 
     def add(self, message: Iterable[tuple[str, float]]) -> None:
-        """Take the numbers of one message; a flag is a bool."""
+        """Add the numbers of one message; a flag is a bool."""
         for name, value in message:
             column = self._columns.get(name)
             kind = _kind(value)
@@ -43,7 +43,7 @@ class Series:
                     continue
                 column = self._columns[name] = array(_REAL if self.count else kind)
             missed = self.count - len(column)
-            if missed < 0 or not self._may_miss(missed):  # or a name twice in one message
+            if missed < 0 or not self._may_miss(missed):  # missed < 0: the message has the name twice
                 continue
             if column.typecode != _REAL and (missed or kind != column.typecode):
                 column = self._columns[name] = array(_REAL, column)
@@ -61,7 +61,7 @@ class Series:
         return True
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns, each (count,), in the order in which their names first came."""
+        """Return the columns, each (count,), in the order of their first appearance."""
         out: dict[str, NDArray[Any]] = {}
         for name, column in self._columns.items():
             missed = self.count - len(column)

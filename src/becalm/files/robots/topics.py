@@ -1,4 +1,4 @@
-"""Messages of many topics, as robots log them: each topic becomes a group of columns."""
+"""Collect the messages of a robot's log by topic; each topic becomes a table."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ from becalm.files.text.csv_header import unique_names
 JSON = "json"
 ROS = ("ros1", "cdr")
 
-_LATE_NS = 1_000_000_000  # a stamp that is further behind is no late message but another clock
-_BURST = 0.1  # of the mean step: a median below it is of messages that were written at once
+_LATE_NS = 1_000_000_000  # a stamp further behind than this comes from another clock, not from a late message
+_BURST = 0.1  # if the median step is below this share of the mean step, messages were written in bursts
 _SECOND = 1_000_000_000
 _MOST_NAMED = 8
 
 
 class Message(NamedTuple):
-    """One message, as it is in the file.
+    """One message, still encoded.
 
     Attributes
     ----------
     topic : str
-        "/imu/data".
+        Name of its topic, such as "/imu/data".
     schema : ros_messages.Schema
-        Its type; its encoding may also be JSON, or one that is not read.
+        Its type; the encoding may also be JSON, or one that becalm cannot read.
     log_ns : int
-        When it was written, in nanoseconds.
+        Time when it was logged, in nanoseconds since 1970.
     data : bytes
-        What is encoded.
+        The encoded message.
     """
 
     topic: str
@@ -50,7 +50,7 @@ class Message(NamedTuple):
 
 
 class _Topic:
-    """What came of one topic."""
+    """The numbers and stamps of one topic."""
 
     def __init__(self, decode: ros_messages.RosDecoder | json_messages.JsonDecoder) -> None:
         self.decode = decode
@@ -60,21 +60,21 @@ class _Topic:
         self.undecoded = 0
 
     def add(self, message: Message) -> None:
-        """Take a message; one that cannot be decoded is counted."""
+        """Add a message, or count it if it cannot be decoded."""
         try:
             stamp, numbers = self.decode(message.data)
-            told = list(numbers)
+            values = list(numbers)
             self.log.append(message.log_ns)
-        except Exception:  # a library's, of a damaged message: of any kind
+        except Exception:  # the libraries raise many types for a damaged message
             self.undecoded += 1
             return
         if stamp is not None:
             self.stamps.append(stamp if abs(stamp) < 1 << 63 else 0)
-        self.series.add(told)
+        self.series.add(values)
 
 
 class Topics:
-    """The topics of a file while its messages go by.
+    """A collector of a file's messages by topic.
 
     Parameters
     ----------
@@ -88,14 +88,14 @@ class Topics:
         self._left_out: dict[str, list[str]] = {}
 
     def add(self, message: Message) -> None:
-        """Take the next message."""
+        """Add the next message."""
         key = message.topic, message.schema
         if key not in self._topics:
-            self._topics[key] = self._begun(message)
+            self._topics[key] = self._new_topic(message)
         if (topic := self._topics[key]) is not None:
             topic.add(message)
 
-    def _begun(self, message: Message) -> _Topic | None:
+    def _new_topic(self, message: Message) -> _Topic | None:
         why = f"their encoding ({message.schema.encoding or 'none'}) is not read"
         if message.schema.encoding == JSON:
             return _Topic(json_messages.JsonDecoder())
@@ -104,12 +104,12 @@ class Topics:
                 decoder = ros_messages.RosDecoder(self._foreign, message.schema)
             except InputError:
                 raise
-            except Exception:  # a library's, of a damaged definition: of any kind
-                why = "the file does not define their types rightly"
+            except Exception:  # the library raises many types for a damaged definition
+                why = "the file does not define their types correctly"
             else:
                 if decoder.signals:
                     return _Topic(decoder)
-                why = "they hold pictures, point clouds, texts or lists of messages"
+                why = "they hold images, point clouds, texts or lists of messages"
         self._left_out.setdefault(why, []).append(f"{message.topic} ({message.schema.type or 'no type'})")
         return None
 
@@ -119,24 +119,24 @@ class Topics:
         Parameters
         ----------
         notes : tuple of str
-            What must be said of the whole file.
+            Notes on the whole file.
 
         Raises
         ------
         InputError
-            If there is none.
+            If there is no such topic.
         """
-        notes += tuple(f"Left out, for {why}: {few(names)}." for why, names in self._left_out.items())
-        found = [
+        notes += tuple(f"Left out, because {why}: {few(names)}." for why, names in self._left_out.items())
+        groups = [
             _group(name, topic, notes)
             for (name, _), topic in self._topics.items()
             if topic is not None and topic.series.count
         ]
-        if not found:
+        if not groups:
             undecoded = any(topic is not None for topic in self._topics.values())
             why = " ".join(notes) or ("No message could be decoded." if undecoded else "It holds no messages.")
             raise InputError(f"{self._foreign.path} holds no messages with numbers in them. {why}")
-        return found
+        return groups
 
 
 def _group(name: str, topic: _Topic, notes: tuple[str, ...]) -> Group:
@@ -148,21 +148,21 @@ def _group(name: str, topic: _Topic, notes: tuple[str, ...]) -> Group:
     for title, (field, column) in zip(titles[1:], values.items(), strict=True):
         unit = next((unit for begin, unit in topic.decode.units.items() if field.startswith(begin)), NO_UNIT)
         columns[title] = Column.of(column if ordered.order is None else column[ordered.order], unit)
-    told = (*notes, *ordered.notes, *_what_is_missing(topic))
-    return Group(name, columns, topic.series.count, ToldTime(TIME, start=start), told)
+    all_notes = (*notes, *ordered.notes, *_omissions(topic))
+    return Group(name, columns, topic.series.count, ToldTime(TIME, start=start), all_notes)
 
 
-def _what_is_missing(topic: _Topic) -> Iterator[str]:
+def _omissions(topic: _Topic) -> Iterator[str]:
     if topic.undecoded:
         yield f"Messages that could not be decoded were left out: {topic.undecoded:,}."
     if topic.decode.left_out:
         yield f"Texts, nested and long lists were left out: {few(sorted(topic.decode.left_out))}."
     if topic.series.full:
-        yield "There are more names of numbers than columns that can be; some were left out."
+        yield "The messages have more names of numbers than a table can have columns; some were left out."
 
 
 def few(names: list[str]) -> str:
-    """Name the first of many, and say how many more there are."""
+    """Return the first of some names, and how many more there are."""
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     return ", ".join(names[:_MOST_NAMED]) + more
 
@@ -172,18 +172,18 @@ def _stamps(held: array[int]) -> Integers:
 
 
 def _time(log: Integers, stamps: Integers) -> Ordered:
-    """Choose the time of measuring where messages tell it and it runs, else that of writing."""
+    """Return the time of measurement if messages have it and it is valid; otherwise the time of logging."""
     logged = in_order(log)
     if len(stamps) != len(log):
-        return _by_log(logged, "for its messages have no stamp of their own")
+        return _by_log(logged, "because its messages have no stamp of their own")
     if logged.order is not None:
         stamps = stamps[logged.order]
     if why := _why_no_time(stamps):
-        return _by_log(logged, f"for header.stamp {why}")
-    told = in_order(stamps)
-    order = told.order if logged.order is None or told.order is None else logged.order[told.order]
-    notes = ("The time is header.stamp.", *(told.notes or logged.notes))
-    return Ordered(told.stamps, logged.order if told.order is None else order, notes)
+        return _by_log(logged, f"because header.stamp {why}")
+    measured = in_order(stamps)
+    order = measured.order if logged.order is None or measured.order is None else logged.order[measured.order]
+    notes = ("The time is header.stamp.", *(measured.notes or logged.notes))
+    return Ordered(measured.stamps, logged.order if measured.order is None else order, notes)
 
 
 def _why_no_time(stamps: Integers) -> str:
@@ -203,17 +203,17 @@ def _by_log(logged: Ordered, why: str) -> Ordered:
     if repeats:
         notes.append(f"Messages that were logged at the same instant as the one before: {repeats:,}.")
     if len(steps) > 2 and np.median(steps) < _BURST * steps.mean():
-        notes.append("They were logged in bursts, so that this is not when they were measured.")
+        notes.append("They were logged in bursts, so this is not the time when they were measured.")
     return logged._replace(notes=tuple(notes))
 
 
 def gathered(foreign: Foreign, messages: Iterator[Message], notes: Callable[[], tuple[str, ...]]) -> list[Group]:
-    """Take all messages; `notes` tells, once they went by, what must be said of the whole file.
+    """Collect all messages; `notes`, called after the last one, returns the notes on the whole file.
 
     Raises
     ------
     InputError
-        If none of them holds numbers.
+        If no message holds numbers.
     """
     topics = Topics(foreign)
     for message in messages:

@@ -1,4 +1,4 @@
-"""ULog: the messages of a PX4 autopilot, each topic and each of its sensors with stamps of its own."""
+"""Read ULog files of PX4 autopilots; each topic and sensor instance has its own stamps."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from becalm.files.text.csv_header import unique_names
 
 _STAMP = ("uint64_t", 0, "timestamp")  # type, length of a list, and name
 _PADDING = "_padding"
-_MOST_BYTES = 0xFFFF  # of a message, and so the most fields it can have
-_MOST_FIELDS = 500_000  # of all topics that are subscribed to; each takes some hundred bytes in pyulog
+_MOST_BYTES = 0xFFFF  # largest message in bytes, and so the largest number of its fields
+_MOST_FIELDS = 500_000  # largest number of fields in all logged topics; each takes some hundred bytes in pyulog
 _PER_SECOND = 1_000_000
 
 
@@ -40,51 +40,51 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "ULog")
     library = foreign.library("pyulog")
-    with foreign.damage_told(), path.open("rb") as file, _unheard():
+    with foreign.damage_told(), path.open("rb") as file, _without_printing():
         opened = WatchedFile(file)
-        heading = library.ULog(_Kept(opened), parse_header_only=True)
+        heading = library.ULog(_KeptOpen(opened), parse_header_only=True)
         sizes = _sizes(foreign, heading.message_formats)
         opened.seek(0)
         stamped = [name for name, one in heading.message_formats.items() if _STAMP in one.fields]
         reader = _bounded(foreign, library, sizes)
-        log = reader(_Kept(opened), stamped)  # which else ends at the first message without a stamp
+        log = reader(_KeptOpen(opened), stamped)  # without the list, it stops at the first message without a stamp
         notes = _notes(log, opened, _unstamped(log, stamped))
         groups = [_group(topic, log.start_timestamp, notes) for topic in log.data_list]
     return tables(foreign, "ulog", groups)
 
 
-class _Kept:
-    """A file that its reader may not close."""
+class _KeptOpen:
+    """A file that its reader cannot close."""
 
     def __init__(self, file: WatchedFile) -> None:
         self.read, self.seek, self.tell = file.read, file.seek, file.tell
 
     def close(self) -> None:
-        """Leave it open."""
+        """Do nothing, so that the file stays open."""
 
 
 @contextmanager
-def _unheard() -> Iterator[None]:
-    """Keep the library from printing."""
+def _without_printing() -> Iterator[None]:
+    """Suppress what the library prints."""
     with redirect_stdout(io.StringIO()):
         yield
 
 
 def _sizes(foreign: Foreign, formats: dict[str, Any]) -> dict[str, int]:
-    """Count the fields of each format; refuse those without an end, or with more than a message has bytes."""
+    """Count the fields of each format; reject recursive formats, and those with more fields than a message's bytes."""
     sizes: dict[str, int] = {}
 
     def size(name: str, within: tuple[str, ...]) -> int:
         if name not in formats:
-            return 1  # a number, or unknown; the library tells which
+            return 1  # a number, or an unknown type, which the library reports
         if name in within:
-            raise foreign.damaged(f"the format {name} holds itself")
+            raise foreign.damaged(f"the format {name} contains itself")
         if name not in sizes:
             held = (max(1, count) * size(kind, (*within, name)) for kind, count, _ in formats[name].fields)
             sizes[name] = sum(held)
         if sizes[name] > _MOST_BYTES:
             raise foreign.damaged(
-                f"the format {name} holds {sizes[name]:,} fields; a message has {_MOST_BYTES:,} bytes"
+                f"the format {name} has {sizes[name]:,} fields, but a message has at most {_MOST_BYTES:,} bytes"
             )
         return sizes[name]
 
@@ -94,21 +94,21 @@ def _sizes(foreign: Foreign, formats: dict[str, Any]) -> dict[str, int]:
 
 
 def _bounded(foreign: Foreign, library: ModuleType, sizes: dict[str, int]) -> Any:
-    """Return the library's reader, refusing more fields in all topics than any log has: it makes an object of each."""
-    told, left = library.ULog._MessageAddLogged, _MOST_FIELDS
+    """Return the library's reader with a limit on the fields of all topics, because it makes an object for each."""
+    original, left = library.ULog._MessageAddLogged, _MOST_FIELDS
 
     def subscribed(data: bytes, header: Any, formats: dict[str, Any]) -> Any:
         nonlocal left
         left -= sizes.get(library.ULog.parse_string(data[3:]), 0)
         if left < 0:
             raise foreign.damaged(f"its topics have more than {_MOST_FIELDS:,} fields in all")
-        return told(data, header, formats)
+        return original(data, header, formats)
 
     return type("_Bounded", (library.ULog,), {"_MessageAddLogged": staticmethod(subscribed)})
 
 
 def _unstamped(log: Any, stamped: list[str]) -> list[str]:
-    """Return what was subscribed to although its messages have no stamp; parts of others are not."""
+    """Return the formats whose messages have no stamp, except those that are parts of other formats."""
     parts = {kind for one in log.message_formats.values() for kind, _, _ in one.fields}
     return sorted(set(log.message_formats) - set(stamped) - parts)
 
@@ -120,7 +120,7 @@ def _notes(log: Any, opened: WatchedFile, unstamped: list[str]) -> tuple[str, ..
     elif opened.cut:
         notes.append("The file ends in the middle of a message; those before it were read.")
     if unstamped:
-        notes.append(f"Left out, for their messages have no timestamp: {few(unstamped)}.")
+        notes.append(f"Left out, because their messages have no timestamp: {few(unstamped)}.")
     if log.dropouts:
         lost_s = sum(dropout.duration for dropout in log.dropouts) / 1000.0
         times = "once" if len(log.dropouts) == 1 else f"{len(log.dropouts):,} times"
@@ -129,17 +129,17 @@ def _notes(log: Any, opened: WatchedFile, unstamped: list[str]) -> tuple[str, ..
 
 
 def _group(topic: Any, start: int, notes: tuple[str, ...]) -> Group:
-    """Make a group of a topic's fields; padding is none of them, and the stamp is the time."""
+    """Return a group of a topic's fields without padding; the stamp is the time."""
     fields = _fields(topic)
     rows = len(next(iter(topic.data.values())))
     name = f"{topic.name}_{topic.multi_id}"
-    told = in_order(_signed(fields.pop(_STAMP[2])))
+    ordered = in_order(_signed(fields.pop(_STAMP[2])))
     titles = unique_names((TIME, *fields))
-    time = seconds_of(told.stamps, _PER_SECOND, int(_signed(np.array([start], np.uint64))[0]))
+    time = seconds_of(ordered.stamps, _PER_SECOND, int(_signed(np.array([start], np.uint64))[0]))
     columns = {TIME: Column.of(time, "s")}
     for title, values in zip(titles[1:], fields.values(), strict=True):
-        columns[title] = _column(values if told.order is None else values[told.order])
-    return Group(name, columns, rows, ToldTime(TIME), (*notes, *told.notes))
+        columns[title] = _column(values if ordered.order is None else values[ordered.order])
+    return Group(name, columns, rows, ToldTime(TIME), (*notes, *ordered.notes))
 
 
 def _signed(stamps: NDArray[Any]) -> Integers:
@@ -159,7 +159,7 @@ def _decoded(texts: NDArray[np.bytes_]) -> NDArray[np.object_]:
 
 
 def _fields(topic: Any) -> dict[str, NDArray[Any]]:
-    """Return the values of all fields; flags as such, and characters in a row as a text."""
+    """Return the values of all fields; flags become bool, and arrays of characters become texts."""
     fields: dict[str, NDArray[Any]] = {}
     texts: dict[str, list[NDArray[Any]]] = {}
     for field in topic.field_data:

@@ -1,11 +1,11 @@
-"""Sensors that share files: told apart by columns, and brought together through files that tasks leave each other.
+"""Clean sensors that share files: columns identify them, and temporary files bring the rows of each together.
 
-There are three kinds of tasks: the first reads the columns that tell sensors apart, and nothing else; the second parts
-the rows of files into strips, each of one sensor and in the order of time; the third merges the strips of a sensor into
-one file, from which it is cleaned as any other, long ones in stretches of time. So values, types and units are those of
-the lake, and rows of equal times stay in the order of the files' names and of the rows in these. The staging takes as
-much room beside the output as the lake does.
+There are three kinds of tasks. The first reads only the columns that identify sensors. The second splits the rows of
+files into strips, each of one sensor and in the order of time. The third merges the strips of a sensor into one file,
+from which it is cleaned like any other sensor; long ones are cleaned in stretches of time. Values, types and units stay
+those of the lake, and rows of equal times stay in the order of the files' names and of the rows in them. The temporary
+files need as much disk space, next to the output, as the lake.
 
-No sample passes through Spark, whose own sort and shuffle cost more, and which reads no nanoseconds, no unsigned
-numbers of 64 bits and no units as they are.
+No sample passes through Spark. Spark's own sort and shuffle cost more, and it does not preserve nanoseconds, unsigned
+64-bit integers or units.
 """

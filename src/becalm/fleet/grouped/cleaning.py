@@ -1,4 +1,4 @@
-"""A lake whose files hold several sensors through their recipes: counted, parted, merged, and cleaned as any other."""
+"""Clean a lake whose files hold several sensors each: count rows, split files, merge strips, then clean as usual."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
 PART_ROWS = 1 << 22
-"""Rows of a file that one task parts: enough work for a task, and not too many to do again."""
+"""Rows of a file that one task splits: enough work for a task, and not too many to repeat."""
 
 OUTPUT = "part-0.parquet"
-"""The one file of a sensor."""
+"""Name of the one file of a sensor."""
 
 
 class Gathered(NamedTuple):
-    """A sensor whose rows were parted from those of others.
+    """A sensor and the strips that hold its rows.
 
     Attributes
     ----------
     sensor : Sensor
-        Which one.
+        The sensor.
     strips : tuple of Strip
         All of its rows, in the order of the lake's files.
     """
@@ -58,30 +58,30 @@ class Gathered(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """How many there are."""
+        """Return the number of its rows."""
         return sum(strip.rows for strip in self.strips)
 
 
 def clean_grouped(spark: SparkSession, job: Job, shared: MultiSensorLake, book: RecipeBook) -> list[Outcome]:
-    """Clean every sensor of a lake whose files hold several; what was finished before is left as it is.
+    """Clean every sensor of a lake whose files hold several; sensors that are finished already are skipped.
 
     Parameters
     ----------
     spark : SparkSession
-        Where.
+        The Spark to use.
     job : Job
-        What is to be done.
+        The job over the lake.
     shared : MultiSensorLake
-        The files, and what tells sensors apart in them.
+        The files, and the keys that identify sensors in them.
     book : RecipeBook
-        What to do with each sensor.
+        The recipe of each sensor.
 
     Raises
     ------
     InputError
-        If a file does not tell of which sensors its rows are, or none holds a row.
+        If a file lacks a column that identifies sensors, or no file holds a row.
     UsageError
-        If what tells them is the time of the rows.
+        If a key is the time of the rows.
     OutputError
         If the output cannot be written to.
     """
@@ -98,45 +98,45 @@ def clean_grouped(spark: SparkSession, job: Job, shared: MultiSensorLake, book: 
     with in_waiting(staged):
         lake = Lake(job.lake, shared.keys, _times(job, unfinished))
         _refuse_times(job, shared, set(lake.wanted.values()))
-        parted = _parted(spark, lake, staged, counts)
-        found, failed = _gathered(unfinished, parted)
-        return outcomes + failed + _cleaned(spark, job.lake, replace(job, lake=str(staged)), found)
+        strips = _strips(spark, lake, staged, counts)
+        complete, failed = _gathered(unfinished, strips)
+        return outcomes + failed + _cleaned(spark, job.lake, replace(job, lake=str(staged)), complete)
 
 
 def _counted(spark: SparkSession, job: Job, shared: MultiSensorLake) -> dict[str, Count]:
     counts = run_tasks(spark, partial(count_rows, job.lake, shared.keys), shared.files, lost=not_counted)
     failed = [file for file, count in zip(shared.files, counts, strict=True) if count.failed]
     if failed:
-        told, more = next(count.failed for count in counts if count.failed), failed[1:]
-        raise InputError(f"{told} To be mended as well: {listed(more)}." if more else told)
+        reason, more = next(count.failed for count in counts if count.failed), failed[1:]
+        raise InputError(f"{reason} These files need repair as well: {listed(more)}." if more else reason)
     return dict(zip(shared.files, counts, strict=True))
 
 
 def _refuse_times(job: Job, shared: MultiSensorLake, asked: Collection[str | None]) -> None:
     first, times = Path(job.lake) / shared.files[0], set[str]()
-    with suppress(InputError):  # whose rows are damaged: its sensors will be refused
+    with suppress(InputError):  # the file is damaged; its sensors will be refused later
         table = read_parquet(first, Original(first))
         times = {name for one in asked for name in time_of(table, one)}
     if alike := times & set(shared.keys):
-        raise UsageError(f"--by {min(alike)!r} names the time of the rows, which tells no sensors apart; name another.")
+        raise UsageError(f"--by {min(alike)!r} names the time of the rows, not a sensor; name another column.")
 
 
 def _sensor(job: Job, name: str, recipe: str, counts: Mapping[str, Count]) -> Sensor:
-    """Return a sensor with the hash of all that its output comes of: every file that it has rows in."""
-    held = [count.hashed for count in counts.values() if name in count.rows]
-    told = json.dumps([job.recipes[recipe], job.asked, held], sort_keys=True)
-    return Sensor(name, 0, recipe, came_of=hashlib.sha256(told.encode()).hexdigest())
+    """Return a sensor with the hash of its recipe, the options, and every file that has rows of it."""
+    files = [count.hashed for count in counts.values() if name in count.rows]
+    text = json.dumps([job.recipes[recipe], job.asked, files], sort_keys=True)
+    return Sensor(name, 0, recipe, came_of=hashlib.sha256(text.encode()).hexdigest())
 
 
 def _times(job: Job, sensors: Sequence[Sensor]) -> dict[str, str | None]:
-    """Return the columns of time that recipes name, by sensor."""
+    """Return the time column that each sensor's recipe names, or None."""
     by_recipe = {sensor.recipe: sensor for sensor in sensors}
     times = {one: job.recipe_of(sensor).time for one, sensor in by_recipe.items()}
     return {sensor.name: times[sensor.recipe] for sensor in sensors}
 
 
-def _parted(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, Count]) -> list[tuple[Count, Strips]]:
-    """Part the files that hold rows of unfinished sensors; the parts come back in the order of the files."""
+def _strips(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, Count]) -> list[tuple[Count, Strips]]:
+    """Split the files that hold rows of unfinished sensors; return the results in the order of the files."""
     parts, origins = list[StripPart](), list[Count]()
     for file, count in counts.items():
         shares = -(-sum(count.rows.values()) // PART_ROWS) if lake.wanted.keys() & count.rows.keys() else 0
@@ -149,39 +149,39 @@ def _parted(spark: SparkSession, lake: Lake, staged: Path, counts: Mapping[str, 
 def _gathered(
     sensors: Sequence[Sensor], parted: Sequence[tuple[Count, Strips]]
 ) -> tuple[list[Gathered], list[Outcome]]:
-    """Return the sensors whose rows are all there, the longest first, and those in files that could not be read."""
+    """Return the complete sensors, the longest first, and refusals of those in files that could not be read."""
     strips, failed = defaultdict[str, list[Strip]](list), dict[str, str]()
     for count, part in parted:
         failed |= {name: part.failed for name in count.rows if part.failed}
         for name, some in part.of.items():
             strips[name] += some
-    found = [Gathered(sensor, tuple(strips[sensor.name])) for sensor in sensors if sensor.name not in failed]
+    complete = [Gathered(sensor, tuple(strips[sensor.name])) for sensor in sensors if sensor.name not in failed]
     outcomes = [refused(sensor.name, failed[sensor.name]) for sensor in sensors if sensor.name in failed]
-    return sorted(found, key=lambda one: -one.rows), outcomes
+    return sorted(complete, key=lambda one: -one.rows), outcomes
 
 
-def _cleaned(spark: SparkSession, lake: str, job: Job, found: Sequence[Gathered]) -> list[Outcome]:
-    """Clean sensors; those that are long are put together first, and then cut in time as those of other lakes."""
-    told = run_tasks(spark, partial(merge_and_clean, lake, job), found, lost=_died)
-    long = [one.sensor for one, outcome in zip(found, told, strict=True) if outcome is None]
-    outcomes = [outcome for outcome in told if outcome is not None]
-    return outcomes + [_in_words_of(lake, job.lake, outcome) for outcome in clean_long(spark, job, long)]
+def _cleaned(spark: SparkSession, lake: str, job: Job, complete: Sequence[Gathered]) -> list[Outcome]:
+    """Clean sensors; merge the long ones first, and then cut them in time like those of other lakes."""
+    results = run_tasks(spark, partial(merge_and_clean, lake, job), complete, lost=_died)
+    long = [one.sensor for one, outcome in zip(complete, results, strict=True) if outcome is None]
+    outcomes = [outcome for outcome in results if outcome is not None]
+    return outcomes + [_with_lake_names(lake, job.lake, outcome) for outcome in clean_long(spark, job, long)]
 
 
 def merge_and_clean(lake: str, job: Job, gathered: Gathered) -> Outcome | None:
-    """Put the rows of a sensor together, and clean it; None where it is long, and only put together.
+    """Merge the rows of a sensor and clean it; a long sensor is only merged, and the result is None.
 
     Parameters
     ----------
     lake : str
         The folder that its rows came from.
     job : Job
-        What is to be done, with the folder where rows are put together in the place of the lake.
+        The job, with the folder of merged files in place of the lake.
     gathered : Gathered
         The sensor.
     """
-    told = told_by(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
-    return None if told is None else _in_words_of(lake, job.lake, told)
+    outcome = told_by(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
+    return None if outcome is None else _with_lake_names(lake, job.lake, outcome)
 
 
 def _died(gathered: Gathered, why: str) -> Outcome:
@@ -192,10 +192,10 @@ def _merged_and_cleaned(lake: str, job: Job, gathered: Gathered) -> Outcome | No
     if gathered.rows >= 2 * job.stretch_rows:
         _merge(lake, job, gathered)
         return None
-    with staging(Path(job.lake)) as own:  # of this attempt alone: another one may not know that it was given up
+    with staging(Path(job.lake)) as own:  # for this attempt only, because an abandoned attempt may still be running
         job = replace(job, lake=str(own))
         _merge(lake, job, gathered)
-        return _in_words_of(lake, job.lake, clean_whole(job, gathered.sensor))
+        return _with_lake_names(lake, job.lake, clean_whole(job, gathered.sensor))
 
 
 def _merge(lake: str, job: Job, gathered: Gathered) -> None:
@@ -206,12 +206,12 @@ def _merge(lake: str, job: Job, gathered: Gathered) -> None:
             out.write(table)
 
 
-def _in_words_of(lake: str, staged: str, outcome: Outcome) -> Outcome:
-    """Say why a sensor was refused without the names of files that are no more."""
+def _with_lake_names(lake: str, staged: str, outcome: Outcome) -> Outcome:
+    """Replace temporary file names in the reason of a refusal by names of the lake."""
     if outcome.state != "refused":
         return outcome
     place, reason = f"{staged}/{outcome.sensor}", outcome.reason
     own = f"{outcome.sensor} of {lake}"
-    for name, said in ((f"{place}/{OUTPUT}", own), (place, own), (staged, lake)):
-        reason = reason.replace(name, said)
+    for name, replacement in ((f"{place}/{OUTPUT}", own), (place, own), (staged, lake)):
+        reason = reason.replace(name, replacement)
     return refused(outcome.sensor, reason, outcome.took_s)

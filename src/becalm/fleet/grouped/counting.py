@@ -1,4 +1,4 @@
-"""Which sensors each file of a lake holds: only the columns are read that tell them apart."""
+"""Count the rows of each sensor in a file of a lake; only the columns that identify sensors are read."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from becalm.fleet.names import named, values_in
 
 
 class Count(NamedTuple):
-    """What a file holds.
+    """The number of rows of each sensor in a file.
 
     Attributes
     ----------
     rows : dict of str to int
-        How many of each sensor.
+        Rows by the name of the sensor.
     hashed : str
-        What tells whether the file is still the same.
+        A hash, which changes if the file changes.
     failed : str
-        Why neither can be told, as a sentence.
+        Why the file cannot be read, as a sentence; else empty.
     """
 
     rows: dict[str, int]
@@ -35,41 +35,41 @@ class Count(NamedTuple):
 
 
 def count_rows(lake: str, keys: Sequence[str], file: str) -> Count:
-    """Count the rows of each sensor in a file; what is wrong with it is told, not raised.
+    """Count the rows of each sensor in a file; an error is returned as `failed`, not raised.
 
     Parameters
     ----------
     lake : str
-        The folder.
+        The folder of the lake.
     keys : sequence of str
-        What tells sensors apart.
+        Columns, or keys of folders, that identify sensors.
     file : str
-        Its path within the lake.
+        The file's path within the lake.
     """
     try:
         path = Path(lake) / file
-        hashed = came_of([(file, path)], "", {})  # before it is read: what changes meanwhile is seen by the next job
+        hashed = came_of([(file, path)], "", {})  # before reading, so that the next job notices a change meanwhile
         return Count(_rows(path, file, keys), hashed)
     except BecalmError as cause:
         return Count({}, failed=str(cause))
-    except Exception as cause:  # rubbish of a kind that nobody has thought of
+    except Exception as cause:  # damage that no check expects
         return Count({}, failed=f"{file} cannot be read: {type(cause).__name__}: {cause}")
 
 
 def not_counted(file: str, why: str) -> Count:
-    """Tell of a file that the workers died of."""
+    """Return the failure of a file on which the workers died."""
     return Count({}, failed=f"{file} cannot be read. {why}")
 
 
 def _rows(path: Path, file: str, keys: Sequence[str]) -> dict[str, int]:
-    table, told = read_parquet(path, Original(path)), values_in(Path(file).parent)
-    rows, columns = Counter[str](), [key for key in keys if key not in told]
+    table, from_folders = read_parquet(path, Original(path)), values_in(Path(file).parent)
+    rows, columns = Counter[str](), [key for key in keys if key not in from_folders]
     if lacks := [key for key in columns if key not in table.names]:
         raise InputError(
-            f"{path} has no column {lacks[0]!r} that tells its sensor, as others of this lake have; it has"
+            f"{path} has no column {lacks[0]!r} to identify its sensor, unlike other files of this lake; it has"
             f" {', '.join(table.names)}. Move it elsewhere, or clean it with: becalm clean"
         )
     for block in table.blocks(columns or table.names[:1]):
-        names, codes = named(block, keys, told)
+        names, codes = named(block, keys, from_folders)
         rows.update(dict(zip(names, np.bincount(codes, minlength=len(names)).tolist(), strict=True)))
     return dict(rows)

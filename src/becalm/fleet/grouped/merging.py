@@ -1,4 +1,4 @@
-"""Strips of one sensor put together: all of its rows in the order of time, in bounded memory."""
+"""Merge the strips of one sensor: all of its rows in the order of time, in bounded memory."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ from becalm.fleet.grouped.strips import RANK, Strip
 
 
 class StripCursor:
-    """How far a strip has been read; its file is open only while it is, for there may be thousands.
+    """A cursor that reads a strip in batches.
+
+    Its file is open only during a read, because there may be thousands of strips.
 
     Parameters
     ----------
     strip : Strip
-        Which one.
+        The strip to read.
 
     Attributes
     ----------
     columns : pyarrow.Schema
-        Of its rows, without their ranks.
+        The columns of its rows, without the rank.
     left : int
-        Rows that were not read yet.
+        Number of rows not read yet.
     reach : int, float or None
-        The rank of the last row that came into memory, or that of the first before any did.
+        The rank of the last row that was loaded; before that, the rank of the first row.
     """
 
     def __init__(self, strip: Strip) -> None:
@@ -46,11 +48,11 @@ class StripCursor:
 
     @property
     def held(self) -> int:
-        """Rows in memory."""
+        """Return the number of rows in memory."""
         return int(self._held.num_rows)
 
     def read(self) -> pa.Table:
-        """Return the next rows, and keep none."""
+        """Read and return the next rows, without keeping them in memory."""
         with pa.OSFile(self._path) as file:
             file.seek(self._at)
             batch = pa.ipc.read_record_batch(pa.ipc.read_message(file), self._schema)
@@ -59,38 +61,38 @@ class StripCursor:
         return pa.table(batch)
 
     def load(self) -> None:
-        """Bring the next rows into memory, in the place of those before."""
+        """Load the next rows into memory, in place of those before."""
         self._held = self.read()
         self.reach = _ranks(self._held)[-1]
 
     def take(self, stop: Any, *, also_equal: bool) -> pa.Table:
-        """Take the rows out of memory whose rank is below one, or equal to it."""
+        """Remove from memory, and return, the rows whose rank is below `stop`, or also those equal to it."""
         count = int(np.searchsorted(_ranks(self._held), stop, "right" if also_equal else "left"))
         taken, rest = self._held.slice(0, count), self._held.slice(count)
-        self._held = rest if rest.num_rows else self._schema.empty_table()  # a slice of nothing would keep all of them
+        self._held = rest if rest.num_rows else self._schema.empty_table()  # an empty slice would keep the whole buffer
         return taken
 
     def rest(self) -> pa.Table:
-        """Return what is left in memory."""
+        """Return the rows that are left in memory."""
         return self._held
 
 
 def merged(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
-    """Give the rows of strips in the order of their ranks; equal ones in the order of strips, and as they are in these.
+    """Yield the rows of strips in the order of their ranks; rows of equal rank keep the order of strips and rows.
 
-    Where a strip has no ranks, all rows stay as they came.
+    If a strip has no ranks, all rows keep their original order.
 
     Parameters
     ----------
     lake : Path
-        What they came from.
+        The lake that the rows came from.
     strips : sequence of Strip
-        All of one sensor, in the order of its files.
+        All strips of one sensor, in the order of its files.
 
     Raises
     ------
     InputError
-        If their files have not the same columns.
+        If their files do not have the same columns.
     """
     heads = [StripCursor(strip) for strip in strips]
     first = heads[0].columns
@@ -99,20 +101,20 @@ def merged(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
             refuse_different(lake / strip.file, _raw(head.columns), lake / strips[0].file, _raw(first))
     schema = pa.schema([field.with_nullable(True) for field in first], first.metadata)
     ranked = all(strip.first is not None for strip in strips)
-    for parts in _by_rank(heads) if ranked else _as_they_came(heads):
+    for parts in _by_rank(heads) if ranked else _in_file_order(heads):
         yield _joined([part for part in parts if part.num_rows], schema)
 
 
-def _as_they_came(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
+def _in_file_order(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
     for head in heads:
         while head.left:
             yield [head.read()]
 
 
 def _by_rank(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
-    """Give of each head what can be told next: no row that is not in memory comes before the least reach.
+    """Yield from each head the rows that come next: rows not in memory cannot precede the least reach.
 
-    Only heads that have rows in memory are looked at: of strips that follow each other in time these are few.
+    Only heads with rows in memory are considered; if strips follow each other in time, these are few.
     """
     unread = [(head.reach, place) for place, head in enumerate(heads)]
     heapq.heapify(unread)
@@ -131,7 +133,7 @@ def _by_rank(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
 
 
 def _joined(parts: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
-    """Put rows of several strips into the order of their ranks."""
+    """Sort the rows of several strips by rank."""
     if not parts:
         return schema.empty_table()
     tables = [pa.table([part.column(name) for name in schema.names], schema=schema) for part in parts]
@@ -146,5 +148,5 @@ def _ranks(table: pa.Table) -> Any:
 
 
 def _raw(columns: pa.Schema) -> RawTable:
-    """Return columns as a reader tells those of a file."""
+    """Return columns as an empty table of a file, for messages."""
     return RawTable(HeldRows(columns.empty_table()), 0, "parquet", units_of(columns))

@@ -1,4 +1,4 @@
-"""What puts rows into the order of time; and which it must not: those whose clock becalm mends as it reads them."""
+"""Rank rows by time, and detect rows that must keep their order because becalm repairs their clock when reading."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from becalm.files.timing.time_column import (
 from becalm.files.timing.times import PER_SECOND
 
 Ranks = NDArray[Any]
-"""What grows with time, (n,), int64, uint64 or float64; `latest` where the time is missing."""
+"""Numbers that grow with time, (n,), int64, uint64 or float64; `latest` where the time is missing."""
 
 _TEXTS = [clock.DATE_TIME], [clock.DATE], [clock.DATE, clock.TIME_OF_DAY]
 
 
 def time_of(table: RawTable, asked: str | None) -> tuple[str, ...]:
-    """Return the columns that tell the time, by their names or types; () where none does.
+    """Return the columns of time, judged by their names or types; () if there are none.
 
     Parameters
     ----------
@@ -46,16 +46,16 @@ def time_of(table: RawTable, asked: str | None) -> tuple[str, ...]:
         The column that a recipe names.
     """
     if asked is None:
-        found = find_time(replace(table, count=min(table.count, HEAD_ROWS)))
-        return next((time for time in found if _says_so(table, time[0])), ())
+        candidates = find_time(replace(table, count=min(table.count, HEAD_ROWS)))
+        return next((time for time in candidates if _is_surely_time(table, time[0])), ())
     try:
         return (named_column(table, asked, TIME_OPTION),)
-    except UsageError:  # those sensors are refused for it when they are opened
+    except UsageError:  # the sensors with that recipe are refused when they are opened
         return ()
 
 
 def ranks_of(times: pa.Table) -> Ranks | None:
-    """Return what orders rows by their times, (n,); None where these do not tell, or only the time of day.
+    """Return ranks that order rows by time, (n,); None if times cannot be read or have no date.
 
     Parameters
     ----------
@@ -76,27 +76,27 @@ def latest(ranks: Ranks) -> Any:
 
 
 def is_mended(ranks: Ranks, time: pa.DataType) -> bool:
-    """Tell whether times only fall where a counter wrapped, or where local time was put back by an hour.
+    """Return whether times decrease only where a counter wrapped, or where local time was set back by an hour.
 
-    In the order of their stamps, the rows before and after would be shuffled into each other.
+    Sorting such rows by time would interleave the rows before and after that moment.
 
     Parameters
     ----------
     ranks : (n,) array
-        Of rows of one sensor, as they came.
+        Ranks of the rows of one sensor, in the order of the file.
     time : pyarrow.DataType
-        Of the first column of time.
+        Type of the first column of time.
     """
-    known = ranks[ranks < latest(ranks)]
-    if len(known) < 2:
+    present = ranks[ranks < latest(ranks)]
+    if len(present) < 2:
         return False
-    steps, per_second = Steps(len(known)), _local_per_second(time)
-    steps.add((known - known[0]) / per_second if per_second else known.astype(np.float64))
+    steps, per_second = Steps(len(present)), _local_per_second(time)
+    steps.add((present - present[0]) / per_second if per_second else present.astype(np.float64))
     return steps.falls_an_hour if per_second else not pa.types.is_temporal(time) and steps.wraps_at is not None
 
 
-def _says_so(table: RawTable, name: str) -> bool:
-    """Tell whether a column is called time, or holds times; numbers that only rise may be readings."""
+def _is_surely_time(table: RawTable, name: str) -> bool:
+    """Return whether a column is named as a time, or has a type of time; rising numbers alone may be readings."""
     return is_time_name(name) or kind_of_column(table.head.column(name)) != NUMBERS
 
 
@@ -128,7 +128,7 @@ def _filled(column: pa.ChunkedArray) -> Ranks:
 def _of_text(times: pa.Table, kinds: Sequence[str]) -> Ranks | None:
     try:
         read = [instants_of(*one) for one in zip(times.column_names, kinds, times.columns, strict=True)]
-    except TimeError:  # a cell is no time, or whether day or month comes first is not clear
+    except TimeError:  # a cell is not a time, or the order of day and month is not clear
         return None
     missing = np.any([one.missing for one in read], axis=0)
     return np.where(missing, np.iinfo(np.int64).max, np.sum([one.ns for one in read], axis=0))

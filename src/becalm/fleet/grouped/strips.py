@@ -1,4 +1,4 @@
-"""Rows of a file parted by sensor: each strip holds some of one, in the order of time, as Arrow's own messages."""
+"""Split the rows of a file by sensor into strips: rows of one sensor, in the order of time, as Arrow IPC messages."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from becalm.fleet.marks import came_of
 from becalm.fleet.names import named, values_in
 
 RANK = "becalm.rank"
-"""The last column of a strip: what orders its rows."""
+"""The last column of a strip, which orders its rows."""
 
 BATCH_ROWS = 1 << 13
-"""So many rows of each strip are in memory where strips are merged."""
+"""Rows of each strip that are in memory while strips are merged."""
 
 _PACKED = pa.ipc.IpcWriteOptions(compression="lz4")
 
@@ -36,15 +36,15 @@ class Strip(NamedTuple):
     Attributes
     ----------
     path : str
-        The file that it is in.
+        The file that contains the strip.
     offset : int
-        The byte that it begins with there.
+        Its first byte in that file.
     rows : int
-        How many.
+        Number of rows.
     first : int, float or None
-        The rank of its first row; None where rows are to stay as they came.
+        The rank of its first row; None if rows keep their original order.
     file : str
-        The file of the lake that they were in.
+        The file of the lake that the rows came from.
     """
 
     path: str
@@ -55,16 +55,16 @@ class Strip(NamedTuple):
 
 
 class Lake(NamedTuple):
-    """What every task knows of a lake.
+    """The description of a lake that every task receives.
 
     Attributes
     ----------
     root : str
         Its folder.
     keys : tuple of str
-        What tells its sensors apart.
+        Columns, or keys of folders, that identify sensors.
     wanted : mapping of str to str or None
-        Sensors whose rows are wanted, and the columns of time that their recipes name.
+        Sensors whose rows are needed, and the time columns that their recipes name.
     """
 
     root: str
@@ -80,11 +80,11 @@ class StripPart(NamedTuple):
     file : str
         Its path within the lake.
     number, parts : int
-        Which of how many equal shares of its row groups.
+        Index of the share, and number of equal shares of the file's row groups.
     strips : str
         The file to write.
     hashed : str
-        What tells whether the file of the lake is still the same.
+        The hash of the file, to detect a change.
     """
 
     file: str
@@ -95,14 +95,14 @@ class StripPart(NamedTuple):
 
 
 class Strips(NamedTuple):
-    """What became of a part.
+    """The strips of one part of a file.
 
     Attributes
     ----------
     of : dict of str to list of Strip
-        By sensor, in the order of the file.
+        Strips by sensor, in the order of the file.
     failed : str
-        Why there are none, as a sentence.
+        Why there are none, as a sentence; else empty.
     """
 
     of: dict[str, list[Strip]]
@@ -110,42 +110,42 @@ class Strips(NamedTuple):
 
 
 Time = tuple[str, ...]
-"""Columns that tell it."""
+"""Names of the columns of time: one, or a date and a time of day."""
 
 
 def part_rows(lake: Lake, part: StripPart) -> Strips:
-    """Part the rows of a file by sensor; what is wrong with it is told, not raised.
+    """Split the rows of a file by sensor; an error is returned as `failed`, not raised.
 
     Parameters
     ----------
     lake : Lake
-        What it is of.
+        The lake of the file.
     part : StripPart
-        Which rows, and where to.
+        The rows to split, and the file to write.
     """
     try:
-        return Strips(_parted(lake, part))
+        return Strips(_split(lake, part))
     except BecalmError as cause:
         return Strips({}, str(cause))
-    except Exception as cause:  # rubbish of a kind that nobody has thought of
+    except Exception as cause:  # damage that no check expects
         return Strips({}, f"{part.file}: {type(cause).__name__}: {cause}")
 
 
 def not_parted(part: StripPart, why: str) -> Strips:
-    """Tell of a file that the workers died of."""
+    """Return the failure of a file on which the workers died."""
     return Strips({}, f"{part.file} cannot be read. {why}")
 
 
-def _parted(lake: Lake, part: StripPart) -> dict[str, list[Strip]]:
-    path, target, found = Path(lake.root) / part.file, Path(part.strips), defaultdict[str, list[Strip]](list)
+def _split(lake: Lake, part: StripPart) -> dict[str, list[Strip]]:
+    path, target, strips = Path(lake.root) / part.file, Path(part.strips), defaultdict[str, list[Strip]](list)
     table = read_parquet(path, Original(path))
     times = {asked: time_of(table, asked) for asked in set(lake.wanted.values())}
     if alike := {name for own in times.values() for name in own} & set(lake.keys):
         raise InputError(
-            f"{min(alike)!r} tells the time of rows, and cannot tell sensors apart; name another with --by."
+            f"{min(alike)!r} is the time of the rows and cannot identify sensors; name another column with --by."
         )
     if RANK in table.names:
-        raise InputError(f"{path} has a column {RANK!r}, which is used while rows are brought together; rename it.")
+        raise InputError(f"{path} has a column {RANK!r}, a name that becalm needs for merging; rename that column.")
     with replacing(target) as file:
         for block in _share_of(path, table, part):
             rows_of = _rows_by_sensor(block, lake.keys, values_in(Path(part.file).parent))
@@ -153,16 +153,16 @@ def _parted(lake: Lake, part: StripPart) -> dict[str, list[Strip]]:
             block = block.drop_columns([key for key in lake.keys if key in block.column_names])
             for name, rows, ranks in _in_order(block, wanted, rows_of):
                 first = None if ranks is None else ranks[0].item()
-                found[name].append(Strip(part.strips, file.tell(), len(rows), first, part.file))
+                strips[name].append(Strip(part.strips, file.tell(), len(rows), first, part.file))
                 with sentences(target):
                     _write(file, block.take(rows), ranks)
     if came_of([(part.file, path)], "", {}) != part.hashed:
         raise InputError(f"{path} changed while it was read; wait until it is complete, and repeat.")
-    return dict(found)
+    return dict(strips)
 
 
 def _share_of(path: Path, table: RawTable, part: StripPart) -> Iterator[pa.Table]:
-    """Read the row groups that are a part's, in blocks."""
+    """Read the row groups of a part, in blocks."""
     ends = _group_ends(path)
     first, stop = (ends[(len(ends) - 1) * share // part.parts] for share in (part.number, part.number + 1))
     for block in table.blocks(table.names, first):
@@ -175,14 +175,14 @@ def _share_of(path: Path, table: RawTable, part: StripPart) -> Iterator[pa.Table
 def _group_ends(path: Path) -> list[int]:
     import pyarrow.parquet as pq
 
-    held = pq.read_metadata(path)
-    return [*accumulate((held.row_group(number).num_rows for number in range(held.num_row_groups)), initial=0)]
+    footer = pq.read_metadata(path)
+    return [*accumulate((footer.row_group(number).num_rows for number in range(footer.num_row_groups)), initial=0)]
 
 
-def _rows_by_sensor(block: pa.Table, keys: Sequence[str], told: Mapping[str, str | None]) -> dict[str, Integers]:
-    """Return the rows of each sensor, as they came."""
-    names, codes = named(block, keys, told)
-    order = np.argsort(codes.astype(np.min_scalar_type(len(names))), kind="stable")  # of small types in one pass
+def _rows_by_sensor(block: pa.Table, keys: Sequence[str], folders: Mapping[str, str | None]) -> dict[str, Integers]:
+    """Return the row numbers of each sensor, in the order of the block."""
+    names, codes = named(block, keys, folders)
+    order = np.argsort(codes.astype(np.min_scalar_type(len(names))), kind="stable")  # a small type sorts in one pass
     ends = np.cumsum(np.bincount(codes, minlength=len(names)))
     return dict(zip(names, np.split(order, ends[:-1]), strict=True))
 
@@ -190,7 +190,7 @@ def _rows_by_sensor(block: pa.Table, keys: Sequence[str], told: Mapping[str, str
 def _in_order(
     block: pa.Table, wanted: Mapping[str, Time], rows_of: Mapping[str, Integers]
 ) -> Iterator[tuple[str, Integers, Ranks | None]]:
-    """Give the sensors that are wanted, with their rows in the order of time and what tells it."""
+    """Yield the wanted sensors with their rows in the order of time, and the ranks of these rows."""
     ranks = {time: ranks_of(block.select(time)) if time else None for time in set(wanted.values())}
     for name, time in wanted.items():
         rows = rows_of[name]

@@ -1,8 +1,8 @@
-"""Live filters over a fleet: Spark's structured streaming keeps a state for each sensor.
+"""Filter a fleet of sensors live: Spark's structured streaming keeps a state for each sensor.
 
-`run(spark, StreamPlan(...))` starts a stream from files, Kafka or NATS into Parquet files;
-`cleaned(frame, SensorPlan(...))` is the part between, for other sources and sinks. Spark is loaded when one of them is
-asked for.
+`run(spark, StreamPlan(...))` starts a stream from files, Kafka or NATS into Parquet files.
+`cleaned(frame, SensorPlan(...))` is the filter alone, for other sources and sinks. Spark is loaded when one of them is
+first used.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ __all__ = ["Book", "LiveBook", "SensorPlan", "StreamPlan", "cleaned", "prepared"
 
 
 def __getattr__(name: str) -> Any:
-    """Load what needs Spark."""
+    """Load the functions that need Spark at their first use."""
     if name not in ("cleaned", "prepared", "run", "wait"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from becalm.fleet.stream import query

@@ -1,4 +1,4 @@
-"""What the engine carries: rows of one sensor as bytes, so that it moves a few things, and no sample by itself."""
+"""Pack rows of one sensor into bytes, so that Spark moves a few blobs instead of single samples."""
 
 from __future__ import annotations
 
@@ -12,55 +12,55 @@ from becalm.core.snapshot_bytes import packed, unpacked
 
 
 class Garbled(NamedTuple):
-    """Something that could not be read."""
+    """A loss of rows, blocks or messages that could not be read."""
 
-    things: int | None  # how many: rows, blocks, messages; None where nobody can know
+    things: int | None  # number of rows, blocks or messages; None if unknown
     says: str  # one sentence
 
 
 class SensorRows(NamedTuple):
-    """Some rows of a sensor as they came."""
+    """Some rows of a sensor in the order of their source."""
 
-    time_s: Floats  # (B,) NaN of a row without a stamp
+    time_s: Floats  # (B,) NaN for a row without a stamp
     values: Floats  # (B, m) NaN where missing
-    units: tuple[str, ...] = ()  # of the channels; () where nothing tells any
+    units: tuple[str, ...] = ()  # one for each channel; () if unknown
     garbled: tuple[Garbled, ...] = ()
 
     def packed(self) -> bytes:
-        """Return them as bytes."""
+        """Return the rows as bytes."""
         words = json.dumps([self.units, self.garbled], separators=(",", ":")).encode()
         return packed({"time": self.time_s, "values": self.values, "words": np.frombuffer(words, np.int8)})
 
     @classmethod
     def unpacked(cls, blob: bytes) -> SensorRows:
-        """Return what `packed` held."""
+        """Return the rows from the bytes of `packed`."""
         arrays = unpacked(blob)
         units, garbled = json.loads(arrays["words"].tobytes())
         return cls(arrays["time"], arrays["values"], tuple(units), tuple(Garbled(*one) for one in garbled))
 
 
 class EstimatedBlock(NamedTuple):
-    """What is told of some rows."""
+    """The estimates for some rows of a sensor."""
 
-    places: Integers  # (k,) where its channels stand among those of the fleet
+    places: Integers  # (k,) indices of its channels in those of the fleet
     time_s: Floats  # (B,)
     signal: Floats  # (B, k)
     sigma: Floats  # (B, k)
     verdicts: Codes  # (B, k)
 
     def packed(self) -> bytes:
-        """Return it as bytes."""
+        """Return the estimates as bytes."""
         return packed(self._asdict())
 
     @classmethod
     def unpacked(cls, blob: bytes) -> EstimatedBlock:
-        """Return what `packed` held."""
+        """Return the estimates from the bytes of `packed`."""
         return cls(**unpacked(blob))
 
 
 class Event(NamedTuple):
-    """Something that befell a sensor's stream."""
+    """An event in a sensor's stream, such as lost rows, silence, or another recipe."""
 
     kind: str  # a kind of `becalm.live.block.LossKind`, or "refused", "recipe", "silent", "back"
-    rows: int | None  # how many rows it touched; None where nobody can know
+    rows: int | None  # number of rows concerned; None if unknown
     says: str  # one sentence

@@ -1,4 +1,7 @@
-"""Whose a checkpoint and an output are: another stream would go on where it never was. Loaded only where Spark is."""
+"""Check that a checkpoint and an output belong to this stream, and mark the checkpoint. This module needs Spark.
+
+With the checkpoint of another stream, Spark would continue from a position that this stream never reached.
+"""
 
 from __future__ import annotations
 
@@ -23,32 +26,32 @@ _WORDS = {"output": "into", "source": "from", "key": "with --by", "time": "with 
 
 
 def refuse_other(spark: SparkSession, plan: StreamPlan) -> None:
-    """Refuse a checkpoint that is of another stream, and an output that is.
+    """Raise an error if the checkpoint or the output belongs to another stream.
 
     Parameters
     ----------
     spark : SparkSession
-        Which finds the folders, on whichever file system they are.
+        The Spark that reads the folders, on any file system.
     plan : StreamPlan
         The stream.
 
     Raises
     ------
     OutputError
-        If the checkpoint or the output is of another stream, or no folder: Spark would leave out what it takes for
-        written, or go on from places that this stream has never been at.
+        If the checkpoint or the output belongs to another stream, or is not a folder. Spark would skip rows that it
+        believes to be written, or continue from a position that this stream never reached.
     """
-    with _told(plan):
+    with _as_output_error(plan):
         _refuse(_Folders(spark), plan)
 
 
 def claim(spark: SparkSession, plan: StreamPlan) -> None:
-    """Say in a checkpoint, which was not refused, of which stream it is.
+    """Write into a checkpoint, which `refuse_other` accepted, which stream it belongs to.
 
     Parameters
     ----------
     spark : SparkSession
-        As in `refuse_other`.
+        The Spark that writes the file.
     plan : StreamPlan
         The stream.
 
@@ -57,7 +60,7 @@ def claim(spark: SparkSession, plan: StreamPlan) -> None:
     OutputError
         If it cannot be written.
     """
-    with _told(plan):
+    with _as_output_error(plan):
         folders, place = _Folders(spark), f"{plan.checkpoint_folder}/{_CLAIM}"
         own = json.dumps(_claim_of(plan))
         if folders.read(place) != own:
@@ -65,14 +68,14 @@ def claim(spark: SparkSession, plan: StreamPlan) -> None:
 
 
 @contextmanager
-def _told(plan: StreamPlan) -> Iterator[None]:
-    """Say in a sentence what Spark cannot do with folders."""
+def _as_output_error(plan: StreamPlan) -> Iterator[None]:
+    """Convert an error of Spark with a folder to an OutputError."""
     try:
         yield
     except (Py4JError, PySparkException) as cause:
         raise OutputError(
             f"{plan.output}, or the checkpoint {plan.checkpoint_folder}, cannot be used ({reason_of(cause)}); name"
-            " another."
+            " another folder."
         ) from cause
 
 
@@ -80,42 +83,42 @@ def _refuse(folders: _Folders, plan: StreamPlan) -> None:
     for place in (plan.output, plan.checkpoint_folder):
         if folders.is_file(place):
             raise OutputError(f"{place} is a file; name a folder for the stream's output, and for its checkpoint.")
-    told = folders.holds(f"{plan.output}/_spark_metadata")
-    kept = folders.holds(f"{plan.checkpoint_folder}/offsets")
-    done = folders.holds(f"{plan.checkpoint_folder}/commits")  # none where the first micro-batch was killed
-    if told and not kept:
+    has_output = folders.holds(f"{plan.output}/_spark_metadata")
+    has_offsets = folders.holds(f"{plan.checkpoint_folder}/offsets")
+    has_commits = folders.holds(f"{plan.checkpoint_folder}/commits")  # none if the first micro-batch was killed
+    if has_output and not has_offsets:
         raise OutputError(
             f"{plan.output} holds another stream, or this one without its checkpoint {plan.checkpoint_folder}; "
             "name another folder for the output, or the checkpoint that belongs to it."
         )
-    if done and not told:
+    if has_commits and not has_output:
         raise OutputError(
-            f"The checkpoint {plan.checkpoint_folder} is of a stream that does not write to {plan.output}; "
+            f"The checkpoint {plan.checkpoint_folder} belongs to a stream that does not write to {plan.output}; "
             "name another checkpoint, or the output that belongs to it."
         )
-    if kept and (before := folders.read(f"{plan.checkpoint_folder}/{_CLAIM}")):
+    if has_offsets and (before := folders.read(f"{plan.checkpoint_folder}/{_CLAIM}")):
         _refuse_changed(plan, before)
 
 
 def _refuse_changed(plan: StreamPlan, before: str) -> None:
     try:
-        told, own = json.loads(before), _claim_of(plan)
-        changed = next((name for name in _WORDS if told[name] != own[name]), None)
+        stored, own = json.loads(before), _claim_of(plan)
+        changed = next((name for name in _WORDS if stored[name] != own[name]), None)
     except (ValueError, KeyError, TypeError) as cause:
         raise OutputError(
-            f"{plan.checkpoint_folder}/{_CLAIM} is damaged, and would say of which stream that checkpoint is; remove it"
-            " if you know that it is of this one."
+            f"{plan.checkpoint_folder}/{_CLAIM}, which says which stream the checkpoint belongs to, is damaged; remove"
+            " this file if you know that the checkpoint belongs to this stream."
         ) from cause
     if changed is not None:
         raise OutputError(
-            f"The checkpoint {plan.checkpoint_folder} is of a stream that was begun {_WORDS[changed]}"
-            f" {told[changed]!r}, not {own[changed]!r}; begin it again as it was, or name another checkpoint and"
+            f"The checkpoint {plan.checkpoint_folder} belongs to a stream that was started {_WORDS[changed]}"
+            f" {stored[changed]!r}, not {own[changed]!r}; start it as before, or name another checkpoint and"
             " another output."
         )
 
 
 def _claim_of(plan: StreamPlan) -> dict[str, str]:
-    """Return what may not change of a stream; the server of its messages may."""
+    """Return the options of a stream that must not change; the server of its messages may change."""
     source = plan.source
     if "://" in source:
         address = Address.parsed(plan.source)
@@ -124,24 +127,24 @@ def _claim_of(plan: StreamPlan) -> dict[str, str]:
 
 
 class _Folders:
-    """Files as Spark finds them."""
+    """Access to files and folders through Spark's file systems."""
 
     def __init__(self, spark: SparkSession) -> None:
         self._jvm: Any = spark._jvm
         self._settings: Any = spark._jsc.hadoopConfiguration()
 
     def is_file(self, path: str) -> bool:
-        files, place = self._found(path)
+        files, place = self._located(path)
         return bool(files.exists(place) and files.getFileStatus(place).isFile())
 
     def holds(self, path: str) -> bool:
-        """Whether a folder is there and holds something."""
-        files, place = self._found(path)
+        """Return whether a folder exists and is not empty."""
+        files, place = self._located(path)
         return bool(files.exists(place) and len(files.listStatus(place)))
 
     def read(self, path: str) -> str:
-        """Return a text; "" where it is not there."""
-        files, place = self._found(path)
+        """Return the text of a file, or "" if it does not exist."""
+        files, place = self._located(path)
         if not files.exists(place):
             return ""
         stream = files.open(place)
@@ -151,17 +154,17 @@ class _Folders:
             stream.close()
 
     def write(self, path: str, text: str) -> None:
-        """Write a text, which is there whole or not at all."""
-        files, place = self._found(path)
-        _, beside = self._found(f"{path}.part")
-        stream = files.create(beside, True)
+        """Write a text to a file by a rename, so that the file is never partial."""
+        files, place = self._located(path)
+        _, part = self._located(f"{path}.part")
+        stream = files.create(part, True)
         try:
             stream.write(bytearray(text.encode()))
         finally:
             stream.close()
         files.delete(place, False)
-        files.rename(beside, place)
+        files.rename(part, place)
 
-    def _found(self, path: str) -> tuple[Any, Any]:
+    def _located(self, path: str) -> tuple[Any, Any]:
         place = self._jvm.org.apache.hadoop.fs.Path(path)
         return place.getFileSystem(self._settings), place

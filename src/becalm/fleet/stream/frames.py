@@ -1,4 +1,4 @@
-"""Rows and messages that Spark has already, as blocks of one sensor each. Loaded only where Spark is."""
+"""Convert a Spark frame of rows or messages to blocks of one sensor each. This module needs Spark."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 
 def blocks_of(frame: DataFrame, plan: SensorPlan) -> tuple[StreamSchema, DataFrame]:
-    """Return the shape of rows, or messages, and blocks of one sensor each; the plan names all channels.
+    """Return the shape of a frame of rows or messages, and its blocks of one sensor each.
+
+    The plan must name all channels.
 
     Raises
     ------
     UsageError
-        If a column is not there, or of a type that it cannot have.
+        If a column is missing, or has a type that cannot be used.
     """
     key = sql.coalesce(_column(plan.key).cast("string"), sql.lit("")).alias("sensor")
     if plan.messages is not None:

@@ -1,4 +1,4 @@
-"""Rows of many sensors to blocks of one, before the engine moves them."""
+"""Group rows of many sensors into blocks of one sensor each, before Spark moves them between workers."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ _HELD_ROWS = 1 << 18
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 
 Seconds = Callable[[pa.Array], Floats]
-"""Returns stamps in seconds."""
+"""A function that converts a column of stamps to seconds."""
 
 
 class _Samples(NamedTuple):
-    """Rows of many sensors, some after the other."""
+    """Rows of many sensors, one after another."""
 
-    whose: Integers  # (N,) as `SensorBlockBuffer.whose` tells it
+    whose: Integers  # (N,) number of each row's sensor, from `SensorBlockBuffer.whose`
     time_s: Floats  # (N,)
     values: Floats  # (N, m)
 
 
 class SensorBlockBuffer:
-    """Holds rows until there are many, and lets them go as blocks of one sensor each.
+    """A buffer that collects rows and releases them as blocks of one sensor each.
 
     Parameters
     ----------
     width : int
-        How many channels there are.
+        Number of channels.
     """
 
     def __init__(self, width: int) -> None:
@@ -43,26 +43,26 @@ class SensorBlockBuffer:
         self._rows = 0
 
     def whose(self, sensors: pa.Array, units: tuple[str, ...] = ()) -> Integers:
-        """Return the number of each row's sensor (N,), by its name; rows in other units are counted apart."""
+        """Return the number of each row's sensor (N,); rows in other units get another number."""
         own = sensors.fill_null("").dictionary_encode()
         numbers = np.array([self._number(name, units) for name in own.dictionary.to_pylist()], np.int64)
         return np.asarray(numbers[own.indices.to_numpy()])
 
     def garble(self, sensor: str, garbled: Garbled) -> None:
-        """Hear of what could not be read of a sensor."""
+        """Record that something of a sensor could not be read."""
         self._garbled.setdefault(self._number(sensor, ()), []).append(garbled)
 
     def add(self, whose: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> Iterator[pa.RecordBatch]:
-        """Take rows, or blocks of them, and return blocks, as `shape.BATCH`, once there are many.
+        """Add rows, or blocks of rows, and yield blocks, as `shape.BATCH`, once enough rows are held.
 
         Parameters
         ----------
         whose : (N,) int array
-            Whose each is, as `whose` tells it.
+            The number of each row's sensor, from `whose`.
         columns : sequence of (N,) Arrow arrays
-            Stamps, and readings of each channel.
+            Stamps, and the readings of each channel.
         seconds : callable
-            Returns stamps in seconds.
+            Converts stamps to seconds.
         """
         samples, garbled = _samples(whose, columns, seconds)
         for number, lost in enumerate(np.bincount(garbled)):
@@ -75,37 +75,37 @@ class SensorBlockBuffer:
             yield from self.rest()
 
     def rest(self) -> Iterator[pa.RecordBatch]:
-        """Return blocks of all that is held."""
+        """Yield blocks of all rows that are held."""
         nothing = _Samples(np.empty(0, np.int64), np.empty(0), np.empty((0, self._width)))
         whose, time_s, values = (np.concatenate(parts) for parts in zip(nothing, *self._held, strict=True))
         order = np.argsort(whose, kind="stable")
         ends = np.cumsum(np.bincount(whose, minlength=len(self._numbers)))
         time_s, values = time_s[order], values[order]
-        told: list[tuple[str, bytes]] = []
+        packed: list[tuple[str, bytes]] = []
         for number, (sensor, units) in enumerate(self._numbers):
             own = slice(ends[number - 1] if number else 0, ends[number])
             garbled = tuple(self._garbled.get(number, ()))
             if own.start < own.stop or garbled:
-                told.append((sensor, SensorRows(time_s[own], values[own], units, garbled).packed()))
+                packed.append((sensor, SensorRows(time_s[own], values[own], units, garbled).packed()))
         self._held, self._rows, self._garbled = [], 0, {}
-        if told:
-            yield self._batch(told)
+        if packed:
+            yield self._batch(packed)
 
     def _number(self, sensor: str, units: tuple[str, ...]) -> int:
         return self._numbers.setdefault((sensor, units), len(self._numbers))
 
-    def _batch(self, told: Sequence[tuple[str, bytes]]) -> pa.RecordBatch:
+    def _batch(self, packed: Sequence[tuple[str, bytes]]) -> pa.RecordBatch:
         columns = [
-            pa.array([sensor for sensor, _ in told], pa.string()),
-            pa.array(np.zeros(len(told), np.int64)),  # stamps tell the order
-            pa.array([blob for _, blob in told], pa.binary()),
-            pa.array(np.zeros(len(told))),
+            pa.array([sensor for sensor, _ in packed], pa.string()),
+            pa.array(np.zeros(len(packed), np.int64)),  # rows are sorted by stamp, not by place
+            pa.array([blob for _, blob in packed], pa.binary()),
+            pa.array(np.zeros(len(packed))),
         ]
         return pa.RecordBatch.from_arrays(columns, names=["sensor", "place", "batch", "stored_s"])
 
 
 def gathered(width: int, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Return blocks of one sensor each of rows: sensor, stamp, and so many channels; or of blocks of them."""
+    """Yield blocks of one sensor each from rows, or blocks of rows, with a sensor, a stamp and `width` channels."""
     gathering = SensorBlockBuffer(width)
     for batch in batches:
         yield from gathering.add(gathering.whose(batch.column(0)), batch.columns[1:], seconds_of)
@@ -113,12 +113,12 @@ def gathered(width: int, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Recor
 
 
 def seconds_of(column: pa.Array) -> Floats:
-    """Return stamps in seconds: timestamps, or numbers that are seconds already; NaN where there is none."""
+    """Return stamps in seconds, from timestamps or from numbers in seconds; NaN where missing."""
     if not pa.types.is_timestamp(column.type):
         return numbers_in(column)
     per_second = _PER_SECOND[column.type.unit]
     ticks = column.cast(pa.int64()).fill_null(0).to_numpy()
-    if per_second == _PER_SECOND["ns"]:  # which no double holds: what is below microseconds is added to them
+    if per_second == _PER_SECOND["ns"]:  # too many digits for a double: convert microseconds and the rest separately
         whole, rest = np.divmod(ticks, 1000)
         seconds = whole / _PER_SECOND["us"] + rest / per_second
     else:
@@ -127,12 +127,12 @@ def seconds_of(column: pa.Array) -> Floats:
 
 
 def numbers_in(column: pa.Array) -> Floats:
-    """Return numbers, NaN where there is none."""
+    """Return a column as float64, NaN where missing."""
     return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), np.float64)
 
 
 def _samples(whose: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> tuple[_Samples, Integers]:
-    """Lay rows out, or blocks one after the other; also tell whose each block is that is none."""
+    """Return rows, or blocks laid out one after another, and the sensor's number of each block of unequal lengths."""
     time, *channels = columns
     if not pa.types.is_list(time.type):
         return _Samples(whose, seconds(time), np.column_stack([*map(numbers_in, channels)])), whose[:0]
@@ -154,7 +154,7 @@ def _lengths(column: pa.ListArray) -> Integers:
 
 
 def _laid_out(column: pa.ListArray, lengths: Integers) -> Floats:
-    """Return a column of lists one after the other, those of such lengths; NaN where there is none."""
+    """Return the lists of a column one after another, with the given lengths; NaN where a list is missing."""
     kept = _valid(column) & (_lengths(column) == lengths)
     values = numbers_in(column.filter(pa.array(kept)).flatten())
     if kept.all():

@@ -1,6 +1,6 @@
-"""The messages of a NATS JetStream stream as a source of Spark's, each read by its number. Loaded only where Spark is.
+"""A Spark source that reads the messages of a NATS JetStream stream by their numbers. This module needs Spark.
 
-A micro-batch is a range of numbers, so that it is the same whenever it is read; the server keeps no account of it.
+A micro-batch is a range of numbers, so a repeated read gives the same messages. The server keeps no position for it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _NAME = "becalm_nats"
 _SCHEMA = "sensor string, place bigint, message binary, stored_s double"
-_FEWEST = 2000  # messages for which another task is worth its start
+_FEWEST = 2000  # messages that justify another task
 _log = logging.getLogger(__name__)
 
 
@@ -52,33 +52,33 @@ class _Source(DataSource):
 
 
 class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
-    """Tells which messages are there, and reads them.
+    """A reader that finds the available messages and reads them.
 
-    An offset is the number of the last message that was read, and when its stream was made.
+    An offset is the number of the last message that was read, and the time when its stream was created.
     """
 
     def __init__(self, address: Address, tasks: int) -> None:
         self._address, self._tasks = address, tasks
-        self._end: int | None = None  # beyond which nothing is read, where the stream ends with what is there
+        self._end: int | None = None  # last message to read, if the query ends after the data that exist now
 
     def initialOffset(self) -> dict[str, Any]:  # noqa: N802
-        found = found_in(self._address)
+        span = found_in(self._address)
         begins = self._address.chosen(START, ("first", "now"), "first") == "first"
-        return _offset(found.first - 1 if begins else found.last, found)
+        return _offset(span.first - 1 if begins else span.last, span)
 
     def latestOffset(self, start: Mapping[str, Any], limit: ReadLimit) -> dict[str, Any]:  # noqa: N802
         try:
-            found = found_in(self._address)
+            span = found_in(self._address)
         except AwayError as cause:
-            if self._end is not None:  # it would end with what is read, and seem to have read all
+            if self._end is not None:  # otherwise the query would end too early, as if it had read all messages
                 raise
             _log.warning("%s", cause)
             return dict(start)
-        after = _after(start, found)
-        end = found.last if self._end is None else min(found.last, max(self._end, after))
+        after = _after(start, span)
+        end = span.last if self._end is None else min(span.last, max(self._end, after))
         if isinstance(limit, ReadMaxRows):
             end = min(end, after + limit.max_rows)
-        return _offset(max(after, end), found)
+        return _offset(max(after, end), span)
 
     def getDefaultReadLimit(self) -> ReadLimit:  # noqa: N802
         return ReadMaxRows(most_of(self._address))
@@ -95,12 +95,12 @@ class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
 
     def read(self, partition: InputPartition) -> Iterator[pa.RecordBatch]:
         assert isinstance(partition, _Range)
-        for told in messages_of(self._address, partition.first, partition.last):
+        for messages in messages_of(self._address, partition.first, partition.last):
             columns = [
-                pa.array([message.subject for message in told], pa.string()),
-                pa.array([message.number for message in told], pa.int64()),
-                pa.array([message.payload for message in told], pa.binary()),
-                pa.array([message.stored_s for message in told], pa.float64()),
+                pa.array([message.subject for message in messages], pa.string()),
+                pa.array([message.number for message in messages], pa.int64()),
+                pa.array([message.payload for message in messages], pa.binary()),
+                pa.array([message.stored_s for message in messages], pa.float64()),
             ]
             yield pa.RecordBatch.from_arrays(columns, names=["sensor", *MESSAGE])
 
@@ -108,34 +108,34 @@ class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
 def nats_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
     """Return the messages of a stream, `nats://HOST:PORT/STREAM?subject=plant.>&start=first|now&most=N`.
 
-    A sensor is named by its messages' subject. Other options are those of `becalm live`; workers find secrets in
-    their own environment, or in files.
+    The subject of a message names its sensor. Other options are those of `becalm live`; workers read secrets from
+    their own environment, or from files.
 
     Raises
     ------
     BecalmError
-        If the stream is not there, its server cannot be reached, or it forgets what was read.
+        If the stream does not exist, its server cannot be reached, or it deletes messages once they are read.
     """
     found_in(address)
     spark.dataSource.register(_Source)
     reader = spark.readStream.format(_NAME).option("address", json.dumps(asdict(address)))
-    told = reader.option("tasks", str(spark.sparkContext.defaultParallelism)).load()
-    return told.withColumnRenamed("sensor", key)
+    frame = reader.option("tasks", str(spark.sparkContext.defaultParallelism)).load()
+    return frame.withColumnRenamed("sensor", key)
 
 
-def _after(start: Mapping[str, Any], found: StreamRange) -> int:
-    """Return the message after which to read; say where that is not the last one that was read."""
+def _after(start: Mapping[str, Any], span: StreamRange) -> int:
+    """Return the number after which to read; log a warning if that is not the last message that was read."""
     read = int(start["message"])
-    if start["created"] != found.created:
-        _log.warning("The stream was made anew since message %d; it is read from its beginning.", read)
-        return found.first - 1
-    if read > found.last:
-        _log.warning("The stream lost its messages %d to %d, which had been read.", found.last + 1, read)
-        return found.last
-    if read < found.first - 1:
-        _log.warning("Messages %d to %d were deleted before they were read.", read + 1, found.first - 1)
-    return max(read, found.first - 1)
+    if start["created"] != span.created:
+        _log.warning("The stream was created anew since message %d; it is read from its beginning.", read)
+        return span.first - 1
+    if read > span.last:
+        _log.warning("The stream lost its messages %d to %d, which had been read.", span.last + 1, read)
+        return span.last
+    if read < span.first - 1:
+        _log.warning("Messages %d to %d were deleted before they were read.", read + 1, span.first - 1)
+    return max(read, span.first - 1)
 
 
-def _offset(message: int, found: StreamRange) -> dict[str, Any]:
-    return {"message": message, "created": found.created}
+def _offset(message: int, span: StreamRange) -> dict[str, Any]:
+    return {"message": message, "created": span.created}

@@ -1,4 +1,4 @@
-"""A range of a JetStream stream's messages, by their numbers: what is deleted is not there, all else is."""
+"""Read a range of a JetStream stream's messages by their numbers; deleted messages are skipped, no others."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from nats.aio.msg import Msg
 
 _AT_ONCE, _WAIT_S = 1024, 0.2
-_AGAIN_S = (1.0, 2.0, 4.0, 8.0, 15.0)  # a server that is started again is back by then
+_AGAIN_S = (1.0, 2.0, 4.0, 8.0, 15.0)  # waits between retries; a server restarts in less than their sum
 
 
 class StreamRange(NamedTuple):
-    """Which messages a stream holds."""
+    """The numbers of the messages that a stream holds."""
 
     first: int
     last: int
-    created: str  # when it was made, which tells it from another of its name
+    created: str  # when the stream was created; it distinguishes streams of the same name
 
 
 class SequencedMessage(NamedTuple):
@@ -40,14 +40,14 @@ class SequencedMessage(NamedTuple):
 
 
 def found_in(address: Address) -> StreamRange:
-    """Return which messages a stream holds now.
+    """Return the range of messages that a stream holds now.
 
     Raises
     ------
     AwayError
         If its server cannot be reached now.
     BecalmError
-        If there is no such stream, or none that can be read again.
+        If there is no such stream, or it deletes messages once they are read.
     """
     remote = Remote.parsed(address, PORT, PORT)
     name = stream_of(remote)
@@ -55,8 +55,8 @@ def found_in(address: Address) -> StreamRange:
         info = link.stream_info(name, reached=True)
     if info.config.retention not in (None, "limits"):
         raise InputError(
-            f"The stream {name} forgets messages once they are read (retention {info.config.retention}), and nothing "
-            "could be read again after a kill; make it anew by --retention limits."
+            f"The stream {name} deletes messages once they are read (retention {info.config.retention}), so they could "
+            "not be read again after a crash; create it anew with --retention limits."
         )
     if "subject" in address.options:
         check_subject(info, address.options["subject"])
@@ -64,7 +64,7 @@ def found_in(address: Address) -> StreamRange:
 
 
 def messages_of(address: Address, first: int, last: int) -> Iterator[list[SequencedMessage]]:
-    """Return the messages of a range, in their order, some at a time.
+    """Yield the messages of a range in order, some at a time.
 
     Raises
     ------
@@ -94,41 +94,41 @@ def _read(address: Address, first: int, last: int) -> Iterator[list[SequencedMes
         try:
             more = True
             while more:
-                came, more = pull.told(last)
-                if came:
-                    yield came
+                messages, more = pull.told(last)
+                if messages:
+                    yield messages
         finally:
             pull.end()
 
 
 class _RangePull(NatsPull):
-    """Tells the subject of messages too, and how many come after them."""
+    """A pull that also returns the subjects of messages, and knows how many follow."""
 
     def __init__(self, remote: Remote, link: NatsLink) -> None:
         super().__init__(remote, link)
-        self._beside: deque[tuple[str, int]] = deque()  # of each message that came
+        self._extras: deque[tuple[str, int]] = deque()  # subject and number of later messages, for each message
 
     def told(self, last: int) -> tuple[list[SequencedMessage], bool]:
         """Return the next messages up to a number, and whether there may be more."""
         taken = self.take(_WAIT_S, _AT_ONCE)
         if not taken:
             return [], self._is_more()
-        beside = [self._beside.popleft() for _ in taken]
-        told = [
+        extras = [self._extras.popleft() for _ in taken]
+        messages = [
             SequencedMessage(subject, message.number, message.payload, message.stored_s)
-            for message, (subject, _) in zip(taken, beside, strict=True)
+            for message, (subject, _) in zip(taken, extras, strict=True)
             if message.number <= last
         ]
-        return told, taken[-1].number < last and beside[-1][1] > 0
+        return messages, taken[-1].number < last and extras[-1][1] > 0
 
     def _hold(self, told: Msg) -> None:
         held = len(self._came)
         super()._hold(told)
         if len(self._came) > held:
-            self._beside.append((told.subject, int(told.reply.split(".")[8 if told.reply.count(".") == 8 else 10])))
+            self._extras.append((told.subject, int(told.reply.split(".")[8 if told.reply.count(".") == 8 else 10])))
 
     def _is_more(self) -> bool:
-        """Ask whether there are messages that the server did not send yet, or that are still on their way."""
+        """Ask the server whether messages are not sent yet, or still on their way."""
         from nats.errors import Error
 
         try:

@@ -1,6 +1,7 @@
-"""Parquet files of a lake, read by tasks: the engine finds them and moves their paths, and none of their rows.
+"""Read the Parquet files of a lake in tasks. Spark only finds the files and passes on their paths, not their rows.
 
-So a file that cannot be read is told and stops nobody; units are known, and nanoseconds, which Spark has no type for.
+So a file that cannot be read is reported and does not stop the stream. Units stay known, and nanoseconds too, for which
+Spark has no type.
 """
 
 from __future__ import annotations
@@ -39,19 +40,19 @@ _PASSING = {
     errno.ENOMEM,
 }
 _PASSING |= {errno.ENOTCONN, errno.ECONNRESET, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ENETDOWN, errno.ENETUNREACH}
-_LOOKED_AT = 20  # files, of which one must be readable, when a stream begins
+_LOOKED_AT = 20  # files to try when a stream begins; one of them must be readable
 
 
 def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
-    """Find the shape of a lake's rows in one of its files.
+    """Find the shape of a lake's rows from one of its files.
 
     Raises
     ------
     BecalmError
-        If it holds none that can be read, or a column is not there, or of a type that it cannot have.
+        If no file can be read, a column is missing, or a column has a type that cannot be used.
     """
     if not Path(lake).is_dir():
-        raise InputError(f"{lake} is no folder; give one that Parquet files come into.")
+        raise InputError(f"{lake} is not a folder; give the folder that receives the Parquet files.")
     why: BecalmError | None = None
     for _, path in zip(range(_LOOKED_AT), _files(Path(lake)), strict=False):
         try:
@@ -62,36 +63,36 @@ def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
         columns = [(field.name, _kind(field.type)) for field in schema]
         if plan.key not in schema.names and _key_in(Path(lake), path, plan.key) is not None:
             columns.append((plan.key, "string"))
-        told = [(name, _as_told(kind) if name == plan.time else kind) for name, kind in columns]
+        in_seconds = [(name, _stamp_kind(kind) if name == plan.time else kind) for name, kind in columns]
         try:
-            return shape_of(told, plan.key, plan.time, plan.channels)
-        except UsageError as cause:  # of a file that is none of the stream's
+            return shape_of(in_seconds, plan.key, plan.time, plan.channels)
+        except UsageError as cause:  # perhaps a file that does not belong to the stream
             why = cause if why is None else why
     raise why or InputError(
-        f"{lake} holds no Parquet file yet; a stream begins where there is one, which tells its columns."
+        f"{lake} holds no Parquet file yet; a stream needs at least one at its start, to find the columns."
     )
 
 
 def read_files(lake: str, shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Return blocks of one sensor each, as `shape.BATCH`, of the rows in files; the first column has their paths.
+    """Yield blocks of one sensor each, as `shape.BATCH`, from files; the first column of `batches` has their paths.
 
     Raises
     ------
     InputError
-        If the machine, and not the file, is why it cannot be read now: so that the engine reads it again.
+        If a file cannot be read now because of the machine, not the file, so that Spark repeats the read.
     """
     gathering = SensorBlockBuffer(len(shape.channels))
     for batch in batches:
-        for told in batch.column(0).to_pylist():
-            path = Path(told.removeprefix("file://").removeprefix("file:"))
+        for uri in batch.column(0).to_pylist():
+            path = Path(uri.removeprefix("file://").removeprefix("file:"))
             sensor = _key_in(Path(lake), path, shape.key)
             try:
                 for piece in _pieces(path, shape, gathering, sensor):
                     yield from gathering.add(*piece)
-            except Exception as cause:  # also rubbish of a kind that nobody has thought of
+            except Exception as cause:  # any damage, expected or not
                 if _passes(cause):
                     raise InputError(
-                        f"{path} cannot be read now ({cause}); if that stays so when the stream is begun again, move"
+                        f"{path} cannot be read now ({cause}); if it still cannot after a restart of the stream, move"
                         " the file away."
                     ) from cause
                 says = str(cause) if isinstance(cause, BecalmError) else f"{path}: {type(cause).__name__}: {cause}."
@@ -100,9 +101,9 @@ def read_files(lake: str, shape: StreamSchema, batches: Iterator[pa.RecordBatch]
 
 
 def _passes(cause: BaseException | None) -> bool:
-    """Whether something went wrong with the machine: its disks, its network, its memory.
+    """Return whether the machine is the cause, such as its disks, its network or its memory, so that a retry may help.
 
-    Arrow's own want of memory is of a damaged file, which claims to be as large as none.
+    Arrow's own out-of-memory error does not count: it comes from a damaged file that claims an impossible size.
     """
     while cause is not None:
         if type(cause) is MemoryError or (isinstance(cause, OSError) and cause.errno in _PASSING):
@@ -112,9 +113,7 @@ def _passes(cause: BaseException | None) -> bool:
 
 
 def _left_out(why: str) -> Garbled:
-    return Garbled(
-        None, f"{why} The rest of its rows was left out; once it is mended, put it there under another name."
-    )
+    return Garbled(None, f"{why} The rest of its rows was left out; repair the file and add it under another name.")
 
 
 class _Piece(NamedTuple):
@@ -126,32 +125,32 @@ class _Piece(NamedTuple):
 
 
 class _Clock:
-    """Reads a column of stamps in seconds; numbers by their unit, the column's name or their size."""
+    """A reader of stamps in seconds; it finds the unit of numbers from metadata, the column's name or their size."""
 
     def __init__(self, name: str, unit: str) -> None:
         self._name, self._unit = name, unit
-        self._second = 0.0  # how many make one; 0 as long as no stamp came
+        self._second = 0.0  # counts per second; 0 before the first stamp
 
     def __call__(self, column: pa.Array) -> Floats:
         if pa.types.is_timestamp(column.type):
             return seconds_of(column)
         numbers = numbers_in(column)
-        known = numbers[np.isfinite(numbers)]
-        if not self._second and len(known):
-            reader = stamp_reader(self._name, self._unit, float(np.median(known)))  # one odd stamp tells nothing
-            assert isinstance(reader, NumberStamps)  # of a number
+        finite = numbers[np.isfinite(numbers)]
+        if not self._second and len(finite):
+            reader = stamp_reader(self._name, self._unit, float(np.median(finite)))  # robust against odd stamps
+            assert isinstance(reader, NumberStamps)  # because the sample is a number
             self._second = reader.per_second / reader.factor
         return numbers / (self._second or 1.0)
 
 
 def _pieces(path: Path, shape: StreamSchema, gathering: SensorBlockBuffer, sensor: str | None) -> Iterator[_Piece]:
-    """Read a file, some rows at a time; BecalmError if it cannot be read, or has other columns."""
+    """Read a file some rows at a time; raise BecalmError if it cannot be read, or has other columns."""
     rows = ParquetRows(path, Original(path))
     channels = [name for name in shape.channels if name in rows.schema.names]
     _refuse_other(path, rows.schema, shape, channels, has_key=sensor is not None)
-    known = units_of(rows.schema)
-    units = tuple(known.get(name, "") for name in shape.channels)
-    clock = _Clock(shape.time, known.get(shape.time, ""))
+    stored_units = units_of(rows.schema)
+    units = tuple(stored_units.get(name, "") for name in shape.channels)
+    clock = _Clock(shape.time, stored_units.get(shape.time, ""))
     keyed = [shape.key] if sensor is None else []
     for table in rows.blocks([*keyed, shape.time, *channels], _ROWS):
         columns = {name: table.column(name).combine_chunks() for name in table.column_names}
@@ -162,44 +161,46 @@ def _pieces(path: Path, shape: StreamSchema, gathering: SensorBlockBuffer, senso
 
 
 def _refuse_other(path: Path, schema: pa.Schema, shape: StreamSchema, channels: list[str], *, has_key: bool) -> None:
-    """Refuse a file whose columns are not those of the stream, or that does not tell whose its rows are."""
+    """Raise an error if a file lacks columns of the stream, has other types, or does not name its sensors."""
     if not has_key and shape.key not in schema.names:
-        raise InputError(f"{path} has no column {shape.key!r}, nor a folder as {shape.key}=17, that tells its sensor.")
+        raise InputError(
+            f"{path} has neither a column {shape.key!r} nor a folder like {shape.key}=17 to name its sensor."
+        )
     if shape.time not in schema.names or not channels:
         wanted = ", ".join(map(repr, shape.channels))
-        there = ", ".join(map(repr, schema.names))
-        raise InputError(f"{path} needs {shape.time!r} and one of {wanted}, and has {there}.")
+        present = ", ".join(map(repr, schema.names))
+        raise InputError(f"{path} needs {shape.time!r} and one of {wanted}, but has {present}.")
     for name in (shape.time, *channels):
         kind = _kind(schema.field(name).type)
         is_stamp = name == shape.time and kind == ("array<timestamp>" if shape.in_blocks else "timestamp")
         is_known = is_stamp or is_reading(kind, in_blocks=shape.in_blocks)
         if not is_known:
             what = "arrays" if shape.in_blocks else "numbers"
-            raise InputError(f"{path} has {kind} in its column {name!r}, where others have {what}.")
+            raise InputError(f"{path} has {kind} in its column {name!r}, but other files have {what}.")
 
 
 def _files(lake: Path) -> Iterator[Path]:
-    """List a lake's files as they are found, but for those whose names say that they are no data."""
+    """Yield a lake's Parquet files in the order of the file system, without hidden ones."""
     for path in lake.rglob("*"):
         if path.name.lower().endswith(ENDINGS) and not any(map(is_hidden, path.relative_to(lake).parts)):
             yield path
 
 
 def _key_in(lake: Path, path: Path, key: str) -> str | None:
-    """Return what a path's folders in a lake tell of a key, as `sensor=17`; "" of nobody, None where they do not."""
+    """Return the value of a key in the folders of a path, such as `sensor=17`; "" for a null, None if there is none."""
     whole, path = lake.absolute(), path.absolute()
-    told = values_in((path.relative_to(whole) if path.is_relative_to(whole) else path).parent)
-    return (told[key] or "") if key in told else None
+    values = values_in((path.relative_to(whole) if path.is_relative_to(whole) else path).parent)
+    return (values[key] or "") if key in values else None
 
 
-def _as_told(kind: str) -> str:
-    """Return in which type stamps are told: numbers, whatever they count, in seconds."""
+def _stamp_kind(kind: str) -> str:
+    """Return the output type of stamps: numbers in any unit become seconds as double."""
     inner = kind.removeprefix("array<").removesuffix(">")
     return kind.replace(inner, "double") if is_reading(inner, in_blocks=False) else kind
 
 
 def _kind(kind: pa.DataType) -> str:
-    """Return what Spark calls a type."""
+    """Return Spark's name of an Arrow type."""
     if pa.types.is_list(kind):
         return f"array<{_kind(kind.value_type)}>"
     if pa.types.is_timestamp(kind):

@@ -1,4 +1,4 @@
-"""Recipes on a disk that may change while a stream runs."""
+"""Read recipes from a disk; they may change while a stream runs."""
 
 from __future__ import annotations
 
@@ -14,79 +14,81 @@ from becalm.fleet.recipes import DEFAULT, ENDING, recipes_in
 
 @dataclass(frozen=True)
 class LiveBook:
-    """One recipe for all sensors, or a folder of them, looked at anew in every micro-batch.
+    """One recipe for all sensors, or a folder of recipes, checked for changes in every micro-batch.
 
     Attributes
     ----------
     path : Path
-        A recipe; or a folder that holds `SENSOR.toml`, or `KEY=SENSOR.toml` as a batch over a lake has it, for each
-        sensor that has its own, and `default.toml` for all others. Every worker must see it, on a disk they share.
+        A recipe; or a folder with `SENSOR.toml`, or `KEY=SENSOR.toml` as for batch jobs over a lake, for each sensor
+        that has its own, and `default.toml` for all others. Every worker must see it, on a shared disk.
     key : str
-        The column that tells sensors apart.
+        The column that identifies sensors.
     """
 
     path: Path
     key: str = "sensor"
 
     def recipe_for(self, sensor: str) -> Recipe:
-        """Return what is to be done with a sensor, now.
+        """Return the current recipe of a sensor.
 
         Raises
         ------
         RecipeError
-            If there is none, or none that can be read.
+            If there is none, or it cannot be read.
         """
         if not self.path.is_dir():
-            return _as_it_is(self.path)
+            return _current(self.path)
         folder = folder_name(self.key, sensor)
         plain = [sensor] if sensor and Path(sensor).name == sensor else []
         for path in (self.path / f"{name}{ENDING}" for name in (*plain, folder, DEFAULT)):
-            if _is_there(path):
-                return _as_it_is(path)
+            if _exists(path):
+                return _current(path)
         raise RecipeError(
             f"{self.path} has no recipe for {sensor!r}; add {folder}{ENDING}, or {DEFAULT}{ENDING} for all others."
         )
 
     def channels(self) -> tuple[str, ...]:
-        """Return the channels of all recipes, now.
+        """Return the channels of all current recipes.
 
         Raises
         ------
         RecipeError
-            If there is no recipe, or one cannot be read, or is where no sensor would find it.
+            If there is no recipe, or one cannot be read, or has a path or name that no sensor uses.
         """
         paths = recipes_in(self.path) if self.path.is_dir() else [self.path]
-        if lost := [path for path in paths if self.path.is_dir() and not self._is_found(path)]:
+        if lost := [path for path in paths if self.path.is_dir() and not self._is_usable(path)]:
             raise RecipeError(
-                f"{lost[0]} is of no sensor that {self.key!r} tells; a stream looks for SENSOR{ENDING},"
+                f"{lost[0]} is not a recipe that a sensor in {self.key!r} can have; a stream looks for SENSOR{ENDING},"
                 f" {self.key}=SENSOR{ENDING} and {DEFAULT}{ENDING} in {self.path} itself. Move it there, or elsewhere."
             )
         if not paths:
-            raise RecipeError(f"{self.path} holds no recipes; name one {DEFAULT}{ENDING}, or as its sensor.")
-        names = [channel.name for path in paths for channel in _as_it_is(path).channel]
+            raise RecipeError(
+                f"{self.path} holds no recipes; name a file {DEFAULT}{ENDING}, or after its sensor, SENSOR{ENDING}."
+            )
+        names = [channel.name for path in paths for channel in _current(path).channel]
         return tuple(dict.fromkeys(names))
 
-    def _is_found(self, path: Path) -> bool:
+    def _is_usable(self, path: Path) -> bool:
         keys = set(values_in(Path(path.name.removesuffix(ENDING))))
         return path.parent == self.path and keys <= {self.key}
 
 
-def _is_there(path: Path) -> bool:
+def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # no file can have such a name
+    except OSError:  # the name is not valid for a file
         return False
 
 
-def _as_it_is(path: Path) -> Recipe:
+def _current(path: Path) -> Recipe:
     try:
-        told = path.stat()
+        status = path.stat()
     except OSError:
-        return Recipe.load(path)  # which says why it cannot
-    return _read(path, told.st_mtime_ns, told.st_size)
+        return Recipe.load(path)  # raises an error with the reason
+    return _read(path, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=4096)
 def _read(path: Path, changed_ns: int, size: int) -> Recipe:
-    """Read a recipe once for as long as its file is the same."""
+    """Read a recipe once, until its file changes."""
     return Recipe.load(path)

@@ -1,4 +1,4 @@
-"""What a person says of a stream over a fleet."""
+"""Define the options of a stream over a fleet."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from becalm.live.address import Address
 from becalm.live.learning import FEW_STAMPS
 
 FIRST_ROWS = FEW_STAMPS
-"""So many rows of a sensor are waited for before the first is told: they tell the last digit of its stamps."""
+"""Rows of a sensor that must arrive before its first estimate; they show the resolution of its stamps."""
 
 START, MOST = "start", "most"
-"""Options of brokers: where a new stream begins, and how many messages a micro-batch takes at most."""
-_MESSAGES = 100_000  # in a micro-batch, where nobody says
+"""Options of brokers: where a new stream begins, and the largest number of messages in a micro-batch."""
+_MESSAGES = 100_000  # default of MOST
 
 
 def most_of(address: Address) -> int:
-    """Return how many messages a micro-batch takes at most."""
+    """Return the largest number of messages in a micro-batch."""
     return int(address.number(MOST, _MESSAGES, least=1))
 
 
 class Book(Protocol):
-    """Tells the recipe of each sensor. It can be pickled; workers ask it anew in every micro-batch."""
+    """A book that returns the recipe of each sensor. It can be pickled; workers call it in every micro-batch."""
 
     def recipe_for(self, sensor: str) -> Recipe:
-        """Return what is to be done with a sensor, now.
+        """Return the current recipe of a sensor.
 
         Raises
         ------
         BecalmError
-            If there is none, or none that can be read.
+            If there is none, or it cannot be read.
         """
         ...
 
     def channels(self) -> tuple[str, ...]:
-        """Return the channels of all recipes, now.
+        """Return the channels of all current recipes.
 
         Raises
         ------
@@ -51,28 +51,28 @@ class Book(Protocol):
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """What is done with the rows of each sensor.
+    """The part of a stream's options that concerns each sensor.
 
     Attributes
     ----------
     recipes : Book
-        Which recipe each sensor has. It may change while the stream runs: another recipe takes over without a jump.
+        The recipe of each sensor. It may change while the stream runs; the new recipe takes over without a jump.
     key : str
-        The column that tells whose a row is.
+        The column that names the sensor of a row.
     time : str
-        The column of stamps: timestamps, or seconds. In files of a lake numbers may count what their column's name or
-        unit says, or, where they look like it, milliseconds since 1970 and so on.
+        The column of stamps: timestamps, or seconds. In files of a lake, numbers may have the unit that their column's
+        name or metadata states, or a unit that their size suggests, such as milliseconds since 1970.
     channels : tuple of str
-        Those of all sensors, a column each of what is told; () for those of all recipes when the stream is begun.
+        The channels of all sensors; each gets columns in the output. With () they are those of all recipes at the start
+        of the stream.
     lateness_s : float
-        How long a row waits for rows that are stamped before it and come in a later micro-batch, by the stamps
-        themselves; with a *small* one rows are told soon, and more that are late are left out. 0 puts in order
-        only what comes in one micro-batch. Messages keep the order of their broker, and rows whose stamps count from
-        a start of their own wait for none.
+        How long a row waits for rows with earlier stamps that arrive in a later micro-batch, in seconds of the stamps.
+        With a *small* value estimates come soon, and more late rows are left out. With 0, rows are sorted only within a
+        micro-batch. Messages keep the order of their broker. Rows whose stamps do not count from 1970 never wait.
     silent_s : float or None
-        After which time without a row a sensor is said to be silent, by the clock of the engine; None says nothing.
+        Seconds without a row, by the clock of Spark, after which a sensor is reported as silent; None to report none.
     messages : Address or None
-        Says that rows come as messages, as `becalm live` reads them, and holds the options of their columns.
+        If given, rows come as messages, as in `becalm live`; it holds the options of their columns.
     """
 
     recipes: Book
@@ -84,18 +84,19 @@ class SensorPlan:
     messages: Address | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
+        """Check the values."""
         if not 0.0 <= self.lateness_s < inf:
             raise UsageError(
-                f"lateness_s = {self.lateness_s!r} (--lateness) is no time to wait; give seconds, 0 or more."
+                f"lateness_s = {self.lateness_s!r} (--lateness) is not a valid time to wait; give seconds, 0 or more."
             )
         if self.silent_s is not None and not 0.0 < self.silent_s < inf:
             raise UsageError(
-                f"silent_s = {self.silent_s!r} (--silent) is no time without a row; give seconds, or None."
+                f"silent_s = {self.silent_s!r} (--silent) is not a valid time without rows; give seconds above 0, or"
+                " None."
             )
 
     def with_channels(self) -> SensorPlan:
-        """Return the plan with its channels, those of all recipes where it names none.
+        """Return the plan with its channels; if it names none, with those of all recipes.
 
         Raises
         ------
@@ -107,27 +108,28 @@ class SensorPlan:
 
 @dataclass(frozen=True)
 class StreamPlan:
-    """A stream from a source through every sensor's filters into a folder.
+    """The options of a stream from a source through every sensor's filters into a folder.
 
     Attributes
     ----------
     source : str
         A folder of Parquet files that all workers see, `kafka://HOST:PORT/TOPIC`, or `nats://HOST:PORT/STREAM`.
     output : str
-        The folder of what is told: OUTPUT/kind=readings/SENSOR_COLUMN=NAME/*.parquet, and what befell the stream in
-        OUTPUT/kind=events. Its log, `_spark_metadata`, says which files count; read it as a whole by Spark, or a
-        sensor's folder by `becalm.read`.
+        The output folder. Estimates are in OUTPUT/kind=readings/SENSOR_COLUMN=NAME/*.parquet, events of the stream in
+        OUTPUT/kind=events. Its log, `_spark_metadata`, lists the valid files; read the whole folder with Spark, or the
+        folder of one sensor with `becalm.read`.
     sensors : SensorPlan
-        What is done with the rows of each.
+        The options of each sensor.
     checkpoint : str
-        The folder where Spark keeps positions and filters; "" for OUTPUT/_checkpoint. It belongs to this stream alone.
+        The folder where Spark stores positions and filter states; "" for OUTPUT/_checkpoint. Only this stream may use
+        it.
     every_s : float
-        How often a micro-batch is begun, in seconds; with a *small* one rows are told soon, in many small files: one
-        for each sensor, each time.
+        Seconds between the starts of micro-batches. With a *small* value estimates come soon, but in many small files:
+        one for each sensor and micro-batch.
     partitions : int
-        In how many tasks the sensors are filtered. It cannot be changed once a stream has begun.
+        Number of tasks that filter the sensors. It cannot be changed after the first start of a stream.
     once : bool
-        Whether to end with what is there now.
+        Whether to end after the data that exist now.
     """
 
     source: str
@@ -139,23 +141,24 @@ class StreamPlan:
     once: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be; say of folders where they are, whoever looks for them from elsewhere."""
+        """Check the values, and make the paths of folders absolute, because workers have other current folders."""
         for name in ("source", "output", "checkpoint"):
             place = getattr(self, name)
             if place and "://" not in place:
                 object.__setattr__(self, name, os.path.abspath(place))  # noqa: PTH100  (also without `..`)
         if not 0.0 <= self.every_s < inf:
             raise UsageError(
-                f"every_s = {self.every_s!r} (--every) is no time between micro-batches; give seconds, 0 or more."
+                f"every_s = {self.every_s!r} (--every) is not a valid time between micro-batches; give seconds, 0 or"
+                " more."
             )
         if self.sensors.silent_s is not None and not self.every_s:
             raise UsageError(
-                "every_s = 0 (--every) would look for silent sensors without a pause; give seconds, as 10."
+                "every_s = 0 (--every) would look for silent sensors without a pause; give seconds, such as 10."
             )
         if self.partitions < 1:
-            raise UsageError(f"partitions = {self.partitions} are no tasks; give 1 or more.")
+            raise UsageError(f"partitions = {self.partitions} is not a number of tasks; give 1 or more.")
 
     @property
     def checkpoint_folder(self) -> str:
-        """Where Spark keeps positions and filters."""
+        """Return the folder where Spark stores positions and filter states."""
         return self.checkpoint or f"{self.output.rstrip('/')}/_checkpoint"

@@ -1,4 +1,4 @@
-"""What Spark calls for each sensor in each micro-batch. Loaded only where Spark is."""
+"""Define the processor that Spark calls for each sensor in each micro-batch. This module needs Spark."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _SHOWN = 12  # digits of a recipe's hash
 
 
 class SensorProcessor(StatefulProcessor):
-    """Keeps each sensor's state in Spark's store.
+    """A Spark processor that keeps each sensor's state in Spark's state store.
 
     Parameters
     ----------
     walk : SensorWalk
-        What is done with a sensor.
+        The processing of one sensor.
     """
 
     def __init__(self, walk: SensorWalk) -> None:
         self._walk = walk
 
     def init(self, handle: StatefulProcessorHandle) -> None:
-        """Make ready for a micro-batch's sensors."""
+        """Get access to the state store at the start of a micro-batch."""
         self._handle = handle
         self._state = handle.getValueState("sensor", "state binary")
 
@@ -44,10 +44,10 @@ class SensorProcessor(StatefulProcessor):
         rows: Iterator[Any],
         timerValues: TimerValues,  # noqa: N803
     ) -> Iterator[Row]:
-        """Take what came of a sensor."""
+        """Process the new rows of a sensor."""
         now_ms = timerValues.getCurrentProcessingTimeInMs()
         entries = [Entry(row.place, row.batch, row.stored_s) for row in rows]
-        return self._done(key[0], self._walk.hear(key[0], self._before(), entries, now_ms), now_ms)
+        return self._done(key[0], self._walk.hear(key[0], self._stored(), entries, now_ms), now_ms)
 
     def handleExpiredTimer(  # noqa: N802
         self,
@@ -55,14 +55,14 @@ class SensorProcessor(StatefulProcessor):
         timerValues: TimerValues,  # noqa: N803
         expiredTimerInfo: ExpiredTimerInfo,  # noqa: N803
     ) -> Iterator[Row]:
-        """Look whether a sensor is silent."""
-        now_ms, before = timerValues.getCurrentProcessingTimeInMs(), self._before()
+        """Check whether a sensor is silent."""
+        now_ms, before = timerValues.getCurrentProcessingTimeInMs(), self._stored()
         return iter(()) if before is None else self._done(key[0], self._walk.wake(before, now_ms), now_ms)
 
     def close(self) -> None:
-        """Need not do anything."""
+        """Do nothing; Spark requires this method."""
 
-    def _before(self) -> SensorState | None:
+    def _stored(self) -> SensorState | None:
         held = self._state.get()
         return None if held is None else SensorState.unpacked(bytes(held[0]))
 

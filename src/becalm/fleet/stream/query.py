@@ -1,4 +1,4 @@
-"""A stream over a fleet as a query of Spark. Loaded only where Spark is."""
+"""Run a stream over a fleet as a Spark query. This module needs Spark."""
 
 from __future__ import annotations
 
@@ -37,72 +37,73 @@ _STATES = {
     "spark.sql.streaming.stateStore.rocksdb.changelogCheckpointing.enabled": "true",
 }
 _FILES = {
-    "spark.sql.caseSensitive": "true",  # channels may be called p and P
+    "spark.sql.caseSensitive": "true",  # so that channels may be called p and P
     "spark.sql.session.timeZone": "UTC",
-    "spark.sql.parquet.outputTimestampType": "TIMESTAMP_MICROS",  # else nanoseconds, in a type that is given up
+    "spark.sql.parquet.outputTimestampType": "TIMESTAMP_MICROS",  # the default is the deprecated INT96 type
 }
 _EMPTY_BATCHES = "spark.sql.streaming.noDataMicroBatches.enabled"
 
 
 def cleaned(frame: DataFrame, plan: SensorPlan) -> DataFrame:
-    """Return what is told of a stream's rows, for any sink.
+    """Return the estimates of a stream's rows, for any sink.
 
-    The session gets the store of states that this needs; and, where the plan says when a sensor is silent, it goes on
-    with micro-batches while no row comes, else not.
+    This sets the state store of the session. If the plan reports silent sensors, it also lets Spark run micro-batches
+    while no row comes; otherwise it switches that off.
 
     Parameters
     ----------
     frame : DataFrame
-        A stream of rows: a column tells whose, one when, and each channel has one of numbers, null where missing. Or
-        of blocks of rows, whose stamps and channels are arrays. Or of messages, where the plan says so: the key,
-        `message` (binary), `place` (bigint: their order), `stored_s` (double: seconds since 1970).
+        A stream of rows with a column for the sensor, one for the stamp, and one of numbers for each channel, null
+        where missing. Or a stream of blocks of rows, whose stamps and channels are arrays. Or, if the plan says so, a
+        stream of messages: the key, `message` (binary), `place` (bigint: their order), `stored_s` (double: seconds
+        since 1970).
     plan : SensorPlan
-        What is done with each sensor.
+        The options of each sensor.
 
     Returns
     -------
     DataFrame
-        In the shape that came: the key, `kind`, the stamp, of each channel NAME, NAME_sigma and NAME_verdict, and
-        `recipe`, the first digits of its hash. Rows of kind "events" tell what befell a sensor's stream instead:
-        `event`, `event_rows`, `says` and `noticed`.
+        Rows, or blocks, like the input: the key, `kind`, the stamp, for each channel NAME, NAME_sigma and NAME_verdict,
+        and `recipe`, the first digits of its hash. Rows of kind "events" describe an event of a sensor's stream
+        instead: `event`, `event_rows`, `says` and `noticed`.
 
     Raises
     ------
     UsageError
-        If a column is not there, or of a type that it cannot have.
+        If a column is missing, or has a type that cannot be used.
     BecalmError
         If the plan names no channels, and its recipes cannot be read.
     """
     plan = plan.with_channels()
-    _settle(frame.sparkSession, _STATES | {_EMPTY_BATCHES: _word(plan.silent_s is not None)})
+    _set_all(frame.sparkSession, _STATES | {_EMPTY_BATCHES: _word(plan.silent_s is not None)})
     return _filtered(*blocks_of(frame, plan), plan)
 
 
 def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
-    """Start a stream: from a source through every sensor's filters into Parquet files, each row once.
+    """Start a stream from a source through every sensor's filters into Parquet files. Each row is written once.
 
     Parameters
     ----------
     spark : SparkSession
-        Where. Its settings stay as they are.
+        The Spark to use. Its settings are not changed.
     plan : StreamPlan
-        From where, where to, and how.
+        The source, the output and the options.
 
     Returns
     -------
     StreamingQuery
-        Which runs; `awaitTermination()` waits for its end.
+        The running query; `awaitTermination()` waits for its end.
 
     Raises
     ------
     BecalmError
-        If the source is not there or its columns do not fit, or the output belongs to another stream.
+        If the source does not exist, its columns do not fit, or the output belongs to another stream.
     """
     return prepared(spark, plan)()
 
 
 def prepared(spark: SparkSession, plan: StreamPlan) -> Callable[[], StreamingQuery]:
-    """Return what starts a stream, as `run` does; nothing is written before that.
+    """Check a stream, and return a function that starts it as `run` does; nothing is written before its call.
 
     Raises
     ------
@@ -110,19 +111,19 @@ def prepared(spark: SparkSession, plan: StreamPlan) -> Callable[[], StreamingQue
         As `run`.
     """
     session = spark.newSession()
-    looks = plan.sensors.silent_s is not None and not plan.once
-    beside = {_EMPTY_BATCHES: _word(looks), "spark.sql.shuffle.partitions": str(plan.partitions)}
-    _settle(session, _STATES | _FILES | beside)
+    checks_silence = plan.sensors.silent_s is not None and not plan.once
+    of_plan = {_EMPTY_BATCHES: _word(checks_silence), "spark.sql.shuffle.partitions": str(plan.partitions)}
+    _set_all(session, _STATES | _FILES | of_plan)
     refuse_other(session, plan)
     shape, blocks, sensors = opened(session, plan)
-    told = _filtered(shape, blocks, sensors)
+    estimates = _filtered(shape, blocks, sensors)
     writer = (
-        told.writeStream.format("parquet")
+        estimates.writeStream.format("parquet")
         .outputMode("append")
         .partitionBy(KIND, sensors.key)
         .option("path", plan.output)
         .option("checkpointLocation", plan.checkpoint_folder)
-        .options(**_plainly(told))
+        .options(**_plain_encoding(estimates))
     )
     if plan.once:
         writer = writer.trigger(availableNow=True)
@@ -142,24 +143,28 @@ def wait(query: StreamingQuery) -> None:
     Parameters
     ----------
     query : StreamingQuery
-        What `run` returned.
+        The query that `run` returned.
 
     Raises
     ------
     InputError
-        If the stream failed; it says why in a sentence.
+        If the stream failed, with the reason in a sentence.
     """
     try:
         query.awaitTermination()
     except (Py4JError, ConnectionError) as cause:
-        raise InputError(f"The stream ended ({reason_of(cause)}). What was told stays; begin it again.") from cause
+        raise InputError(
+            f"The stream ended ({reason_of(cause)}). Estimates that were written stay; start the stream again."
+        ) from cause
     except StreamingQueryException as cause:
-        raised = [found for found in _RAISED.finditer(str(cause)) if not found["kind"].startswith(("java.", "org."))]
+        raised = [match for match in _RAISED.finditer(str(cause)) if not match["kind"].startswith(("java.", "org."))]
         says = _NUMBERED.sub("", raised[-1]["says"] if raised else str(cause).strip().splitlines()[0])
-        raise InputError(f"The stream ended: {says.rstrip('.')}. What was told stays; begin it again.") from cause
+        raise InputError(
+            f"The stream ended: {says.rstrip('.')}. Estimates that were written stay; start the stream again."
+        ) from cause
 
 
-def _settle(spark: SparkSession, settings: Mapping[str, str]) -> None:
+def _set_all(spark: SparkSession, settings: Mapping[str, str]) -> None:
     for name, value in settings.items():
         spark.conf.set(name, value)
 
@@ -176,7 +181,7 @@ def _filtered(shape: StreamSchema, blocks: DataFrame, plan: SensorPlan) -> DataF
     return answers.mapInArrow(partial(told_as, shape), shape.told_ddl)
 
 
-def _plainly(told: DataFrame) -> dict[str, str]:
-    """Return options by which numbers that hardly repeat are written as they are: no dictionary is tried for them."""
-    names = [name for name, kind in told.dtypes if kind in ("double", "timestamp") and not name.endswith(SIGMA)]
+def _plain_encoding(estimates: DataFrame) -> dict[str, str]:
+    """Return Parquet options that disable the dictionary for columns whose numbers hardly repeat."""
+    names = [name for name, kind in estimates.dtypes if kind in ("double", "timestamp") and not name.endswith(SIGMA)]
     return {f"parquet.enable.dictionary#{name}": "false" for name in names}

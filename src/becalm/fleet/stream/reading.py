@@ -1,4 +1,4 @@
-"""What came of one sensor in a micro-batch, as one block of rows in order."""
+"""Join the rows of one sensor in a micro-batch into one block in order, and drop rows that are late or unstamped."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from becalm.live.block import Block, Loss, LossKind
 from becalm.live.messages.stream import MessageStream
 from becalm.live.tables import EPOCH_S
 
-_DAY_S = 86400.0  # a clock believes no stamp that is farther ahead
+_DAY_S = 86400.0  # stamps farther ahead than this are not believed
 
 
 class Entry(NamedTuple):
-    """Some rows as they came through the engine, in whichever order it had them."""
+    """Packed rows, or a message, of one sensor. Spark delivers them in any order."""
 
-    place: int  # which of a sensor's entries it is, where its source keeps an order
-    batch: bytes  # `SensorRows`, or a message
-    stored_s: float  # when its broker stored it, in seconds since 1970; 0 of rows
+    place: int  # position among the sensor's messages; 0 for rows of files
+    batch: bytes  # packed `SensorRows`, or a message
+    stored_s: float  # when its broker stored it, in seconds since 1970; 0 for rows of files
 
 
 def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) -> Block:
-    """Return rows of a lake by their stamps, those that waited among them.
+    """Return rows of a lake, and the rows that waited, sorted by their stamps.
 
-    Those with equal stamps are as they were in their block; of several blocks, whose order no engine keeps, always in
-    the same order.
+    Rows with equal stamps keep the order of their block. Spark does not keep the order of blocks, so blocks are sorted
+    first, and the result is always the same.
     """
     parts = sorted((SensorRows.unpacked(entry.batch) for entry in sorted(entries)), key=_first_stamp)
     waited = _units_under(channels, held)
     units = waited if any(waited) else _most([part for part in parts if any(part.units)])
     kept = [part for part in parts if _alike(part.units, units)]
-    units = _known([units, *(part.units for part in kept)])
+    units = _merged_units([units, *(part.units for part in kept)])
     time_s = np.concatenate([held.time_s, *(part.time_s for part in kept)])
     values = np.concatenate([_under(channels, held), *(part.values for part in kept)])
     if not (np.diff(time_s) >= 0).all():
@@ -46,7 +46,9 @@ def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) ->
         time_s, values = time_s[order], np.ascontiguousarray(values[order])
     garbled = [one for part in parts for one in part.garbled]
     if others := sum(len(part.time_s) for part in parts) - sum(len(part.time_s) for part in kept):
-        garbled.append(Garbled(others, f"{others} rows came in other units than those with them; they were left out."))
+        garbled.append(
+            Garbled(others, f"{others} rows had other units than the rest of their micro-batch; they were left out.")
+        )
     losses = tuple(Loss(LossKind.GARBLED, *one) for one in sorted(garbled, key=str))
     return Block(tuple(channels), units, time_s, values, losses=losses)
 
@@ -54,7 +56,7 @@ def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) ->
 def read_messages(
     entries: Sequence[Entry], address: Address, held: Block, state: Mapping[str, Any]
 ) -> tuple[Block, Mapping[str, Any]]:
-    """Return rows of messages as their broker had them, after those that waited; and where their numbers stand."""
+    """Return the rows of messages in their broker's order, after those that waited, and the state of the numbering."""
     stream = MessageStream(address)
     stream.resume(state)
     stream.take_many([(entry.batch, entry.stored_s) for entry in sorted(entries)])
@@ -67,17 +69,17 @@ def _first_stamp(part: SensorRows) -> float:
 
 
 def _alike(units: Sequence[str], others: Sequence[str]) -> bool:
-    """Whether units are the same, as far as both are told: a file need not have every channel."""
+    """Return whether units agree where both are known; a file need not have every channel."""
     return all(not one or not other or one == other for one, other in zip(units, others, strict=False))
 
 
-def _known(told: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
-    """Return the unit of each channel that some of these tell."""
-    return tuple(next(filter(None, units), "") for units in zip(*filter(None, told), strict=True))
+def _merged_units(parts: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+    """Return the first known unit of each channel."""
+    return tuple(next(filter(None, units), "") for units in zip(*filter(None, parts), strict=True))
 
 
 def _after(held: Block, block: Block) -> Block:
-    """Put rows that waited before those that came."""
+    """Return the rows that waited, followed by the new ones."""
     if not len(held):
         return block
     if not len(block):
@@ -97,7 +99,7 @@ def _most(parts: Sequence[SensorRows]) -> tuple[str, ...]:
 
 
 def _under(channels: Sequence[str], held: Block) -> Floats:
-    """Return readings that waited under the channels that the stream has now, NaN where it had one not."""
+    """Return the readings that waited, in the current channels of the stream; NaN where a channel is new."""
     values = np.full((len(held), len(channels)), np.nan)
     for place, name in enumerate(channels):
         if name in held.names:
@@ -106,26 +108,26 @@ def _under(channels: Sequence[str], held: Block) -> Floats:
 
 
 def _units_under(channels: Sequence[str], held: Block) -> tuple[str, ...]:
-    """Return the units of rows that waited under the channels that the stream has now, "" where none is known."""
-    known = dict(zip(held.names, held.units, strict=False))
-    return tuple(known.get(name, "") for name in channels)
+    """Return the units of rows that waited, in the current channels of the stream; "" if unknown."""
+    units = dict(zip(held.names, held.units, strict=False))
+    return tuple(units.get(name, "") for name in channels)
 
 
 def stamped(block: Block) -> Block:
-    """Leave out rows without a stamp; nothing tells when they were."""
-    known = np.isfinite(block.time_s)
-    if known.all():
+    """Drop rows without a finite stamp, because their time is unknown."""
+    finite = np.isfinite(block.time_s)
+    if finite.all():
         return block
-    count = len(known) - int(np.count_nonzero(known))
+    count = len(finite) - int(np.count_nonzero(finite))
     says = f"{count} rows came without a stamp that is a number; they were left out."
-    return replace(_some(block, known), losses=(*block.losses, Loss(LossKind.GARBLED, count, says)))
+    return replace(_some(block, finite), losses=(*block.losses, Loss(LossKind.GARBLED, count, says)))
 
 
 def timely(block: Block, taken_to_s: float, now_s: float) -> Block:
-    """Leave out rows of a lake that are stamped before the last that was taken, however many.
+    """Drop all rows of a lake with stamps before that of the last row taken.
 
-    A file that comes late is no clock that was set back, which a live stream believes from eight rows on. That is left
-    to the clock where stamps count from a start of their own, or the last that was taken lies in the future.
+    A live stream takes eight such rows as a clock that was set back; in a lake they come from a late file instead. The
+    live rule still applies if stamps do not count from 1970, or if the last row taken lies in the future.
     """
     late = block.time_s < taken_to_s
     count = int(np.count_nonzero(late))
@@ -136,11 +138,11 @@ def timely(block: Block, taken_to_s: float, now_s: float) -> Block:
 
 
 def parted(block: Block, lateness_s: float) -> tuple[Block, Block]:
-    """Part rows in order into those to tell now, and those that wait for rows which may come late.
+    """Split sorted rows into those to filter now, and those that wait for rows that may come late.
 
-    A row waits until rows came that are stamped `lateness_s` after it, eight of them, so that a wild stamp hurries
-    nobody. One that is more than a day ahead of them waits for none, once others are told before it. Nor do rows wait
-    whose stamps count from a start of their own: they may begin anew.
+    A row waits until eight rows have stamps at least `lateness_s` after it, so that one wrong stamp does not end the
+    wait. A row more than a day ahead of them does not wait if other rows are ready before it. Rows whose stamps do not
+    count from 1970 do not wait either, because their clock may restart.
     """
     if not lateness_s or not len(block) or not np.fmax.reduce(block.time_s) > EPOCH_S:
         return block, Block.of_losses()

@@ -1,6 +1,6 @@
-"""The stream of one sensor, a micro-batch at a time: a state and what came in, another state and what is told out.
+"""Process the stream of one sensor a micro-batch at a time: from a state and new rows to a new state and estimates.
 
-Nothing is remembered between calls, so a micro-batch that is done again tells the same, wherever it is done.
+Nothing is remembered between calls, so a repeated micro-batch gives the same result on any worker.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from becalm.live.learning import resolution_of
 from becalm.live.messages.stream import MessageStream
 from becalm.live.stream import Stream
 
-_LONGEST_NAME, _SHOWN = 255, 40  # bytes of a folder's; and how many letters of a longer one are shown
-_ODD = 1.5  # times the recipe's rate
+_LONGEST_NAME, _SHOWN = 255, 40  # bytes of a folder's name; letters of a longer name that a message shows
+_ODD = 1.5  # ratio of a stream's rate to its recipe's rate that is reported
 
 
 class SensorStep(NamedTuple):
-    """What a micro-batch did to a sensor."""
+    """The result of a micro-batch for a sensor."""
 
-    state: SensorState | None  # None where nothing need be kept
+    state: SensorState | None  # None if nothing needs to be stored
     told: EstimatedBlock | None = None
     events: tuple[Event, ...] = ()
-    wake_ms: int | None = None  # when to look whether it is silent; None leaves that as it is
-    recipe: str = ""  # the hash of the one that was at work
+    wake_ms: int | None = None  # when to check whether it is silent; None leaves the timer unchanged
+    recipe: str = ""  # the hash of the recipe that was used
 
 
 class SensorWalk:
-    """Takes a sensor's stream from micro-batch to micro-batch.
+    """A processor that takes a sensor's stream from one micro-batch to the next.
 
     Parameters
     ----------
     plan : SensorPlan
-        What is done.
+        The options of each sensor.
     channels : tuple of str
         The channels of all sensors; each has some of them.
     """
@@ -57,56 +57,56 @@ class SensorWalk:
         self._rate_hz = None if plan.messages is None else MessageStream(plan.messages).rate_hz
 
     def told_under(self, sensor: str) -> str:
-        """Return under which name something is told of a sensor: "" where no folder could be called so."""
+        """Return the name of a sensor in the output, or "" if it is too long for a folder's name."""
         return sensor if len(folder_name(self._plan.key, sensor).encode(errors="replace")) <= _LONGEST_NAME else ""
 
     def hear(self, sensor: str, before: SensorState | None, entries: Sequence[Entry], now_ms: int) -> SensorStep:
-        """Take what came of a sensor.
+        """Process the new entries of a sensor.
 
         Parameters
         ----------
         sensor : str
             Its name.
         before : SensorState or None
-            Where it stood; None of one that was never heard of.
+            Its state before; None for a new sensor.
         entries : sequence of Entry
-            What came, in any order.
+            The new rows or messages, in any order.
         now_ms : int
-            The clock of the engine, in milliseconds since 1970.
+            The clock of Spark, in milliseconds since 1970.
 
         Raises
         ------
         ModelError
-            If what was kept of its filters is damaged, or of another version: nothing is taken then.
+            If the stored state is damaged, or has another version; then no entry is processed.
         """
         state, back, wake_ms = self._awake(before, now_ms)
         stream = None if state.stream is None else Stream.resumed(state.stream)
         block, numbers = self._read(entries, state, -np.inf if stream is None else stream.taken_to_s)
         state = replace(state, messages=numbers, held=Block.of_losses())
-        if not sensor and not len(block):  # what could not be read, of whomever
+        if not sensor and not len(block):  # only losses of an unknown sensor
             return SensorStep(None, None, _events(block.losses))
-        said: tuple[Event, ...] = ()
+        remarks: tuple[Event, ...] = ()
         try:
             if stream is None:
                 stream, state = self._begun(sensor, state, block)
-                said = () if stream is None else _odd_rate(stream.recipe, block.time_s)
+                remarks = () if stream is None else _odd_rate(stream.recipe, block.time_s)
             else:
-                said, state = self._retuned(sensor, stream, state)
+                remarks, state = self._retuned(sensor, stream, state)
             if stream is None:
                 step = SensorStep(replace(state, held=replace(block, losses=())), None, _events(block.losses))
             else:
                 if back:
                     stream.opened()
-                ready, held = self._parted(block)
+                ready, held = self._split(block)
                 step = self._after(stream, replace(state, held=held), stream.take(ready))
         except BecalmError as cause:
-            kept = None if state.stream is None and not numbers else state  # a name that nobody has a recipe for
-            said, step = (), SensorStep(kept, None, (*_events(block.losses), _left_out(cause, len(block))))
+            kept = None if state.stream is None and not numbers else state  # a name without a recipe needs no state
+            remarks, step = (), SensorStep(kept, None, (*_events(block.losses), _left_out(cause, len(block))))
         wake_ms = None if step.state is None else wake_ms
-        return step._replace(events=(*back, *said, *step.events), wake_ms=wake_ms, recipe=state.taken)
+        return step._replace(events=(*back, *remarks, *step.events), wake_ms=wake_ms, recipe=state.taken)
 
     def wake(self, before: SensorState, now_ms: int) -> SensorStep:
-        """Look whether a sensor is silent; if so say it, and tell the rows that wait for earlier ones."""
+        """Check whether a sensor is silent; if so, report it, and filter the rows that wait for earlier ones."""
         if self._plan.silent_s is None or before.is_silent:
             return SensorStep(replace(before, is_watched=False))
         until_ms = before.heard_ms + _milliseconds(self._plan.silent_s)
@@ -116,15 +116,15 @@ class SensorWalk:
         silent = Event("silent", None, f"No row came for {(now_ms - before.heard_ms) / 1000:g} s.")
         if state.stream is None:
             return SensorStep(state, None, (silent,))
-        stream, told = Stream.resumed(state.stream), replace(state, held=Block.of_losses())
+        stream, emptied = Stream.resumed(state.stream), replace(state, held=Block.of_losses())
         try:
-            step = self._after(stream, told, stream.take(state.held))
-        except BecalmError as cause:  # its channels are no more, say, since the stream was begun again
-            step = SensorStep(told, None, (_left_out(cause, len(state.held)),) if len(state.held) else ())
+            step = self._after(stream, emptied, stream.take(state.held))
+        except BecalmError as cause:  # for example if a restart of the stream removed its channels
+            step = SensorStep(emptied, None, (_left_out(cause, len(state.held)),) if len(state.held) else ())
         return step._replace(events=(silent, *step.events), recipe=state.taken)
 
     def _awake(self, before: SensorState | None, now_ms: int) -> tuple[SensorState, tuple[Event, ...], int | None]:
-        """Return the state of a sensor that is heard now, whether it is back, and when to look for it again."""
+        """Return the state of a sensor with new rows, an event if it was silent, and when to check it again."""
         before = before or SensorState(now_ms)
         wake_ms = None
         if self._plan.silent_s is not None and not before.is_watched:
@@ -141,16 +141,18 @@ class SensorWalk:
         block, numbers = read_messages(entries, self._plan.messages, state.held, state.messages)
         return stamped(block) if block.elapsed is None else block, numbers
 
-    def _parted(self, block: Block) -> tuple[Block, Block]:
-        """Part rows into those to tell now, and those that wait; messages keep the order of their broker."""
+    def _split(self, block: Block) -> tuple[Block, Block]:
+        """Split rows into those to filter now, and those that wait; messages never wait."""
         return parted(block, self._plan.lateness_s if self._plan.messages is None else 0.0)
 
     def _begun(self, sensor: str, state: SensorState, block: Block) -> tuple[Stream | None, SensorState]:
-        """Return a sensor's filters, None while it has too few rows to begin."""
+        """Return a sensor's filters, or None while it has too few rows to begin."""
         if not sensor:
-            raise RecipeError(f"Nothing in {self._plan.key!r} tells whose they are.")
+            raise RecipeError(f"The rows have no sensor name in {self._plan.key!r}.")
         if not self.told_under(sensor):
-            raise RecipeError(f"No folder can have so long a name as that of {sensor[:_SHOWN]!r} and so on.")
+            raise RecipeError(
+                f"The sensor name that begins with {sensor[:_SHOWN]!r} is too long for the name of a folder."
+            )
         recipe = self._plan.recipes.recipe_for(sensor)
         stamps = block.time_s[np.isfinite(block.time_s)][:FIRST_ROWS]
         if len(stamps) < FIRST_ROWS:
@@ -160,12 +162,12 @@ class SensorWalk:
         return stream, replace(state, asked=taken, taken=taken)
 
     def _retuned(self, sensor: str, stream: Stream, state: SensorState) -> tuple[tuple[Event, ...], SensorState]:
-        """Let another recipe take over where the book has one, unless one just does: then later."""
-        recipe, says, asked = _asked(self._plan, sensor)
-        if asked == state.asked or stream.gives_way:
+        """Change to another recipe if the book has one; wait if an earlier change is still in progress."""
+        recipe, says, hashed = _current_recipe(self._plan, sensor)
+        if hashed == state.asked or stream.gives_way:
             return (), state
-        state = replace(state, asked=asked)
-        if asked == state.taken:
+        state = replace(state, asked=hashed)
+        if hashed == state.taken:
             return (), state
         if recipe is not None:
             try:
@@ -173,31 +175,31 @@ class SensorWalk:
             except BecalmError as cause:
                 says = str(cause)
             else:
-                return (Event("recipe", None, "Another recipe takes over."),), replace(state, taken=asked)
-        return (Event("refused", None, f"{says} The recipe that was there stays."),), state
+                return (Event("recipe", None, "Another recipe takes over."),), replace(state, taken=hashed)
+        return (Event("refused", None, f"{says} The earlier recipe stays in use."),), state
 
     def _after(self, stream: Stream, state: SensorState, output: Output) -> SensorStep:
-        told = None
+        estimates = None
         if len(output):
             places = np.array([self._place(channel.name) for channel in stream.recipe.channel], np.int64)
-            told = EstimatedBlock(places, output.time_s, output.signal, output.sigma, output.verdicts)
+            estimates = EstimatedBlock(places, output.time_s, output.signal, output.sigma, output.verdicts)
         state = replace(state, stream=stream.checkpoint("", ""))
-        return SensorStep(state, told, _events(output.losses))
+        return SensorStep(state, estimates, _events(output.losses))
 
     def _place(self, name: str) -> int:
-        """Return which of the fleet's channels a recipe's is; "load (N)" may be called "load" there."""
+        """Return the index of a recipe's channel in the fleet's channels; "load (N)" and "load" are the same."""
         alike = [k for k, own in enumerate(self._channels) if name in (own, parse_header(own)[0])]
         alike = alike or [k for k, own in enumerate(self._channels) if parse_header(name)[0] == own]
         if len(alike) != 1:
             raise RecipeError(
-                f"The recipe cleans {name!r}, but the stream tells {', '.join(map(repr, self._channels))}; "
-                "begin the stream again, once all recipes are where it looks for them."
+                f"The recipe cleans {name!r}, but the stream has {', '.join(map(repr, self._channels))}; "
+                "restart the stream when all recipes are in place."
             )
         return alike[0]
 
 
-def _asked(plan: SensorPlan, sensor: str) -> tuple[Recipe | None, str, str]:
-    """Return the recipe that a book has now, or why it has none; and the hash of either."""
+def _current_recipe(plan: SensorPlan, sensor: str) -> tuple[Recipe | None, str, str]:
+    """Return the current recipe of a sensor, or why there is none, and the hash of either."""
     try:
         recipe = plan.recipes.recipe_for(sensor)
     except BecalmError as cause:
@@ -212,15 +214,15 @@ def _hash_of(recipe: Recipe) -> str:
 
 
 def _odd_rate(recipe: Recipe, time_s: Floats) -> tuple[Event, ...]:
-    """Say that rows come at another rate than that of a recipe: each step of theirs would be a gap, or a repeat."""
+    """Return an event if the rows' rate differs from the recipe's, so that each step would be a gap or a repeat."""
     steps_s = np.diff(time_s[np.isfinite(time_s)][:FIRST_ROWS])
     steps_s = steps_s[steps_s > 0]
     if not len(steps_s) or 1 / _ODD < np.median(steps_s) * recipe.nominal_rate_hz < _ODD:
         return ()
     says = (
-        f"Rows come at about {1 / np.median(steps_s):.3g} Hz, and their recipe is for {recipe.nominal_rate_hz:.3g} Hz"
+        f"Rows come at about {1 / np.median(steps_s):.3g} Hz, but their recipe is for {recipe.nominal_rate_hz:.3g} Hz"
     )
-    return (Event("rate", None, f"{says}; tune one on rows as they come."),)
+    return (Event("rate", None, f"{says}; tune a recipe on rows at this rate."),)
 
 
 def _left_out(cause: BecalmError, rows: int) -> Event:

@@ -1,4 +1,4 @@
-"""What the columns of a stream's rows are, on the way in and out."""
+"""Define the columns of a stream's rows: input, messages, packed blocks, and output."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from becalm.files.tables import VERDICT
 Stamps = Literal["timestamp", "timestamp_ntz", "double"]
 
 KIND, READINGS, EVENTS = "kind", "readings", "events"
-"""The column that parts what is told from what befell the stream, and its two values."""
+"""The column that separates estimates from events of the stream, and its two values."""
 
 BATCH = "sensor string, place bigint, batch binary, stored_s double"
-"""Rows on their way to the filters."""
+"""The Spark schema of the filters' input: packed rows, or messages."""
 
 MESSAGE = {"place": "place", "message": "batch", "stored_s": "stored_s"}
-"""The columns of messages, and what they are called on their way to the filters."""
+"""The columns of messages, and their names in `BATCH`."""
 
 ANSWER = "sensor string, told binary, recipe string, event string, event_rows bigint, says string, noticed_ms bigint"
-"""What filters answer: rows that are told, or an event."""
+"""The Spark schema of the filters' output: packed estimates (`told`), or an event."""
 
 _NUMBERS = ("double", "float", "byte", "short", "integer", "long", "tinyint", "smallint", "int", "bigint")
 _STAMPS: dict[str, Stamps] = {kind: kind for kind in get_args(Stamps)}
-_BESIDE = ("recipe", "event", "event_rows", "says", "noticed", KIND)
+_OTHER_COLUMNS = ("recipe", "event", "event_rows", "says", "noticed", KIND)
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class StreamSchema:
     Attributes
     ----------
     key, time : str
-        Whose a row is, and its stamp.
+        The column that names the sensor of a row, and the column of stamps.
     channels : tuple of str
-        The readings.
+        The columns of readings.
     stamps : {"timestamp", "timestamp_ntz", "double"}
-        What stamps are; doubles count seconds.
+        The type of stamps; doubles are in seconds.
     in_blocks : bool
-        Whether a row has arrays of stamps and readings; what is told then has too.
+        Whether a row has arrays of stamps and readings. If so, the output has arrays too.
     """
 
     key: str
@@ -52,18 +52,18 @@ class StreamSchema:
     in_blocks: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse two columns of one name."""
+        """Check that no two output columns have the same name."""
         names = [name for name, _ in self.told]
         twice = [name for number, name in enumerate(names) if name in names[:number]]
         if twice:
             raise UsageError(
-                f"Two columns of what is told would be called {twice[0]!r}: each channel NAME has NAME, NAME{SIGMA} "
-                f"and NAME{VERDICT}, beside {', '.join((self.key, self.time, *_BESIDE))}; rename one."
+                f"Two columns of the output would be called {twice[0]!r}: each channel NAME has NAME, NAME{SIGMA} "
+                f"and NAME{VERDICT}, and there are {', '.join((self.key, self.time, *_OTHER_COLUMNS))}; rename one."
             )
 
     @property
     def told(self) -> list[tuple[str, str]]:
-        """The columns of what is told, each with its type."""
+        """Return the names and Spark types of the output columns."""
         readings = [
             (name + end, self._many(kind))
             for name in self.channels
@@ -83,7 +83,7 @@ class StreamSchema:
 
     @property
     def told_ddl(self) -> str:
-        """The columns of what is told, as Spark reads a schema."""
+        """Return the output columns as a Spark schema string."""
         return ", ".join(f"{quoted(name)} {kind}" for name, kind in self.told)
 
     def _many(self, kind: str) -> str:
@@ -91,7 +91,7 @@ class StreamSchema:
 
 
 def quoted(name: str) -> str:
-    """Return a column's name as SQL has it."""
+    """Return a column's name in SQL quotes."""
     return "`" + name.replace("`", "``") + "`"
 
 
@@ -101,30 +101,30 @@ def shape_of(columns: Sequence[tuple[str, str]], key: str, time: str, channels: 
     Parameters
     ----------
     columns : sequence of (str, str)
-        Names and types of columns, as Spark calls them.
+        Names and Spark types of the columns.
     key, time : str
-        Which tell whose a row is, and when it was.
+        The column that names the sensor of a row, and the column of stamps.
     channels : sequence of str
-        Those of all sensors; rows need not have them all.
+        The channels of all sensors; rows need not have all of them.
 
     Raises
     ------
     UsageError
-        If a column is not there, or of a type that it cannot have.
+        If a column is missing, or has a type that cannot be used.
     """
     kinds = dict(columns)
-    there = [name for name in channels if name in kinds]
-    missing = [name for name in (key, time) if name not in kinds] or ([] if there else list(channels[:1]))
+    present = [name for name in channels if name in kinds]
+    missing = [name for name in (key, time) if name not in kinds] or ([] if present else list(channels[:1]))
     if missing:
         raise UsageError(f"The rows have no column {missing[0]!r}; they have {', '.join(map(repr, kinds))}.")
     in_blocks = kinds[time].startswith("array<")
     stamps = _STAMPS.get(_inner(kinds[time]))
     if stamps is None:
         raise UsageError(
-            f"The column {time!r} has {kinds[time]}; stamps are timestamps, or seconds as double"
+            f"The column {time!r} has {kinds[time]}; stamps must be timestamps, or seconds as double"
             f"{_advice(time, _inner(kinds[time]))}."
         )
-    for name in there:
+    for name in present:
         if not is_reading(kinds[name], in_blocks=in_blocks):
             what = "arrays of numbers" if in_blocks else "numbers"
             raise UsageError(f"The column {name!r} has {kinds[name]}; readings are {what}.")
@@ -136,12 +136,12 @@ def _inner(kind: str) -> str:
 
 
 def is_reading(kind: str, *, in_blocks: bool) -> bool:
-    """Say whether a column of a type, as Spark calls it, may hold readings."""
+    """Return whether a column of a Spark type may hold readings."""
     return kind.startswith("array<") == in_blocks and (_inner(kind) in _NUMBERS or _inner(kind).startswith("decimal"))
 
 
 def _advice(time: str, stamps: str) -> str:
-    """Say how whole numbers, as files with nanoseconds tell them, become seconds."""
+    """Return advice on how to convert whole numbers, such as nanoseconds in files, to seconds."""
     if stamps not in ("bigint", "long"):
         return ""
-    return f"; where it counts nanoseconds make them so: .withColumn({time!r}, col({time!r}) / 1e9)"
+    return f"; if it counts nanoseconds, convert it: .withColumn({time!r}, col({time!r}) / 1e9)"

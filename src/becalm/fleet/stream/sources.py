@@ -1,4 +1,4 @@
-"""Where a stream's rows come from: files, Kafka, NATS. Loaded only where Spark is."""
+"""Open the source of a stream's rows: files, Kafka or NATS. This module needs Spark."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from becalm.live.messages.stream import MessageStream
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
 
-_EVER = "36500d"  # else a file is left out, without a word, whose last change is a week before the newest one's
-_LAKE_BYTES = 256 << 20  # in a micro-batch: its rows are put in order in memory
-_FILE = "path string, modificationTime timestamp, length bigint, content binary"  # of which only the path is read
-_PATTERN = re.compile(r"[][*?{}\\]")  # Spark takes a folder with these in its name for a pattern
+_EVER = "36500d"  # by default, Spark silently skips files that are a week older than the newest
+_LAKE_BYTES = 256 << 20  # of a micro-batch, whose rows are sorted in memory
+_FILE = "path string, modificationTime timestamp, length bigint, content binary"  # only the path is read
+_PATTERN = re.compile(r"[][*?{}\\]")  # Spark would read these characters in a folder's name as a pattern
 _KAFKA_START = {"first": "earliest", "now": "latest"}
 _KAFKA = "org.apache.spark:spark-sql-kafka-0-10_2.13"
 
 
 def opened(spark: SparkSession, plan: StreamPlan) -> tuple[StreamSchema, DataFrame, SensorPlan]:
-    """Return a source's shape and its blocks, and what is done with them: of messages, if it tells messages.
+    """Return the shape of a source, its blocks, and the plan of its sensors, which describes messages if it has them.
 
     Raises
     ------
     BecalmError
-        If it is not there, or named in a way that cannot be.
+        If the source does not exist, or its address is not valid.
     """
     sensors = plan.sensors.with_channels()
     if "://" not in plan.source:
@@ -49,7 +49,7 @@ def opened(spark: SparkSession, plan: StreamPlan) -> tuple[StreamSchema, DataFra
     address = Address.parsed(plan.source)
     if address.kind not in ("kafka", "nats"):
         raise UsageError(
-            f"{address} is no source of a fleet; name a folder, kafka://HOST:PORT/TOPIC or nats://HOST/STREAM."
+            f"{address} is not a source of a fleet; name a folder, kafka://HOST:PORT/TOPIC or nats://HOST/STREAM."
         )
     address.refuse_unknown(_options(address.kind))
     sensors = replace(sensors, messages=address)
@@ -58,7 +58,10 @@ def opened(spark: SparkSession, plan: StreamPlan) -> tuple[StreamSchema, DataFra
 
 def _refuse_circle(plan: StreamPlan) -> None:
     if Path(plan.output).resolve().is_relative_to(Path(plan.source).resolve()):
-        raise OutputError(f"{plan.output} is in {plan.source}, and would be read again; name a folder outside of it.")
+        raise OutputError(
+            f"The output {plan.output} is in the source {plan.source}, and would be read again; name a folder outside"
+            " of it."
+        )
 
 
 def _messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
@@ -70,13 +73,13 @@ def _messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
 
 
 def _paths(spark: SparkSession, lake: str) -> DataFrame:
-    """Return the paths of a folder's Parquet files, and of those that will come, at any depth.
+    """Return a stream of the paths of a folder's Parquet files, present and future, at any depth.
 
-    They come by the time of their last change; they have to appear whole, by a rename.
+    They are read in the order of their last change. Each file must appear complete, by a rename.
     """
     reader = spark.readStream.format("binaryFile").schema(_FILE).option("maxBytesPerTrigger", str(_LAKE_BYTES))
     reader = reader.option("maxFileAge", _EVER)
-    either = {letter: f"[{letter}{letter.upper()}]" for letter in ascii_lowercase}  # a glob tells cases apart
+    either = {letter: f"[{letter}{letter.upper()}]" for letter in ascii_lowercase}  # globs are case-sensitive
     endings = ",".join("".join(either.get(sign, sign) for sign in ending) for ending in ENDINGS)
     reader = reader.option("pathGlobFilter", f"*{{{endings}}}").option("recursiveFileLookup", "true")
     return reader.load(_PATTERN.sub(r"\\\g<0>", lake)).select("path")
@@ -92,28 +95,30 @@ def kafka_messages(spark: SparkSession, address: Address, key: str) -> DataFrame
     """
     servers, _, topic = address.rest.removeprefix("//").partition("/")
     if "@" in servers:
-        raise UsageError("Kafka takes no name and password in its address; set them by --conf, as its security needs.")
+        raise UsageError(
+            "A Kafka address cannot contain name and password; set them with --conf, as Kafka's security needs."
+        )
     if not servers or not topic:
         raise UsageError(f"{address} names no servers and topic; write kafka://HOST:9092/TOPIC.")
     start = _KAFKA_START[address.chosen(START, tuple(_KAFKA_START), "first")]
     reader = spark.readStream.format("kafka").option("kafka.bootstrap.servers", servers).option("subscribe", topic)
     try:
-        told = reader.option("startingOffsets", start).option("maxOffsetsPerTrigger", str(most_of(address))).load()
+        frame = reader.option("startingOffsets", start).option("maxOffsetsPerTrigger", str(most_of(address))).load()
     except AnalysisException as cause:
         if cause.getCondition() != "KAFKA_DATA_SOURCE_NOT_ENABLED":
             raise
         raise UsageError(
-            "Spark reads Kafka by a library that does not come with it; add --conf spark.jars.packages="
-            f"{_KAFKA}:{spark.version}, or, without a network, --conf spark.jars=FILE,FILE of that library."
+            "Spark needs an additional library for Kafka; add --conf spark.jars.packages="
+            f"{_KAFKA}:{spark.version}, or, without a network, --conf spark.jars=FILE,FILE with its files."
         ) from cause
     columns = {"message": "value", "place": "offset", "stored_s": "timestamp"}
     kinds = {"message": "binary", "place": "bigint", "stored_s": "double"}
     messages = [sql.col(columns[name]).cast(kinds[name]).alias(name) for name in MESSAGE]
-    return told.select(sql.col("key").cast("string").alias(key), *messages)
+    return frame.select(sql.col("key").cast("string").alias(key), *messages)
 
 
 def _options(kind: str) -> Sequence[str]:
     from becalm.live.brokers.remote import OPTIONS
 
-    beside = ("subject", "creds", *OPTIONS) if kind == "nats" else ()
-    return (START, MOST, *MessageStream.OPTIONS, *beside)
+    of_nats = ("subject", "creds", *OPTIONS) if kind == "nats" else ()
+    return (START, MOST, *MessageStream.OPTIONS, *of_nats)

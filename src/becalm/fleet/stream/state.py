@@ -1,4 +1,4 @@
-"""Where the stream of one sensor stands, as the few bytes that the engine keeps of it."""
+"""Pack the state of one sensor's stream into the bytes that Spark stores."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ _VERSION = 2
 
 @dataclass(frozen=True)
 class SensorState:
-    """Where a sensor's stream stands after a micro-batch.
+    """The state of a sensor's stream after a micro-batch.
 
     Attributes
     ----------
     heard_ms : int
-        When rows came last, by the clock of the engine, in milliseconds since 1970.
+        When rows last came, by the clock of Spark, in milliseconds since 1970.
     is_silent : bool
-        Whether it was said to be silent since.
+        Whether it has been reported as silent since.
     is_watched : bool
-        Whether it will be looked at, to see whether it is silent.
+        Whether a timer is set to check for silence.
     asked : str
-        Hash of the recipe that its book told last, or of the sentence why it told none.
+        Hash of the recipe that its book returned last, or of the error message if there was none.
     taken : str
-        Hash of the recipe that its filters have.
+        Hash of the recipe that its filters use.
     stream : Checkpoint or None
-        Its filters; None before the first row was told.
+        The state of its filters; None before the first estimate.
     held : Block
-        Rows that wait: to be told at all, or for earlier ones.
+        Rows that wait for the filters to begin, or for earlier rows.
     messages : mapping
-        Where their numbers stand.
+        The state of the numbering of its messages.
     """
 
     heard_ms: int
@@ -50,7 +50,7 @@ class SensorState:
     messages: Mapping[str, Any] = field(default_factory=dict)
 
     def packed(self) -> bytes:
-        """Return it as bytes; the same state gives the same."""
+        """Return the state as bytes; equal states give equal bytes."""
         words = {
             "asked": self.asked,
             "taken": self.taken,
@@ -72,12 +72,12 @@ class SensorState:
 
     @classmethod
     def unpacked(cls, blob: bytes) -> SensorState:
-        """Return what `packed` held.
+        """Return the state from the bytes of `packed`.
 
         Raises
         ------
         ModelError
-            If it is damaged, or of another version.
+            If they are damaged, or of another version.
         """
         try:
             arrays = unpacked(blob)
@@ -92,5 +92,5 @@ class SensorState:
         except ModelError:
             raise
         except (KeyError, IndexError, TypeError, ValueError) as cause:
-            raise ModelError("A sensor's state is damaged; begin the stream anew, with another checkpoint.") from cause
+            raise ModelError("A sensor's state is damaged; start a new stream with another checkpoint.") from cause
         return cls(heard_ms, bool(is_silent), bool(is_watched), asked, taken, stream, held, messages)

@@ -1,4 +1,4 @@
-"""What filters answered, as rows or blocks of rows again."""
+"""Convert the filters' packed output to rows, or blocks of rows, in the output columns."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ class _Answer(NamedTuple):
 
 
 def told_as(shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Return what filters answered in the columns of `StreamSchema.told`."""
-    teller = _Teller(shape)
+    """Yield the filters' output in the columns of `StreamSchema.told`."""
+    writer = _OutputBatches(shape)
     for batch in batches:
         answers = [_Answer(*row) for row in zip(*(column.to_pylist() for column in batch.columns), strict=True)]
         events = [answer for answer in answers if answer.told is None]
         if events:
-            yield teller.events(events)
-        yield from teller.readings([answer for answer in answers if answer.told is not None])
+            yield writer.events(events)
+        yield from writer.readings([answer for answer in answers if answer.told is not None])
 
 
-class _Teller:
+class _OutputBatches:
     def __init__(self, shape: StreamSchema) -> None:
         self._shape = shape
         self._schema = pa.schema([pa.field(name, _type(kind)) for name, kind in shape.told])
 
     def events(self, answers: Sequence[_Answer]) -> pa.RecordBatch:
-        """Return events, a row each."""
+        """Return events, one row each."""
         noticed_us = [answer.noticed_ms * 1000 for answer in answers]
         own = {
             self._shape.key: pa.array([answer.sensor for answer in answers], pa.string()),
@@ -66,34 +66,34 @@ class _Teller:
         return self._batch(own, len(answers))
 
     def readings(self, answers: Sequence[_Answer]) -> Iterator[pa.RecordBatch]:
-        """Return what is told, some answers together."""
+        """Yield the rows of estimates, several answers in one batch."""
         held: list[pa.RecordBatch] = []
         rows = 0
         for answer in answers:
-            told = EstimatedBlock.unpacked(answer.told or b"")
-            held.append(self._of(answer, told))
-            rows += len(told.time_s)
+            estimates = EstimatedBlock.unpacked(answer.told or b"")
+            held.append(self._of(answer, estimates))
+            rows += len(estimates.time_s)
             if rows >= _ROWS:
                 yield pa.concat_batches(held)
                 held, rows = [], 0
         if held:
             yield pa.concat_batches(held)
 
-    def _of(self, answer: _Answer, told: EstimatedBlock) -> pa.RecordBatch:
-        shape, many = self._shape, self._readings(told)
-        rows = 1 if shape.in_blocks else len(told.time_s)
+    def _of(self, answer: _Answer, estimates: EstimatedBlock) -> pa.RecordBatch:
+        shape, many = self._shape, self._readings(estimates)
+        rows = 1 if shape.in_blocks else len(estimates.time_s)
         if shape.in_blocks:
             many = {name: pa.ListArray.from_arrays([0, len(column)], column) for name, column in many.items()}
         one = {shape.key: answer.sensor, KIND: READINGS, "recipe": answer.recipe}
         return self._batch(many | {name: pa.repeat(word, rows) for name, word in one.items()}, rows)
 
-    def _readings(self, told: EstimatedBlock) -> dict[str, pa.Array]:
-        stamps = pa.array(told.time_s)
+    def _readings(self, estimates: EstimatedBlock) -> dict[str, pa.Array]:
+        stamps = pa.array(estimates.time_s)
         if self._shape.stamps != "double":
-            stamps = pa.array(np.round(told.time_s * _MICRO).astype(np.int64)).cast(_TYPES[self._shape.stamps])
+            stamps = pa.array(np.round(estimates.time_s * _MICRO).astype(np.int64)).cast(_TYPES[self._shape.stamps])
         columns = {self._shape.time: stamps}
-        signal, sigma, verdicts = (np.ascontiguousarray(part.T) for part in told[2:])
-        for k, place in enumerate(told.places):
+        signal, sigma, verdicts = (np.ascontiguousarray(part.T) for part in estimates[2:])
+        for k, place in enumerate(estimates.places):
             name = self._shape.channels[place]
             columns[name] = pa.array(signal[k])
             columns[name + SIGMA] = pa.array(sigma[k])
@@ -108,7 +108,7 @@ class _Teller:
 
 
 def _type(kind: str) -> pa.DataType:
-    """Return a type of `StreamSchema.told` as Arrow has it."""
+    """Return the Arrow type of a Spark type in `StreamSchema.told`."""
     if kind.startswith("array<"):
         return pa.list_(pa.field("element", _TYPES[kind.removeprefix("array<").removesuffix(">")]))
     return _TYPES[kind]

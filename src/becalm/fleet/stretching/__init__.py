@@ -1,1 +1,1 @@
-"""One sensor's endless recording, cut in time: each stretch warms up on what was before, and seams are certified."""
+"""Clean a very long recording in stretches of time: each warms up on the rows before it, and the seams are checked."""

@@ -1,4 +1,4 @@
-"""Long sensors through their recipes: looked over, cut, cleaned side by side, and certified."""
+"""Clean long sensors: survey each, cut it into stretches, clean these in parallel, and check the seams."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 class Task(NamedTuple):
     """A stretch of one of several long sensors."""
 
-    sensor: int  # its place among them
+    sensor: int  # index in the list of long sensors
     stretch: TaskStretch
 
 
 class Course:
-    """How far a long sensor has come.
+    """The progress of one long sensor: which stretches have run, and which run next.
 
     Parameters
     ----------
@@ -41,30 +41,30 @@ class Course:
     Attributes
     ----------
     failed : Outcome or None
-        Why it cannot be cleaned.
+        The refusal, if the sensor cannot be cleaned.
     whole : bool
-        Whether it cannot be cut, and has to be cleaned as a whole.
+        Whether the sensor cannot be cut and must be cleaned as a whole.
     """
 
     def __init__(self, long: Long) -> None:
         self.long, self.whole = long, False
         self.failed: Outcome | None = None
-        self._told: dict[int, StretchEstimates] = {}
+        self._estimates: dict[int, StretchEstimates] = {}
         self._again, self._took_s = set[int](), long.took_s
 
     def hear(self, told: StretchEstimates | Outcome) -> None:
-        """Take what became of a stretch."""
+        """Store the result of a stretch."""
         if isinstance(told, Outcome):
             self.failed = told
         else:
-            self._told[told.stretch.number] = told
+            self._estimates[told.stretch.number] = told
             self._took_s += told.took_s
 
     def next(self) -> list[TaskStretch]:
-        """Return what is to be run now: all stretches; then those that do not begin where the one before ended."""
+        """Return the stretches to run next: first all, then those whose start differs from what the one before left."""
         if self.failed is not None or self.whole:
             return []
-        if not self._told:
+        if not self._estimates:
             return [TaskStretch(number, *span) for number, span in enumerate(pairwise(self.long.cuts))]
         if not self.long.causal:
             self.whole = not overlaps_agree(self._in_order)
@@ -75,28 +75,28 @@ class Course:
         return [] if self.whole else again or []
 
     def finish(self) -> Outcome:
-        """Let the output appear, and say what became of the sensor.
+        """Move the output into place, and return the outcome of the sensor.
 
         Raises
         ------
         OutputError
-            If the output cannot appear.
+            If the output cannot be moved.
         """
         if self.failed is not None:
             return self.failed
-        long, told = self.long, self._in_order
-        outcome = joined_outcome(long, told, len(self._again), self._took_s)
-        names = tuple(piece.name for one in told for piece in one.pieces)
+        long, stretches = self.long, self._in_order
+        outcome = joined_outcome(long, stretches, len(self._again), self._took_s)
+        names = tuple(piece.name for one in stretches for piece in one.pieces)
         commit(long.job, long.sensor, Path(long.staged), CompletionMark(long.hashed, names, outcome, job=long.job.own))
         return outcome
 
     def _was_run(self, stretch: TaskStretch) -> bool:
-        """Whether a stretch was run from where it is to be run again: then it would be run for ever."""
-        return self._told[stretch.number].stretch == stretch
+        """Return whether a stretch already ran from this very state; running it again would never end."""
+        return self._estimates[stretch.number].stretch == stretch
 
     @property
     def _in_order(self) -> list[StretchEstimates]:
-        return [self._told[number] for number in sorted(self._told)]
+        return [self._estimates[number] for number in sorted(self._estimates)]
 
 
 def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list[Outcome]:
@@ -105,21 +105,21 @@ def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list
     Parameters
     ----------
     spark : SparkSession
-        Where.
+        The Spark to use.
     job : Job
-        What is to be done.
+        The job over the lake.
     sensors : sequence of Sensor
-        Of the lake.
+        The sensors of the lake that may be long.
     """
-    looked = run_tasks(spark, partial(survey, job), sensors, lost=all_died)
-    courses = [Course(one) for one in looked if isinstance(one, Long)]
+    surveys = run_tasks(spark, partial(survey, job), sensors, lost=all_died)
+    courses = [Course(one) for one in surveys if isinstance(one, Long)]
     while tasks := [Task(place, stretch) for place, course in enumerate(courses) for stretch in course.next()]:
         longs = [course.long for course in courses]
-        found = run_tasks(spark, partial(_run, longs), tasks, lost=partial(_died, longs))
-        for task, told in zip(tasks, found, strict=True):
-            courses[task.sensor].hear(told)
+        results = run_tasks(spark, partial(_run, longs), tasks, lost=partial(_died, longs))
+        for task, result in zip(tasks, results, strict=True):
+            courses[task.sensor].hear(result)
     uncut = [course.long.sensor for course in courses if course.whole]
-    outcomes = [one for one in looked if isinstance(one, Outcome)]
+    outcomes = [one for one in surveys if isinstance(one, Outcome)]
     outcomes += run_tasks(spark, partial(clean_whole, job), uncut, lost=all_died)
     return outcomes + [told_by(course.long.sensor, course.finish) for course in courses if not course.whole]
 

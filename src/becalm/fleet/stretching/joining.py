@@ -1,4 +1,4 @@
-"""What was found in the stretches of a sensor, told of all of it."""
+"""Join the results of a sensor's stretches into one outcome."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NO_FAULT = (Verdict.USED, Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict
 class _Part(NamedTuple):
     """A channel in one stretch."""
 
-    told: StretchEstimates
+    estimates: StretchEstimates
     report: ChannelReport
     counts: dict[Verdict, int]
 
@@ -31,30 +31,32 @@ class _Part(NamedTuple):
 
 
 def joined_outcome(long: Long, told: Sequence[StretchEstimates], again: int, took_s: float) -> Outcome:
-    """Return what became of a sensor that was cleaned in stretches.
+    """Return the outcome of a sensor that was cleaned in stretches.
 
     Parameters
     ----------
     long : Long
         The sensor.
     told : sequence of StretchEstimates
-        Of its stretches, in order.
+        The results of its stretches, in order.
     again : int
-        How many of them were run again.
+        The number of stretches that ran a second time.
     took_s : float
-        How long all of them took, in seconds.
+        The time of all stretches together, in seconds.
     """
     parts = [[_Part(one, one.reports[c], one.counts[c]) for one in told] for c in range(len(long.first))]
     rows = tuple(_row(long, channel) for channel in parts)
     return Outcome(long.sensor.name, "cleaned", noted(rows, long.notes), took_s, _seams(told, again))
 
 
-def _seams(told: Sequence[StretchEstimates], again: int) -> str:
-    count, smoothed = len(told), told[0].seams is not None and told[0].seams.end is None
+def _seams(stretches: Sequence[StretchEstimates], again: int) -> str:
+    """Return a sentence on how the stretches fit together."""
+    seams = stretches[0].seams
+    count, smoothed = len(stretches), seams is not None and seams.end is None
     if smoothed:
         return f"{count} stretches, which agree where they overlap."
-    more = f" {again} of them run again from where the one before ended." if again else ""
-    return f"{count} stretches that begin, to the bit, where the one before ended.{more}"
+    more = f" {again} of them ran a second time, from the state that the one before left." if again else ""
+    return f"{count} stretches, each of which begins with the bitwise state that the one before left.{more}"
 
 
 def _row(long: Long, parts: Sequence[_Part]) -> FleetRow:
@@ -80,18 +82,18 @@ def _row(long: Long, parts: Sequence[_Part]) -> FleetRow:
 
 
 def _mean_nis(parts: Sequence[_Part]) -> float | None:
-    known = [(part.report.nis_mean, part.used) for part in parts if part.report.nis_mean is not None]
-    total = sum(used for _, used in known)
-    return sum(nis * used for nis, used in known) / total if total else None
+    judged = [(part.report.nis_mean, part.used) for part in parts if part.report.nis_mean is not None]
+    total = sum(used for _, used in judged)
+    return sum(nis * used for nis, used in judged) / total if total else None
 
 
 def _faults(counts: Counter[Verdict]) -> list[Fault]:
-    told = [verdict for verdict in sorted(counts) if counts[verdict] and verdict not in _NO_FAULT]
-    return [Fault(verdict.name.lower(), counts[verdict], 0, 0.0, 0.0) for verdict in told]
+    faults = [verdict for verdict in sorted(counts) if counts[verdict] and verdict not in _NO_FAULT]
+    return [Fault(verdict.name.lower(), counts[verdict], 0, 0.0, 0.0) for verdict in faults]
 
 
 def _says(worst: _Part) -> str:
     if worst.report.describes:
         return worst.report.says
-    stretch = worst.told.stretch
+    stretch = worst.estimates.stretch
     return f"Rows {stretch.first + 1} to {stretch.stop}: {worst.report.says}"

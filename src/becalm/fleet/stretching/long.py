@@ -1,4 +1,4 @@
-"""A sensor that is cut in time: what all of its stretches know of it."""
+"""Describe a sensor that is cut in time; the tasks of all its stretches receive this description."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from becalm.fleet.job import Job, Sensor
 from becalm.fleet.pieces import OutputFile
 
 State = tuple[bytes, ...]
-"""What filters stand at, or leave, packed: of each channel."""
+"""Packed states of the filters, one for each channel."""
 
 
 class Extremes(NamedTuple):
-    """Between what readings lay before a row."""
+    """The range of the readings before a row."""
 
     row: int
-    least: tuple[float, ...]  # of each channel
+    least: tuple[float, ...]  # one for each channel
     most: tuple[float, ...]
 
 
@@ -25,17 +25,17 @@ class Long(NamedTuple):
 
     job: Job
     sensor: Sensor
-    recipe: str  # the text of its recipe, fitted to it
-    causal: bool  # whether estimates know only the past
+    recipe: str  # the text of its recipe, fitted to its channels
+    causal: bool  # whether estimates use only the past
     known: ParsedSource
-    files: tuple[OutputFile, ...]  # that it came in, in order
-    staged: str  # the folder in which its output waits for its name
-    hashed: str  # what its output comes of
-    cuts: tuple[int, ...]  # the rows at which stretches begin, and the last row's end
+    files: tuple[OutputFile, ...]  # one for each input file, in order
+    staged: str  # the staging folder of its output
+    hashed: str  # the hash of its input
+    cuts: tuple[int, ...]  # the first row of each stretch, and the number of rows
     first: tuple[float, ...]  # the first usable reading of each channel
     extremes: tuple[Extremes, ...]
-    notes: tuple[str, ...]  # what was found of its files and clock
-    took_s: float  # to find all that out
+    notes: tuple[str, ...]  # sentences about its files and clock
+    took_s: float  # the time of the survey, in seconds
 
 
 class TaskStretch(NamedTuple):
@@ -44,4 +44,4 @@ class TaskStretch(NamedTuple):
     number: int
     first: int
     stop: int
-    state: State | None = None  # what the rows before it leave, where that is known
+    state: State | None = None  # the filters' state after the rows before it, if that is known

@@ -1,4 +1,4 @@
-"""How many rows before a stretch, and after it, its filters need, until they know no more where they began."""
+"""Compute the rows that filters need before and after a stretch, until their initial state no longer matters."""
 
 from __future__ import annotations
 
@@ -16,28 +16,31 @@ from becalm.files.shared_source import KnownSource
 from becalm.native.scans import REACH
 
 TIMES = 16
-"""Times what leaves 1e-13 of where a causal filter began: until then the last bits of two that began apart agree."""
+"""Multiple of the length after which 1e-13 of a causal filter's initial state is left.
+
+After so many readings, the states of two filters with different starts are bitwise equal.
+"""
 
 SMOOTHED_TIMES = 2
-"""The same of a smoother, whose numbers are to be right to 1e-10."""
+"""The same multiple for a smoother, which must be right to 1e-10 only."""
 
-_GATED = 1024  # rows more: what a gate has rejected in a row is looked at anew
+_GATED = 1024  # additional rows for a gate, which reconsiders the readings that it rejected in succession
 
 
 class Margin(NamedTuple):
-    """What filters need beside a stretch."""
+    """The rows that filters need on each side of a stretch."""
 
-    readings: float  # of each channel that is filtered, and as much time in steps; inf where none is enough
-    aligned: int  # rows at whose multiples they have to begin
+    readings: float  # for each filtered channel, and as much time in steps; inf if no number is enough
+    aligned: int  # filters must begin at a multiple of this many rows
 
 
 def margin_of(recipe: Recipe, step_s: float) -> Margin:
-    """Return what the filters of a recipe need.
+    """Return the margin that the filters of a recipe need.
 
     Raises
     ------
     RecipeError
-        If a channel's numbers make no filter at this step.
+        If a channel's settings do not make a valid filter at this step.
     """
     lag = None if recipe.mode == "smoothed" else 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
     filters = [Filter(channel, step_s, lag) for channel in recipe.channel if channel.motion is not None]
@@ -48,7 +51,10 @@ def margin_of(recipe: Recipe, step_s: float) -> Margin:
 
 
 def begun(source: KnownSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
-    """Return the row to begin with, so that each channel has enough readings before `first`; None beyond `most`."""
+    """Return the row at which to begin, so that each channel has enough readings before `first`.
+
+    Return None if that takes more than `most` rows.
+    """
     rows = int(margin.readings) + BLOCK + REACH
     while rows <= most:
         begin = (first - rows) // margin.aligned * margin.aligned
@@ -61,9 +67,10 @@ def begun(source: KnownSource, recipe: Recipe, margin: Margin, first: int, most:
 
 
 def ended(source: KnownSource, recipe: Recipe, margin: Margin, span: tuple[int, int], most: int) -> int | None:
-    """Return the row to end before, so that each channel has enough readings after a stretch; None beyond `most`.
+    """Return the row at which to stop, so that each channel has enough readings after a stretch.
 
-    `span` is where the stretch, and all of the sensor, stop.
+    `span` is the row after the stretch, and the row after the whole sensor. Return None if more than `most` rows are
+    needed.
     """
     stop, last = span
     rows = int(margin.readings) + BLOCK + REACH

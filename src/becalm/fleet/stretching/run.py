@@ -1,4 +1,4 @@
-"""A stretch in a task: warmed up on the rows before, cleaned, written, and told where its filters stood."""
+"""Clean one stretch in a task: warm up on the rows before it, write it, and return the states at its seams."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ Write = Callable[[CleanChunk], None]
 
 
 class Seams(NamedTuple):
-    """What is compared where a stretch meets its neighbours."""
+    """The values that are compared where a stretch meets its neighbours."""
 
-    start: State | None = None  # where causal filters stood before it
-    end: State | None = None  # and after it
-    left: State | None = None  # what later rows depend on
-    alive: tuple[bool, ...] = ()  # of each channel, whether it does not matter where its hops began
-    head: Floats | None = None  # (m, 2, OVERLAP) signal and sigma of its first rows, smoothed
-    beyond: Floats | None = None  # the same of the first rows after it
+    start: State | None = None  # comparable states of causal filters before it
+    end: State | None = None  # the same after it
+    left: State | None = None  # complete states after it, with which the next stretch can run
+    alive: tuple[bool, ...] = ()  # for each channel, whether the phase of its dead-sensor window does not matter
+    head: Floats | None = None  # (m, 2, OVERLAP) smoothed signal and sigma of its first rows
+    beyond: Floats | None = None  # the same for the first rows after it
 
 
 class StretchEstimates(NamedTuple):
-    """What is told of a stretch."""
+    """The result of a stretch; its estimates themselves are in files."""
 
     stretch: TaskStretch
-    seams: Seams | None = None  # None where the rows beside it do not tell where its filters stand
+    seams: Seams | None = None  # None if the rows around it are too few to warm up its filters
     reports: tuple[ChannelReport, ...] = ()
-    counts: tuple[dict[Verdict, int], ...] = ()  # of verdicts that were written, of each channel
+    counts: tuple[dict[Verdict, int], ...] = ()  # for each channel, how often each verdict was written
     pieces: tuple[OutputFile, ...] = ()
     took_s: float = 0.0
 
@@ -60,7 +60,7 @@ class _Work(NamedTuple):
     stretch: TaskStretch
     recipe: Recipe
     source: KnownSource
-    rows: int  # at once
+    rows: int  # rows of a chunk
 
     @property
     def is_first(self) -> bool:
@@ -77,9 +77,9 @@ def run_stretch(long: Long, stretch: TaskStretch) -> StretchEstimates:
     Parameters
     ----------
     long : Long
-        What is known of the sensor.
+        The sensor.
     stretch : TaskStretch
-        Which rows, and perhaps what the rows before leave.
+        The rows, and perhaps the filters' state after the rows before them.
 
     Raises
     ------
@@ -97,8 +97,8 @@ def run_stretch(long: Long, stretch: TaskStretch) -> StretchEstimates:
 
             def write(answer: CleanChunk) -> None:
                 out.write(answer.output(recipe, verdicts=True))
-                for own, told in zip(counts, answer.told, strict=True):
-                    own.update(counted(told.verdicts))
+                for own, estimates in zip(counts, answer.told, strict=True):
+                    own.update(counted(estimates.verdicts))
 
             seams, reports = (_causal if recipe.mode == "causal" else _smoothed)(work, write)
     finally:
@@ -109,7 +109,7 @@ def run_stretch(long: Long, stretch: TaskStretch) -> StretchEstimates:
 
 
 def pieces_of(files: tuple[OutputFile, ...], stretch: TaskStretch) -> list[OutputFile]:
-    """Return the files that a stretch writes: one for each that its rows came in, or for the part that it has of it."""
+    """Return the files that a stretch writes: one for each input file, or part of one, that its rows are in."""
     pieces, begins = list[OutputFile](), accumulate((file.rows for file in files), initial=0)
     for (name, rows), begin in zip(files, begins, strict=False):
         first, stop = max(begin, stretch.first), min(begin + rows, stretch.stop)
@@ -148,7 +148,7 @@ def _causal(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRepor
 
 
 def _warmed_up(work: _Work, cleaner: Cleaner) -> bool:
-    """Let filters know what they know of the rows before a stretch; tell whether they can."""
+    """Bring filters into their state before a stretch; return whether the rows before it are enough."""
     if work.stretch.state is not None:
         cleaner.restore([unpacked(blob) for blob in work.stretch.state])
         return True
@@ -157,7 +157,7 @@ def _warmed_up(work: _Work, cleaner: Cleaner) -> bool:
     if begin is None:
         return False
     if begin:
-        cleaner.begin_after(_before(work, begin))
+        cleaner.begin_after(_histories(work, begin))
     for _ in answered(cleaner, work.recipe, work.source.chunks(begin, first, work.rows), ends=False):
         pass
     return True
@@ -173,7 +173,7 @@ def _smoothed(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRep
     heads, tails = list[CleanChunk](), list[CleanChunk]()
     with Cleaner(work.recipe, work.source.clock.step_s) as own:
         if begin:
-            own.begin_after(_before(work, begin))
+            own.begin_after(_histories(work, begin))
         spans = (begin, first), (first, stop), (stop, end)
         chunks = chain.from_iterable(work.source.chunks(*span, work.rows) for span in spans if span[0] < span[1])
         for answer in answered(own, work.recipe, chunks):
@@ -189,16 +189,16 @@ def _overlap(answers: list[CleanChunk]) -> Floats | None:
     """Return signal and sigma of the first rows of each channel."""
     if not answers:
         return None
-    return np.array([[told.signal[:OVERLAP], told.sigma[:OVERLAP]] for told in answers[0].told])
+    return np.array([[one.signal[:OVERLAP], one.sigma[:OVERLAP]] for one in answers[0].told])
 
 
-def _before(work: _Work, begin: int) -> list[History]:
-    """Return what went before the row that a stretch begins to warm up with."""
-    known = [one for one in work.long.extremes if one.row <= begin]
+def _histories(work: _Work, begin: int) -> list[History]:
+    """Return each channel's history before the row at which a stretch starts to warm up."""
+    earlier = [one for one in work.long.extremes if one.row <= begin]
     steps = work.source.steps_before(begin)
     nothing = (np.inf,) * len(work.recipe.channel)
-    least = known[-1].least if known else nothing
-    most = known[-1].most if known else tuple(-one for one in nothing)
+    least = earlier[-1].least if earlier else nothing
+    most = earlier[-1].most if earlier else tuple(-one for one in nothing)
     return [
         History(reading, begin, begin, steps, *between)
         for reading, *between in zip(work.long.first, least, most, strict=True)

@@ -1,8 +1,8 @@
-"""The certificate: where two stretches meet, the filters of both stand alike, or the later one is run again.
+"""Compare the filters' states where two stretches meet; if they differ, the later stretch runs again.
 
-Where a stretch began at the very numbers that the one before it ended with, for all of them, the output is the one of
-a single run: nothing of it depends on where it was cut. Smoothed stretches, whose rows depend on what comes after as
-well, are held against each other where they overlap.
+If every stretch starts with exactly the numbers with which the one before it ended, the output equals that of a single
+run and does not depend on where it was cut. Smoothed rows also depend on later rows, so smoothed stretches are compared
+in the rows where they overlap.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from becalm.fleet.stretching.long import State, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates
 
 SMOOTHED_TO = 1e-10
-"""Of the uncertainty, or of the signal where that is larger: as much may two smoothed stretches differ."""
+"""Largest difference of two smoothed stretches, relative to the largest signal or sigma of the channel."""
 
 
 def to_run_again(told: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
-    """Return the causal stretches that did not begin where the one before ended, with what it leaves.
+    """Return the causal stretches that did not start in the state that the one before left, with that state.
 
     Parameters
     ----------
     told : sequence of StretchEstimates
-        Of all stretches of a sensor, in order.
+        The results of all stretches of a sensor, in order.
 
     Returns
     -------
     list of TaskStretch or None
-        None where the sensor cannot be cut there: rows wait for others at a seam.
+        None if the sensor cannot be cut there, because rows at a seam still wait for later ones.
     """
     again = list[TaskStretch]()
     for before, now in pairwise(told):
         if before.seams is None:
-            continue  # it will be run again itself
+            continue  # the earlier stretch runs again first
         if before.seams.end is None or before.seams.left is None:
             return None
         if now.seams is None or not _fits(before.seams.end, now.seams.start, now.seams.alive):
@@ -46,7 +46,7 @@ def to_run_again(told: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
 
 
 def overlaps_agree(told: Sequence[StretchEstimates]) -> bool:
-    """Tell whether smoothed stretches say the same of the rows that two of them have."""
+    """Return whether smoothed stretches agree in the rows where they overlap."""
     return all(now.seams is not None for now in told) and all(
         _agree(before.seams.beyond, now.seams.head)
         for before, now in pairwise(told)

@@ -1,4 +1,4 @@
-"""A long sensor looked over before it is cut in time: its clock, its levels, and where to cut."""
+"""Survey a long sensor before it is cut in time: find its clock, its levels, and where to cut."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ from becalm.fleet.stretching.long import Extremes, Long
 from becalm.fleet.stretching.margins import margin_of
 
 FEWEST = 4
-"""Margins that a stretch is long, at least: of a shorter one too much would be done twice."""
+"""Smallest length of a stretch, in margins; for shorter ones the warm-up would cost too much."""
 
 
 def survey(job: Job, sensor: Sensor) -> Long | Outcome:
-    """Look a sensor over; one that need not, or cannot, be cut is cleaned at once.
+    """Survey a sensor; clean it at once if it need not, or cannot, be cut.
 
     Parameters
     ----------
     job : Job
-        What is to be done.
+        The job over the lake.
     sensor : Sensor
-        One that may be long.
+        A sensor that may be long.
     """
-    return told_by(sensor, lambda: _looked_over(job, sensor))
+    return told_by(sensor, lambda: _surveyed(job, sensor))
 
 
-def _looked_over(job: Job, sensor: Sensor) -> Long | Outcome:
+def _surveyed(job: Job, sensor: Sensor) -> Long | Outcome:
     if job.tables_of(sensor)[0].count < 2 * job.stretch_rows:
         return clean_whole(job, sensor)
     hashed = hash_of(job, sensor)
@@ -59,46 +59,47 @@ def _looked_over(job: Job, sensor: Sensor) -> Long | Outcome:
 
 
 def _long(job: Job, sensor: Sensor, hashed: str) -> Long | None:
-    began, found = monotonic(), opened(job, sensor)
-    with found.source as source:
-        margin = margin_of(found.recipe, source.clock.step_s)
+    began, parts = monotonic(), opened(job, sensor)
+    with parts.source as source:
+        margin = margin_of(parts.recipe, source.clock.step_s)
         length = max(job.stretch_rows, int(min(FEWEST * margin.readings, source.rows)))
         length = -(-length // margin.aligned) * margin.aligned
-        if found.recipe.mode == "lagged" or source.rows < 2 * length:
+        if parts.recipe.mode == "lagged" or source.rows < 2 * length:
             return None
-        refuse_foreign(job, sensor, [piece.name for piece in found.pieces])
+        refuse_foreign(job, sensor, [piece.name for piece in parts.pieces])
         staged = open_staging(job.output_folder(sensor))
         return Long(
             job=job,
             sensor=sensor,
-            recipe=found.recipe.to_toml(),
-            causal=found.recipe.mode == "causal",
+            recipe=parts.recipe.to_toml(),
+            causal=parts.recipe.mode == "causal",
             known=known_of(source, staged / "stamps"),
-            files=found.pieces,
+            files=parts.pieces,
             staged=str(staged),
             hashed=hashed,
             cuts=_cuts(source.rows, length),
-            first=_first_readings(found),
-            extremes=_extremes(found) if found.as_stored else (),
+            first=_first_readings(parts),
+            extremes=_extremes(parts) if parts.as_stored else (),
             notes=notes_of(source),
             took_s=monotonic() - began,
         )
 
 
 def _cuts(rows: int, length: int) -> tuple[int, ...]:
-    """Return where stretches of a length begin, the last of which takes what is left, and where it ends."""
+    """Return the first row of each stretch, and the number of rows; the last stretch takes the remainder."""
     return (*range(0, rows - length + 1, length), rows)
 
 
-def _first_readings(found: OpenedSensor) -> tuple[float, ...]:
-    """Return the first reading of each channel that may enter its filter; NaN where there is none."""
-    step_s, channels = found.source.clock.step_s, found.recipe.channel
-    first, lag = np.full(len(channels), np.nan), None if found.recipe.mode == "smoothed" else 0  # a lag is not cut
+def _first_readings(parts: OpenedSensor) -> tuple[float, ...]:
+    """Return the first reading of each channel that its filter may use; NaN if there is none."""
+    step_s, channels = parts.source.clock.step_s, parts.recipe.channel
+    first = np.full(len(channels), np.nan)
+    lag = None if parts.recipe.mode == "smoothed" else 0  # sensors with a lag are never cut
     ahead = [0 if one.motion is None else rows_that_judge(one.limits, lag) for one in channels]
     watches = [SensorWatch(channels[c].limits, step_s, shown=False, ahead=ahead[c]) for c in range(len(channels))]
     largest = [_largest(channel, step_s) for channel in channels]
-    for chunk in found.source.chunks(rows_of_chunks(found.source, len(channels))):
-        for c, column in enumerate(columns_of(chunk, found.recipe)):
+    for chunk in parts.source.chunks(rows_of_chunks(parts.source, len(channels))):
+        for c, column in enumerate(columns_of(chunk, parts.recipe)):
             readings, _ = watches[c].push(column, chunk.elapsed_steps)
             if np.isnan(first[c]):
                 first[c] = _first(judge(readings, largest[c]).readings)
@@ -114,14 +115,14 @@ def _largest(channel: ChannelRecipe, step_s: float) -> float:
 
 
 def _first(readings: Floats) -> float:
-    known = np.flatnonzero(np.isfinite(readings))
-    return float(readings[known[0]]) if len(known) else np.nan
+    finite = np.flatnonzero(np.isfinite(readings))
+    return float(readings[finite[0]]) if len(finite) else np.nan
 
 
-def _extremes(found: OpenedSensor) -> tuple[Extremes, ...]:
-    """Return between what the readings lay before each row group, as far as the files say; none where one does not."""
-    told, row, names = [], 0, [channel.name for channel in found.recipe.channel]
-    for path in found.paths:
+def _extremes(parts: OpenedSensor) -> tuple[Extremes, ...]:
+    """Return the range of the readings up to each row group, from the statistics in the files; () if one lacks them."""
+    extremes, row, names = [], 0, [channel.name for channel in parts.recipe.channel]
+    for path in parts.paths:
         with pq.ParquetFile(path) as file:
             groups = [file.metadata.row_group(number) for number in range(file.num_row_groups)]
         for group in groups:
@@ -130,12 +131,12 @@ def _extremes(found: OpenedSensor) -> tuple[Extremes, ...]:
             if len(ranges) < len(names):
                 return ()
             row += group.num_rows
-            told.append(Extremes(row, tuple(one.min for one in ranges), tuple(one.max for one in ranges)))
-    return tuple(accumulate(told, _joined))
+            extremes.append(Extremes(row, tuple(one.min for one in ranges), tuple(one.max for one in ranges)))
+    return tuple(accumulate(extremes, _joined))
 
 
 def _is_of_numbers(stored: pq.Statistics) -> bool:
-    """Whether statistics tell between which numbers the values of a column lie; text is in another order."""
+    """Return whether statistics contain the range of a column's numbers; text has another order."""
     return bool(stored.has_min_max and isinstance(stored.min, int | float))
 
 

@@ -1,4 +1,4 @@
-"""Recipes for a lake: one for each class of its sensors, and those named that are unlike their class."""
+"""Tune recipes for a lake: one for each class of its sensors. Report the sensors that differ from their class."""
 
 from becalm.fleet.tuning.lake import LakeTuningOptions, TunedLake, tune
 

@@ -1,11 +1,12 @@
-"""Make the recipe of a class: for each channel that of its most typical sensor, so that it fits one at least.
+"""Make the recipe of a class: for each channel, copy that of the most typical sensor, so that it fits at least one.
 
-The rule. A class's recipe has the channels, by name and unit, that more than half of its tuned sensors have. For each
-of them the sensors count whose own filter describes it (else those that have a filter; else all: then it passes
-unchanged). Of these only those count that have the most frequent order, and of these again those that have most
-frequently the same beside it: modes, tones, coloured noise, a gate. The most typical one is their medoid: the one from
-which all others are least far, by the logarithms of noise_std and process_noise_density. Its numbers are not averaged
-with those of others; only what the sensor keeps to, its limits, has to hold for all of them (`limits`).
+The rule. A class's recipe has the channels, by name and unit, that more than half of its tuned sensors have. The
+candidates for a channel are the sensors whose own filter describes it; if there are none, those that have a filter; if
+there are none either, all, and the channel passes unchanged. Only candidates with the most frequent order stay, and of
+these only those with the most frequent combination of modes, tones, coloured noise and gate. The most typical one is
+their medoid: the one with the least sum of distances to the others, in the logarithms of noise_std and
+process_noise_density. Its numbers are not averaged with those of others. Only the limits are joined, because they have
+to hold for all healthy sensors (`limits`).
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ class Typical(NamedTuple):
     Attributes
     ----------
     recipe : Recipe
-        What to do with each of its sensors.
+        The recipe.
     sensors : dict of str to str
-        By names of channels, whose recipe it is.
+        The sensor that each channel's recipe was copied from, by name of the channel.
     """
 
     recipe: Recipe
@@ -39,12 +40,12 @@ class Typical(NamedTuple):
 
 
 def typical(found: Sequence[SensorTuning]) -> Typical | None:
-    """Return the recipe of a class; None where more than half of its sensors have no channel in common.
+    """Return the recipe of a class; None if no channel is common to more than half of its sensors.
 
     Parameters
     ----------
     found : sequence of SensorTuning
-        Its sensors that could be tuned, by name.
+        The sensors of the class that could be tuned, sorted by name.
     """
     chosen = [
         _typical_channel(channels) for channels in channels_by_key(found).values() if 2 * len(channels) > len(found)
@@ -60,11 +61,11 @@ def typical(found: Sequence[SensorTuning]) -> Typical | None:
 
 
 def channels_by_key(found: Sequence[SensorTuning]) -> dict[tuple[str, str], list[TunedChannel]]:
-    """Return the channels of several sensors by their names and units."""
-    told: dict[tuple[str, str], list[TunedChannel]] = {}
+    """Return the channels of several sensors by name and unit."""
+    channels: dict[tuple[str, str], list[TunedChannel]] = {}
     for channel in (channel for one in found for channel in one.channels):
-        told.setdefault(channel.key, []).append(channel)
-    return told
+        channels.setdefault(channel.key, []).append(channel)
+    return channels
 
 
 def _typical_channel(channels: Sequence[TunedChannel]) -> TunedChannel:
@@ -75,10 +76,10 @@ def _typical_channel(channels: Sequence[TunedChannel]) -> TunedChannel:
 
 
 def alike_in(channels: Sequence[TunedChannel]) -> list[TunedChannel]:
-    """Return those that may be typical: that fit, if any do, and have what most of them have."""
+    """Return the candidates for the typical channel: those that fit, if any do, and have the most frequent traits."""
     moving = [channel for channel in channels if channel.moves]
     left = [channel for channel in channels if channel.fits] or moving or list(channels)
-    for trait in (_order, _beside):
+    for trait in (_order, _components):
         left = _most_frequent(left, trait)
     return left
 
@@ -87,7 +88,7 @@ def _order(channel: TunedChannel) -> Hashable:
     return channel.recipe.model, channel.recipe.order
 
 
-def _beside(channel: TunedChannel) -> Hashable:
+def _components(channel: TunedChannel) -> Hashable:
     recipe = channel.recipe
     modes = 0 if recipe.switching is None else len(recipe.switching.mode)
     removed = sum(tone.disturbance for tone in recipe.tone)
@@ -95,7 +96,7 @@ def _beside(channel: TunedChannel) -> Hashable:
 
 
 def _most_frequent(channels: list[TunedChannel], trait: Callable[[TunedChannel], Hashable]) -> list[TunedChannel]:
-    """Return those whose trait is the most frequent; of equally frequent ones that of the first channel."""
+    """Return the channels with the most frequent trait; in a tie, the trait of the first channel counts."""
     ((most, _),) = Counter(map(trait, channels)).most_common(1)
     return [channel for channel in channels if trait(channel) == most]
 
@@ -108,7 +109,7 @@ def _place(channel: TunedChannel) -> tuple[float, float]:
 
 
 def medoid(places: Sequence[tuple[float, float]]) -> int:
-    """Return which of some places all others are least far from, in all; of equal ones the first."""
+    """Return the index of the place with the least sum of distances to all others; in a tie, the first."""
     points = np.array(places)
     far = [float(np.hypot(*(points - point).T).sum()) for point in points]
     return int(np.argmin(far))

@@ -1,4 +1,4 @@
-"""The classes of a lake: which sensors of each are tuned, and what came of it."""
+"""Form the classes of a lake: choose the sensors of each that are tuned, and hold the results."""
 
 from __future__ import annotations
 
@@ -21,28 +21,29 @@ from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.report.fleet_rows import FleetRow, counted, spaced
 
 MOST_SENSORS = 200
-"""Of each class, that are tuned where nothing else is said: more make no class better known."""
+"""Default number of sensors that are tuned in each class; more do not improve its recipe."""
 
-_NO_CLASS = "They are of several kinds, which folders of their own would tell apart, or no filter describes them."
+_NO_CLASS = "They are of several kinds and should be in separate folders, or no filter describes them."
 
 
 class Chosen(NamedTuple):
     """The sensors of a class."""
 
     name: str
-    sensors: int  # of it in the lake
-    places: tuple[SensorPlace, ...]  # of those to be tuned, by name
+    sensors: int  # number of its sensors in the lake
+    places: tuple[SensorPlace, ...]  # the sensors to tune, by name
 
 
 def chosen_of(places: Sequence[SensorPlace], most: int = MOST_SENSORS) -> list[Chosen]:
-    """Return the classes of some sensors by name, with those of each that are to be tuned.
+    """Return the classes of some sensors, sorted by name, with the sensors of each that are to be tuned.
 
     Parameters
     ----------
     places : sequence of SensorPlace
         The sensors of a lake.
     most : int
-        How many of each class; they are spread evenly over the order of their names, the first and the last among them.
+        Largest number of sensors to tune in each class. They are spread evenly over the sorted names, and include the
+        first and the last.
     """
     classes: dict[str, list[SensorPlace]] = defaultdict(list)
     for place in sorted(places, key=lambda place: natural(Path(place.name))):
@@ -58,22 +59,22 @@ def _spread(places: Sequence[SensorPlace], most: int) -> list[SensorPlace]:
 
 @dataclass(frozen=True)
 class TunedClass:
-    """What tuning found for a class.
+    """The result of tuning a class.
 
     Attributes
     ----------
     name : str
-        Of its recipe as well.
+        Name of the class and of its recipe.
     sensors : int
-        How many the lake has.
+        Number of its sensors in the lake.
     found : tuple of SensorTuning
-        Those that could be tuned, by name.
+        The sensors that could be tuned, by name.
     failed : tuple of Outcome
-        Those that could not, with their reasons.
+        The sensors that could not be tuned, with the reasons.
     typical : Typical or None
-        Its recipe; None where it has none.
+        The recipe of the class, or None if it has none.
     judged : mapping of str to Outcome
-        By sensors that could be tuned, what its recipe makes of them.
+        The outcome of that recipe on each tuned sensor, by name.
     """
 
     name: str
@@ -85,26 +86,26 @@ class TunedClass:
 
     @classmethod
     def of(cls, chosen: Chosen, told: Mapping[str, SensorTuning | Outcome]) -> TunedClass:
-        """Put together what tasks told of a class; nothing is judged yet."""
+        """Collect the results of the tasks of a class; `judged` stays empty."""
         own = [told[place.name] for place in chosen.places]
         found = tuple(one for one in own if isinstance(one, SensorTuning))
         failed = tuple(one for one in own if isinstance(one, Outcome))
         return cls(chosen.name, chosen.sensors, found, failed, typical(found) if found else None, {})
 
     def with_judged(self, told: Mapping[str, Outcome]) -> TunedClass:
-        """Return it with what its recipe makes of its sensors."""
+        """Return the class with the outcomes of its recipe on its sensors."""
         return replace(self, judged={one.sensor: told[one.sensor] for one in self.found if one.sensor in told})
 
     @cached_property
     def unlike(self) -> dict[Key, str]:
-        """Why sensors are unlike it, by sensors and channels."""
+        """Return why sensors differ from the class, by sensor and channel."""
         return reasons(self.found, self.typical, self.judged)
 
     def row_of(self, channel: TunedChannel, *, own: bool) -> FleetRow:
-        """Return what is told of a channel: what its own recipe, or that of its class, makes of it.
+        """Return a channel's row of the report, from its own recipe or from that of its class.
 
-        The noise is that which was found on the sensor itself, unless it was in another unit. A constant channel, one
-        that the class's recipe leaves out, or that of a sensor it does not run on, has what its own recipe says.
+        The noise is that of the sensor itself, unless the units differ. A row comes from the channel's own recipe if
+        the channel is constant, if the class's recipe lacks it, or if the class's recipe does not run on the sensor.
         """
         row = self._rows.get((channel.sensor, channel.recipe.name))
         if own or not channel.moves or row is None:
@@ -117,22 +118,22 @@ class TunedClass:
 
     @property
     def described(self) -> tuple[int, int]:
-        """How many channels of its sensors its recipe describes, and of how many that are filtered."""
+        """Return how many channels of its sensors its recipe describes, and how many it filters."""
         channels = [channel for one in self.found for channel in one.channels if channel.moves]
         rows = [self._rows.get((channel.sensor, channel.recipe.name)) for channel in channels]
-        known = [row for row in rows if row is not None]
-        return sum(map(is_described, known)), len(known)
+        filtered = [row for row in rows if row is not None]
+        return sum(map(is_described, filtered)), len(filtered)
 
     @property
     def says(self) -> str:
-        """How it went, in a sentence or two."""
+        """Return a summary of one or two sentences."""
         tried = len(self.found) + len(self.failed)
         over = "" if tried == self.sensors else f", spread evenly by name over all {spaced(self.sensors)}"
-        told = f"{self.name}: {spaced(len(self.found))} of {counted(tried, 'sensor', 'sensors')} tuned{over}."
+        summary = f"{self.name}: {spaced(len(self.found))} of {counted(tried, 'sensor', 'sensors')} tuned{over}."
         if not self.found:
-            return f"{told} It has no recipe: none could be tuned."
+            return f"{summary} It has no recipe: none could be tuned."
         if self.typical is None:
-            return f"{told} It has no recipe: more than half of them have no channel in common."
+            return f"{summary} It has no recipe: more than half of them have no channel in common."
         described, channels = self.described
-        told += f" Its recipe describes {spaced(described)} of {counted(channels, 'channel', 'channels')}."
-        return told if 2 * described > channels else f"{told} {_NO_CLASS}"
+        summary += f" Its recipe describes {spaced(described)} of {counted(channels, 'channel', 'channels')}."
+        return summary if 2 * described > channels else f"{summary} {_NO_CLASS}"

@@ -1,4 +1,4 @@
-"""What tuning found on one sensor, as its task tells it."""
+"""Hold the result of tuning one sensor, as its task returns it."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from becalm.report.fleet_rows import FleetRow
 
 
 class TunedChannel(NamedTuple):
-    """A channel of a sensor.
+    """A tuned channel of a sensor.
 
     Attributes
     ----------
     sensor : str
-        Its path within the lake.
+        The sensor's path within the lake.
     recipe : ChannelRecipe
-        What was decided.
+        The tuned recipe of the channel.
     row : FleetRow
-        What that makes of the rows it was tuned on.
+        The result of that recipe on the rows it was tuned on.
     lowest, highest : float
-        Between which its readings lie, in unit; NaN where it has none.
+        The range of its readings, in the channel's unit; NaN if it has none.
     """
 
     sensor: str
@@ -32,17 +32,17 @@ class TunedChannel(NamedTuple):
 
     @property
     def key(self) -> tuple[str, str]:
-        """What tells whether two sensors have the same channel: its name and unit."""
+        """Return name and unit; two sensors have the same channel if both agree."""
         return self.recipe.name, self.recipe.unit
 
     @property
     def moves(self) -> bool:
-        """Whether there is a filter: a constant or nearly empty channel tells of none."""
+        """Return whether the channel is filtered; constant and nearly empty channels are not."""
         return self.recipe.motion is not None
 
     @property
     def fits(self) -> bool:
-        """Whether the filter describes what it was tuned on."""
+        """Return whether the filter describes the rows that it was tuned on."""
         return self.moves and self.row.verdict in ("fits", "fits except")
 
 
@@ -55,11 +55,11 @@ class SensorTuning:
     sensor : str
         Its path within the lake.
     recipe : Recipe
-        That `becalm tune` would make of it.
+        The recipe, the same as `becalm tune` would make.
     channels : tuple of TunedChannel
-        Those of the recipe, in their order.
+        The channels of the recipe, in their order.
     took_s : float
-        How long it took, in seconds.
+        Time that tuning took, in seconds.
     """
 
     sensor: str

@@ -1,4 +1,4 @@
-"""A lake tuned: each sensor in a task of its own, a recipe for each class, and that run over its sensors once more."""
+"""Tune a lake: tune each sensor in its own task, make a recipe for each class, and run it over the class's sensors."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
 
 
 class LakeTuningOptions(NamedTuple):
-    """What may be asked of tuning a lake.
+    """Options of tuning a lake.
 
     Attributes
     ----------
     by : {"folder", "file"}
-        What tells a sensor.
+        What identifies a sensor.
     causal : bool
-        Whether recipes shall filter, or smooth.
+        Whether recipes filter causally; if not, they smooth.
     most_sensors : int
-        Of each class, that are tuned.
+        Largest number of sensors to tune in each class.
     own : bool
-        Whether sensors that are unlike their class get recipes of their own.
+        Whether sensors that differ from their class get recipes of their own.
     replace : bool
-        Whether new recipes take the place of those that are there.
+        Whether new recipes replace existing ones.
     """
 
     by: str = FOLDER
@@ -63,18 +63,18 @@ NOTHING_ASKED = LakeTuningOptions()
 
 @dataclass(frozen=True)
 class TunedLake:
-    """What was found in a lake.
+    """The result of tuning a lake.
 
     Attributes
     ----------
     classes : tuple of TunedClass
-        By name.
+        The classes, sorted by name.
     recipes : tuple of str
-        Names of those that were written, as sensors look them up: "kind=pump", and "kind=pump/sensor=17" of its own.
+        Names of the recipes that were written: "kind=pump" for a class, "kind=pump/sensor=17" for one sensor.
     rows : tuple of FleetRow
-        Of every channel of every sensor that was looked at.
+        One row for every channel of every sensor that was tuned.
     report : Path
-        The page that tells of them, worst first.
+        The report page, which lists the sensors worst first.
     """
 
     classes: tuple[TunedClass, ...]
@@ -84,34 +84,34 @@ class TunedLake:
 
 
 def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> TunedLake:
-    """Find a recipe for each class of a lake, and the sensors that are unlike their class.
+    """Find a recipe for each class of a lake, and the sensors that differ from their class.
 
     Parameters
     ----------
     spark : SparkSession
-        Where; all its workers must have becalm, and see the lake under this path.
+        The Spark to use. All its workers must have becalm installed, and see the lake under this path.
     lake : Path
-        A folder of Parquet files, as `kind=pump/sensor=17/date=2026-01-02/part-0.parquet`. It is only read.
+        A folder of Parquet files, such as `kind=pump/sensor=17/date=2026-01-02/part-0.parquet`. It is only read.
     recipes : Path
-        A folder for the recipes, laid out as the lake: `kind=pump.toml`, and `default.toml` for sensors that are in the
-        lake itself. `report.html` and `sensors.jsonl` beside them tell what was found.
+        A folder for the recipes, with the same layout as the lake: `kind=pump.toml`, and `default.toml` for sensors
+        that are in the lake itself. `report.html` and `sensors.jsonl` in this folder have the results.
     asked : LakeTuningOptions
-        What tells a sensor, which of them are tuned, and how.
+        What identifies a sensor, which of them are tuned, and how.
 
     Raises
     ------
     InputError
-        If the lake holds no sensor, cannot be read, or none of them can be tuned.
+        If the lake holds no sensor, cannot be read, or no sensor can be tuned.
     UsageError
-        If the folder is in the lake, or holds recipes that are not to be replaced, or what is asked cannot be.
+        If the folder is in the lake, or holds recipes and `replace` is false, or an option is not valid.
     OutputError
-        If it cannot be written.
+        If the folder cannot be written.
     """
     return tune_by(partial(run_tasks, spark, lost=all_died), lake, recipes, asked)
 
 
 def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> TunedLake:
-    """Do as `tune`, wherever tasks run."""
+    """Tune a lake as `tune` does, with another function `run` that runs the tasks."""
     began, started = datetime.now(UTC), monotonic()
     lake, recipes = lake.resolve(), recipes.resolve()
     chosen = chosen_in(lake, recipes, asked)
@@ -130,7 +130,7 @@ def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTH
 
 
 def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> list[Chosen]:
-    """Return the sensors of a lake that are to be tuned, by their classes; what cannot be done is refused here.
+    """Check the options, and return the sensors of a lake that are to be tuned, by class.
 
     Raises
     ------
@@ -141,11 +141,11 @@ def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKE
     """
     if asked.by not in (FOLDER, FILE):
         raise UsageError(
-            f"--by {asked.by} tells sensors apart by a column, and classes are folders of sensors. Tune a recipe on the"
+            f"--by {asked.by} identifies sensors by a column, but classes are folders of sensors. Tune a recipe on the"
             " file of one sensor, becalm tune FILE -o R.toml, and use it with: becalm fleet clean ... --recipe R.toml"
         )
     if asked.most_sensors < 1:
-        raise UsageError(f"--sensors {asked.most_sensors} tunes none; give a number above 0, or leave it out.")
+        raise UsageError(f"--sensors {asked.most_sensors} tunes none; give a number above 0, or omit the option.")
     refuse_inside(lake.resolve(), recipes.resolve())
     if not asked.replace:
         refuse_recipes(recipes)
@@ -155,8 +155,9 @@ def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKE
 def _tuned(run: Run, lake: Path, causal: bool, chosen: Sequence[Chosen]) -> list[TunedClass]:
     """Tune the sensors of classes, and find the recipe of each class."""
     tasks = _longest_first([Sensor(place.name, place.bytes, "") for one in chosen for place in one.places])
-    told = dict(zip((task.name for task in tasks), run(partial(tune_sensor, str(lake), causal), tasks), strict=True))
-    return [TunedClass.of(one, told) for one in chosen]
+    results = run(partial(tune_sensor, str(lake), causal), tasks)
+    by_name = dict(zip((task.name for task in tasks), results, strict=True))
+    return [TunedClass.of(one, by_name) for one in chosen]
 
 
 def _judged(run: Run, lake: Path, by: str, chosen: Sequence[Chosen], classes: Sequence[TunedClass]) -> list[TunedClass]:
@@ -165,11 +166,11 @@ def _judged(run: Run, lake: Path, by: str, chosen: Sequence[Chosen], classes: Se
     tuned = {one.sensor for klass in classes if klass.typical is not None for one in klass.found}
     places = [place for one in chosen for place in one.places if place.name in tuned]
     tasks = _longest_first([Sensor(place.name, place.bytes, book.hash_for(place.name) or "") for place in places])
-    told: list[Outcome] = run(partial(judge_sensor, Job(str(lake), "", book.by_hash, by)), tasks)
-    judged = {outcome.sensor: outcome for outcome in told}
+    outcomes: list[Outcome] = run(partial(judge_sensor, Job(str(lake), "", book.by_hash, by)), tasks)
+    judged = {outcome.sensor: outcome for outcome in outcomes}
     return [klass.with_judged(judged) for klass in classes]
 
 
 def _longest_first(sensors: Sequence[Sensor]) -> list[Sensor]:
-    """Return sensors in the order of their sizes, so that none is waited for in the end."""
+    """Return sensors sorted by size, the longest first, so that the job does not end with a long one."""
     return sorted(sensors, key=lambda sensor: -sensor.bytes)

@@ -1,4 +1,4 @@
-"""One sensor in a task: tuned on a sample of it, and its class's recipe run over the same rows."""
+"""Tune one sensor in a task on a sample of its rows, and run its class's recipe over the same rows."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ from becalm.report.fleet_rows import FleetRow, row_of
 
 
 def tune_sensor(lake: str, causal: bool, sensor: Sensor) -> SensorTuning | Outcome:
-    """Find the recipe of a sensor; whatever is wrong with it is told, and raised nowhere.
+    """Find the recipe of a sensor; an error is returned as the reason of a refusal, never raised.
 
     Parameters
     ----------
     lake : str
         A folder that every worker sees under this path.
     causal : bool
-        Whether the recipe shall filter, or smooth.
+        Whether the recipe filters causally; if not, it smooths.
     sensor : Sensor
-        One of the lake.
+        One sensor of the lake.
 
     Returns
     -------
-    Found or Outcome
-        The outcome of a sensor that could not be tuned has the reason.
+    SensorTuning or Outcome
+        The outcome, with the reason, if the sensor could not be tuned.
     """
     return told_by(sensor, lambda: _tuned(Path(lake) / sensor.name, causal, sensor.name))
 
 
 def judge_sensor(job: Job, sensor: Sensor) -> Outcome:
-    """Say what a recipe makes of the rows of a sensor that its own was tuned on; nothing is raised, or written.
+    """Run a recipe on the rows of a sensor that its own recipe was tuned on; nothing is raised or written.
 
     Parameters
     ----------
     job : Job
-        That has the recipe; its output is not looked at.
+        The job with the recipe; its output is not used.
     sensor : Sensor
-        One of the lake.
+        One sensor of the lake.
     """
     return told_by(sensor, lambda: _judged(job, sensor))
 
@@ -65,21 +65,21 @@ def _tuned(place: Path, causal: bool, name: str) -> SensorTuning:
 
 
 def _with_origin(recipe: Recipe, source: OpenSource) -> Recipe:
-    """Say in a recipe what it was tuned on, and how its sensors were calibrated."""
+    """Add to a recipe the hash of the file that it was tuned on, and the calibrations of its channels."""
     origin = recipe.tuned_on.model_copy(update={"sha256": source.sha256()})
     return recipe.model_copy(update={"tuned_on": origin, "channel": calibrated(recipe.channel, source.calibrations)})
 
 
 def _judged(job: Job, sensor: Sensor) -> Outcome:
-    began, found = monotonic(), opened(job, sensor)
-    with found.source as source:
+    began, parts = monotonic(), opened(job, sensor)
+    with parts.source as source:
         sample = source.sample(rows_to_tune_on(source))
-        rows = _rows(sensor.name, sample, found.recipe, source.rate_hz, sensor.recipe[:SHOWN])
+        rows = _rows(sensor.name, sample, parts.recipe, source.rate_hz, sensor.recipe[:SHOWN])
     return Outcome(sensor.name, "cleaned", tuple(rows), monotonic() - began)
 
 
 def _rows(sensor: str, sample: Recording, recipe: Recipe, rate_hz: float, hashed: str = "") -> list[FleetRow]:
-    """Say what a recipe makes of a sample, a row a channel."""
+    """Clean a sample with a recipe, and return a row of the report for each channel."""
     reports = clean(sample, recipe).reports
     return [row_of(sensor, report, recipe=hashed, rate_hz=rate_hz) for report in reports]
 
@@ -88,6 +88,6 @@ def _channel(sensor: str, recipe: Recipe, row: FleetRow, sample: Recording) -> T
     own = next(channel for channel in recipe.channel if channel.name == row.channel)
     readings = sample.channel(row.channel)
     largest = np.inf if own.limits is None or own.limits.largest is None else own.limits.largest
-    seen = readings[np.isfinite(readings) & (np.abs(readings) <= largest)]
-    span = (float(seen.min()), float(seen.max())) if len(seen) else (np.nan, np.nan)
+    valid = readings[np.isfinite(readings) & (np.abs(readings) <= largest)]
+    span = (float(valid.min()), float(valid.max())) if len(valid) else (np.nan, np.nan)
     return TunedChannel(sensor, own, row, *span)

@@ -1,4 +1,4 @@
-"""What tuning a lake leaves: a recipe for each class, perhaps some for sensors, what was found, and a page."""
+"""Write the results of tuning a lake: recipes of classes, perhaps of sensors, the details, and a report page."""
 
 from __future__ import annotations
 
@@ -20,81 +20,81 @@ from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import FleetRow
 
 REPORT, SENSORS = "report.html", "sensors.jsonl"
-"""Names of the page, and of what was found for each sensor, beside the recipes."""
+"""Names of the report page, and of the file with the results of each sensor."""
 
 
 def refuse_recipes(folder: Path) -> None:
-    """Refuse a folder that holds recipes.
+    """Raise an error if a folder holds recipes.
 
     Raises
     ------
     UsageError
         If it does.
     """
-    if held := recipes_in(folder):
+    if present := recipes_in(folder):
         raise UsageError(
-            f"{folder} holds recipes already, as {held[0].relative_to(folder)}; name another folder with -o, or repeat"
-            " with --replace, which puts new ones in the place of all of them."
+            f"{folder} holds recipes already, such as {present[0].relative_to(folder)}; name another folder with -o, or"
+            " repeat with --replace, which replaces all of them."
         )
 
 
 class NamedRecipe(NamedTuple):
-    """A recipe to be written, and of whom it is, in a sentence."""
+    """A recipe to write, and a sentence about the sensors that it comes from."""
 
     recipe: Recipe
     origin: str
 
 
 def named_recipes(classes: Sequence[TunedClass], *, own: bool) -> dict[str, NamedRecipe]:
-    """Return recipes by the names that jobs look them up by: those of classes, and perhaps of sensors.
+    """Return the recipes of classes, and perhaps of sensors, by the names that jobs look for.
 
     Parameters
     ----------
     classes : sequence of TunedClass
-        Tuned; where sensors are to have their own, judged as well.
+        The tuned classes; if `own`, their recipes must have been run over their sensors as well.
     own : bool
-        Whether sensors that are unlike their class have recipes of their own.
+        Whether sensors that differ from their class have recipes of their own.
     """
     sensors = {
-        one.sensor: NamedRecipe(one.recipe, f"Of {one.sensor}, which is unlike its class.")
+        one.sensor: NamedRecipe(one.recipe, f"Recipe of {one.sensor}, which differs from its class.")
         for klass in classes
         for one in klass.found
         if own and any((one.sensor, channel.recipe.name) in klass.unlike for channel in one.channels)
     }
-    told = {
+    of_classes = {
         klass.name: NamedRecipe(klass.typical.recipe, _origin(klass)) for klass in classes if klass.typical is not None
     }
-    return sensors | told  # a sensor may be called as its class is
+    return sensors | of_classes  # if a sensor and a class have the same name, the class's recipe counts
 
 
 def book_of(named: Mapping[str, NamedRecipe]) -> RecipeBook:
-    """Return recipes as jobs look them up."""
+    """Return the recipes as a book, in which jobs look them up."""
     return RecipeBook({name: one.recipe.to_toml() for name, one in named.items()}, "What was tuned")
 
 
 def _origin(klass: TunedClass) -> str:
-    """Say whose recipe that of a class is."""
-    assert klass.typical is not None, "a class without a recipe has none to tell of"
-    told = ", ".join(f"{channel} of {sensor}" for channel, sensor in klass.typical.sensors.items())
-    return f"Of the class {klass.name}, {len(klass.found)} sensors of which were tuned; the most typical: {told}."
+    """Return a sentence about the sensors that the recipe of a class comes from."""
+    assert klass.typical is not None, "the class has no recipe"
+    sources = ", ".join(f"{channel} of {sensor}" for channel, sensor in klass.typical.sensors.items())
+    return f"Recipe of the class {klass.name}, from {len(klass.found)} tuned sensors; the most typical: {sources}."
 
 
 def write_found(
     folder: Path, classes: Sequence[TunedClass], named: Mapping[str, NamedRecipe], facts: FleetFacts
 ) -> list[FleetRow]:
-    """Write recipes, what was found, and the page; return the rows of the page.
+    """Write recipes, the results of each sensor, and the page; return the rows of the page.
 
-    Where there are new recipes, all others of the folder go; files that are no recipes stay.
+    If there are new recipes, all older ones in the folder are removed; files that are not recipes stay.
 
     Raises
     ------
     OutputError
-        If that cannot be done.
+        If a file cannot be written or removed.
     """
     book = book_of(named)
     rows = [row for klass in classes for row in _rows(klass, named, book)]
     texts = {name + ENDING: _commented(one.origin) + one.recipe.to_toml() for name, one in named.items()}
-    lines = [json.dumps(told) + "\n" for told in values_of(classes)]
+    lines = [json.dumps(values) + "\n" for values in values_of(classes)]
     older = [path for path in recipes_in(folder) if named and _is_recipe(path)]
     write_folder(folder, {**texts, SENSORS: "".join(lines), REPORT: fleet_page(rows, facts)})
     for path in set(older) - {folder / name for name in texts}:
@@ -112,35 +112,35 @@ def _is_recipe(path: Path) -> bool:
 
 
 def _commented(text: str) -> str:
-    """Return text as a comment of TOML, which holds no control characters."""
+    """Return text as a TOML comment, without control characters."""
     return f"# {''.join(one if one.isprintable() else ' ' for one in text)}\n"
 
 
 def _rows(klass: TunedClass, named: Mapping[str, NamedRecipe], book: RecipeBook) -> list[FleetRow]:
-    """Return the rows of the sensors of a class: what cleaning by these recipes would make of what was looked at."""
-    told = [row for outcome in klass.failed for row in outcome.channels]
+    """Return the report's rows for the sensors of a class: the result of these recipes on the rows used for tuning."""
+    rows = [row for outcome in klass.failed for row in outcome.channels]
     for one in klass.found:
         alone = one.sensor in named and named[one.sensor].recipe is one.recipe
         shown = (book.hash_for(one.sensor) or "")[:SHOWN]
         for channel in one.channels:
             reason = klass.unlike.get((one.sensor, channel.recipe.name), "")
-            told.append(replace(klass.row_of(channel, own=alone), recipe=shown, outlying=reason))
-    return told
+            rows.append(replace(klass.row_of(channel, own=alone), recipe=shown, outlying=reason))
+    return rows
 
 
 def values_of(classes: Sequence[TunedClass]) -> list[dict[str, Any]]:
-    """Return what was found for all sensors, as plain values: those first that could not be tuned."""
+    """Return the results of all sensors as plain values; those that could not be tuned come first."""
     failed = [_of_sensor(klass, one.sensor, one.reason) for klass in classes for one in klass.failed]
     return failed + [_of_sensor(klass, one.sensor, "", one.channels) for klass in classes for one in klass.found]
 
 
 def _of_sensor(klass: TunedClass, sensor: str, reason: str, channels: Sequence[TunedChannel] = ()) -> dict[str, Any]:
-    told = [_values(klass, channel) for channel in channels]
-    return {"sensor": sensor, "class": klass.name, "reason": reason, "channels": told}
+    values = [_values(klass, channel) for channel in channels]
+    return {"sensor": sensor, "class": klass.name, "reason": reason, "channels": values}
 
 
 def _values(klass: TunedClass, channel: TunedChannel) -> dict[str, Any]:
-    """Return what was found for a channel: by its own recipe, and by that of its class."""
+    """Return the results of a channel: with its own recipe, and with that of its class."""
     own, row, by_class = channel.recipe, channel.row, klass.row_of(channel, own=False)
     return {
         "name": own.name,
