@@ -64,7 +64,7 @@ ADVICE = {
     " the signal may rest that long raise stuck_readings in the recipe.",
     Verdict.DEAD: "A dead channel has lost its noise, and with it its signal; look at the sensor's supply and cable.",
     Verdict.DRIFT: "Readings drift to one side of the signal; compare the sensor at rest, or with a slow reference.",
-    Verdict.LATE: "Late rows came later than their even time, and none was lost; stamp rows where they are measured.",
+    Verdict.LATE: "Late rows are off their even time, but none was lost; stamp rows where they are measured.",
     Verdict.REPEATED: "Repeated rows have the time of the row before; look for a block that was written twice.",
     Verdict.OUTLIER: "Gross outliers were treated as missing; look for loose contacts and broken transfers, and if they"
     " are motion take outlier_distance and causal_outlier_distance out of the recipe.",

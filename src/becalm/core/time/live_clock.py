@@ -70,10 +70,10 @@ class LiveClock:
 
         `doubled` (B,) marks rows whose readings equal those of the row before; by default there are none.
 
-        A stamp before the last one is LATE, and a stamp more than a day (or 1000 steps) after it is FAR. After eight
-        such stamps in ascending order the clock continues from there (RESET): a jump backwards counts as one step, a
-        jump forwards counts in full. An equal stamp is REPEATED; if the stamps are as coarse as the step, only if the
-        readings are equal too.
+        A stamp before the last one is LATE, and a stamp more than a day (or 1000 steps, if longer) after it is FAR.
+        After eight such stamps in ascending order the clock continues from there (RESET): a jump backwards counts as
+        one step, a jump forwards counts in full. An equal stamp is REPEATED; if the stamps are as coarse as the step,
+        only if the readings are equal too.
         """
         stamps = np.ascontiguousarray(stamps_s, dtype=np.float64)
         result = ClockReadings(np.empty(len(stamps)), np.empty(len(stamps), np.int8))
