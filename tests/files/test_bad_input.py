@@ -163,7 +163,7 @@ def test_options_that_do_not_fit_are_refused_with_what_there_is(tmp_path: Path) 
 def test_a_name_without_unit_that_fits_two_columns_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("time_s,a (g),a (V)\n" + "".join(f"0.{i},1.5,2.5\n" for i in range(1, 9)))
-    with pytest.raises(UsageError, match="fits"):
+    with pytest.raises(UsageError, match="matches"):
         read(path, channels=["a"])
 
 

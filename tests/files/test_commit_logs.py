@@ -89,13 +89,13 @@ def test_files_that_are_named_and_not_there_are_told(tmp_path: Path) -> None:
     (note,) = source.layout.notes
     assert note.startswith(f"2 files are missing that the log of {root} names, such as {NAMES[1]}: the rows")
     (note,) = read_source(root / "sensor=a b").layout.notes
-    assert note.startswith(f"One file that the log of {root} names, as {NAMES[1]}, not there")
+    assert note.startswith(f"One file is missing that the log of {root} names, such as {NAMES[1]}:")
 
 
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [
-        ("0", "v2\n", r"_spark_metadata/0 begins with 'v2', and not with 'v1'"),
+        ("0", "v2\n", r"_spark_metadata/0 begins with 'v2'; the log of a stream begins with 'v1'"),
         ("0", "", r"_spark_metadata/0 is empty"),
         ("1", 'v1\n{"path":"file:///a', r"_spark_metadata/1 is damaged: '\{\"path"),
         ("1", "v1\n[]", r"_spark_metadata/1 is damaged"),
@@ -147,7 +147,7 @@ def test_of_a_delta_table_what_lives_is_read(given: str, tmp_path: Path) -> None
     assert source.recording.channel("walk").tobytes() == evenly()["walk"].to_numpy().tobytes()
     assert source.table.column_names == ["time_s", "walk", "holed", "words"]
     (note,) = source.layout.notes
-    assert "One file that the log of" in note
+    assert "One file is left out that the log of" in note
 
 
 def test_folders_of_a_delta_table_are_called_as_its_log_says(tmp_path: Path) -> None:

@@ -79,7 +79,10 @@ STRAYS: dict[str, tuple[str, str]] = {
     ),
     "tab": (written(with_cells({2001: '"hello'}), separator="\t").replace("ok ", "ok"), "includes lines"),
     "pipe": (written(with_cells({2001: '"hello', 2501: '"bye'}), separator="|"), "includes lines"),
-    "spaces": (written(with_cells({2001: '"hello', 2501: '"bye'}), separator="  ").replace("ok ", "ok"), "takes in"),
+    "spaces": (
+        written(with_cells({2001: '"hello', 2501: '"bye'}), separator="  ").replace("ok ", "ok"),
+        "includes lines",
+    ),
     "crlf": (written(with_cells({2001: '"hello', 2501: '"bye'}), end="\r\n"), "includes lines"),
     "old mac": (written(with_cells({2001: '"hello', 2501: '"bye'}), end="\r"), "includes lines"),
     "of a huge cell": (written(with_cells({2001: '"' + "hello " * 30_000})), "includes lines"),

@@ -168,7 +168,7 @@ def test_what_was_found_of_files_and_clocks_is_told(lake: Lake) -> None:
     named = [str(path.relative_to(folder)) for path in folder.rglob("*.parquet")]
     (folder / "_becalm.json").write_text(json.dumps({"files": [*named, "gone.parquet"]}), encoding="utf-8")
     (row,) = [row for row in cleaned(lake).rows if row.sensor == "sensor=1"]
-    assert "One file that the log of" in row.says
+    assert "One file is missing that the log of" in row.says
     assert "the rows in them are missing" in row.says
 
 

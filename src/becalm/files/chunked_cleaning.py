@@ -161,7 +161,7 @@ def columns_of(chunk: Chunk, recipe: Recipe) -> list[Floats]:
 
 
 class _BackgroundObserver:
-    """Runs an observer in a thread while the next rows are cleaned, one chunk at a time and in order."""
+    """Run an observer in a thread while the next rows are cleaned, one chunk at a time and in order."""
 
     def __init__(self, gathering: ChunkObserver) -> None:
         self._gathering, self._pool = gathering, ThreadPoolExecutor(1)

@@ -38,10 +38,10 @@ BOMS: tuple[tuple[bytes, str, str], ...] = (
 )
 
 CUT_ARCHIVE = (
-    "The gzip file is truncated: it is read up to its last whole line. Copy or download it again if the original is"
-    " longer."
+    "The gzip file ends too early and is read up to its last whole line. The file is incomplete; copy or download it"
+    " again if the original is longer."
 )
-CUT_CHARACTER = "The file is incomplete: its text ends in the middle of a character. The last line is left out."
+CUT_CHARACTER = "The file is incomplete: its text ends within a character. The last line is left out."
 
 _BLOCK = 1 << 20
 _PART = 1 << 16

@@ -176,7 +176,7 @@ def _quoted_block(block: bytes) -> int:
 
 
 class _Stream(io.RawIOBase):
-    """A file object that reads blocks of bytes once from start to end."""
+    """A file object for blocks of bytes, which are read once from start to end."""
 
     def __init__(self, blocks: Iterator[bytes]) -> None:
         self._blocks = blocks

@@ -18,7 +18,7 @@ from becalm.files.source import TimeLayout
 
 _NOTES = {
     JITTER: "The stamps of {} jitter by {:.3g} ms about an even {:.6g} Hz; the rows are counted at that rate instead;",
-    BURSTS: "The stamps of {} come in bursts, {:.3g} ms (std) about an even {:.6g} Hz that no stamp precedes;"
+    BURSTS: "The stamps of {} come in bursts, {:.3g} ms (std) about an even {:.6g} Hz, and none is before its sample;"
     " the rows are counted at that rate instead;",
 }
 _KEEP = "keep them as written with --stamps as-written."
@@ -79,7 +79,7 @@ def on_one_clock(times: Times, layout: TimeLayout) -> tuple[Spool | None, TimeLa
 
 
 def clock_of(times: Times, layout: TimeLayout, as_written: bool = False) -> tuple[Clock, TimeLayout]:
-    """Return the clock of stamps; replace stamps of an evenly sampled sensor that a driver delayed by an even grid.
+    """Return the clock of stamps; stamps that a driver delayed are replaced by the even grid of the samples.
 
     Parameters
     ----------
