@@ -56,7 +56,7 @@ def _seams(stretches: Sequence[StretchEstimates], again: int) -> str:
     if smoothed:
         return f"{count} stretches, which agree where they overlap."
     more = f" {again} of them ran a second time, from the state that the one before left." if again else ""
-    return f"{count} stretches, each of which begins with the bitwise state that the one before left.{more}"
+    return f"{count} stretches, each of which begins with exactly the state that the one before left.{more}"
 
 
 def _row(long: Long, parts: Sequence[_Part]) -> FleetRow:
