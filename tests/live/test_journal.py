@@ -87,7 +87,7 @@ def test_other_channels_and_another_recipe_are_refused(tmp_path: Path) -> None:
     others = {
         "holds ax \\(m/s\\^2\\), strain .*; the stream has ay": replace(HEAD, names=("ay", "az")),
         "the stream has ax \\(g\\)": replace(HEAD, units=("g", "um/m")),
-        "Leave --recipe out": replace(HEAD, recipe="recipe = 2\n"),
+        "Leave out --recipe": replace(HEAD, recipe="recipe = 2\n"),
     }
     for said, head in others.items():
         with pytest.raises(UsageError, match=said), journal_in(tmp_path, head=head):

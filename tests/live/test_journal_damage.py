@@ -232,7 +232,7 @@ def test_a_crash_while_it_is_mended_is_mended_by_the_next_start(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, places[step], crash)
-        with pytest.raises(StorageFullError, match="Make room"):
+        with pytest.raises(StorageFullError, match="Free disk space"):
             Journal(Address.parsed(f"journal:{tmp_path}")).last()
     assert calls
     with journal_in(tmp_path) as journal:

@@ -60,7 +60,7 @@ with journal_in(Path(sys.argv[1]), "?roll=1min") as journal:
             journal.keep([rows_of(row, 100)], checkpoint_at(row + 100))
             row += 100
         except StorageFullError as cause:
-            assert "Make room" in str(cause), cause
+            assert "Free disk space" in str(cause), cause
             failures += 1
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     journal.keep([rows_of(row, 100)], checkpoint_at(row + 100))

@@ -90,13 +90,13 @@ def test_any_name_of_a_channel_comes_through() -> None:
 
 
 def test_a_port_in_use_is_said_in_a_sentence() -> None:
-    with MetricsServer(0, metered()) as first, pytest.raises(UsageError, match=r"127.0.0.1:\d+ .*name another"):
+    with MetricsServer(0, metered()) as first, pytest.raises(UsageError, match=r"127.0.0.1:\d+ .*choose another"):
         MetricsServer(first.port, metered())
 
 
 @pytest.mark.parametrize("port", [-1, 70_000])
 def test_no_such_port_is_said_in_a_sentence(port: int) -> None:
-    with pytest.raises(UsageError, match=f"127.0.0.1:{port} .*name another"):
+    with pytest.raises(UsageError, match=f"127.0.0.1:{port} .*choose another"):
         MetricsServer(port, metered())
 
 

@@ -125,7 +125,7 @@ def test_what_mosquitto_loses_when_killed_is_counted(broker: Broker) -> None:
         heard.until(lambda: len(heard.numbers) == 20)
     assert heard.numbers == [*range(10), *range(510, 520)]
     assert heard.count(LossKind.MISSING) == 500
-    assert "has forgotten" in next(loss.says for loss in heard.losses if loss.kind is LossKind.GAP)
+    assert "no longer has this client's" in next(loss.says for loss in heard.losses if loss.kind is LossKind.GAP)
 
 
 def test_killed_brokers_make_a_sink_send_again_in_order(broker: Broker) -> None:

@@ -132,7 +132,7 @@ def test_a_row_that_no_message_holds_is_refused(tmp_path: Path) -> None:
     with mosquitto(tmp_path / "broker", more=["max_packet_size 200"]) as broker:
         sink = sink_of(broker.port)
         sink.open(HEAD)
-        with pytest.raises(OutputError, match="A row of 2 channels takes"):
+        with pytest.raises(OutputError, match="A row of 2 channels has"):
             sink.write(output(0, 3))
         sink.close()
 

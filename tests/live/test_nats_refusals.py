@@ -125,7 +125,7 @@ def test_a_server_that_stands_still_is_away(server: Broker, monkeypatch: pytest.
 
 @pytest.mark.parametrize("subject", ["", "?subject=plant.*"])
 def test_a_sink_needs_one_subject(subject: str) -> None:
-    with pytest.raises(UsageError, match=r"add subject=clean\.pump"):
+    with pytest.raises(UsageError, match=r"add for example subject=clean\.pump"):
         NatsSink(Address.parsed(f"nats://server/PUMP{subject}"))
 
 

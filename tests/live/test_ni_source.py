@@ -109,7 +109,7 @@ def test_channels_may_have_names_and_units(source: NiSource) -> None:
     named.close()
 
 
-@pytest.mark.parametrize(("names", "said"), [("ax (g),ay (g)", "cannot be converted"), ("bridge", "columns= names 1")])
+@pytest.mark.parametrize(("names", "said"), [("ax (g),ay (g)", "cannot be converted"), ("bridge", "columns= is 1")])
 def test_names_must_fit(source: NiSource, names: str, said: str) -> None:
     misnamed = NiSource(Address.parsed(f"ni:Dev1/ai0:1?rate=10&columns={names}"))
     with pytest.raises(UsageError, match=said):

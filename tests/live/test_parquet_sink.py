@@ -177,7 +177,7 @@ def test_what_a_killed_process_left_is_put_aside(tmp_path: Path, caplog: pytest.
     left.with_name(f"{left.name}-left-1").touch()  # of a kill before
     with caplog.at_level(logging.WARNING):
         sink = sink_of(folder)
-    assert "not whole" in caplog.text
+    assert "was incomplete" in caplog.text
     assert sorted(path.name for path in left.parent.iterdir()) == [f"{left.name}-left-{turn}" for turn in (1, 2)]
     sink.write(many(10, 0))
     sink.close()

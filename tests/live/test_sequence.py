@@ -147,7 +147,7 @@ def test_a_sender_that_begins_anew_with_newer_stamps_is_heard_at_once(first: int
     np.testing.assert_array_equal(told(sequence), [*range(50), *range(60, 70), *range(first, first + 10)])
     losses = sequence.losses()
     assert {loss.kind for loss in losses} == {LossKind.GAP, LossKind.MISSING}
-    assert f"anew at row {first}" in next(loss.says for loss in losses if loss.kind is LossKind.GAP)
+    assert f"restarted at row {first}" in next(loss.says for loss in losses if loss.kind is LossKind.GAP)
 
 
 @pytest.mark.parametrize("began_s", [None, -1e6])

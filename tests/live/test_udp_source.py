@@ -176,7 +176,7 @@ def test_a_port_that_is_taken_is_a_sentence() -> None:
     with wire() as (source, sender):
         port = sender.getpeername()[1]
         other = UdpSource(Address.parsed(f"udp:{port}"))
-        with pytest.raises(InputError, match=f"udp:{port} is taken"):
+        with pytest.raises(InputError, match=f"udp:{port} is used"):
             other.open("")
         other.close()
         assert source.read(0.0) is None
@@ -200,7 +200,7 @@ def test_an_address_that_cannot_be_is_refused(text: str, says: str) -> None:
 
 def test_a_host_that_is_none_and_a_position_of_another_source_are_sentences() -> None:
     source = UdpSource(Address.parsed("udp:9000?host=no such host"))
-    with pytest.raises(InputError, match="no address of this machine"):
+    with pytest.raises(InputError, match="not an address of this machine"):
         source.open("")
     with pytest.raises(InputError, match="not a position of udp"):
         source.open('{"row": 4}')
@@ -215,6 +215,6 @@ def test_a_small_buffer_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
     with wire(f"?buffer={granted * 2}") as (source, _):
         block = source.read(0.0)
         assert block is not None
-        assert f"not {granted * 2}" in block.losses[0].says
+        assert f"instead of {granted * 2}" in block.losses[0].says
         source.open("")
         assert source.read(0.0) is None

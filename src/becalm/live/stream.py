@@ -286,7 +286,7 @@ def _losses_of_left_out_rows(codes: Codes) -> list[Loss]:
 
 
 def _losses_of_gaps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) -> list[Loss]:
-    """Return a loss for each gap and each jump of the sender's clock; gaps are `explained` by missing rows."""
+    """Return a loss for each jump of the sender's clock, and for each gap that is not `explained` by missing rows."""
     losses = [
         Loss(LossKind.CLOCK, None, f"The sender's clock jumped to {stamps[k]:.9g} s; the stream continues there.")
         for k in np.flatnonzero(reset)

@@ -32,7 +32,7 @@ def joined(outputs: Sequence[Output], first_row: int) -> Output | None:
     row = first_row
     for one in outputs:
         if one.first_row != row:
-            raise ValueError(f"the output begins at row {one.first_row}, but the next row is {row}")
+            raise ValueError(f"the rows begin at {one.first_row}, but the next row is {row}")
         row += len(one)
     full = [one for one in outputs if len(one)]
     if len(full) <= 1:

@@ -47,7 +47,7 @@ class NatsSink(BrokerSink):
         self._stream = stream_of(self._remote)
         self._subject = address.options.get("subject", "")
         if not self._subject or set(self._subject) & set("*> \t"):
-            raise UsageError(f"{address} does not name one subject to publish to; add one, as subject=clean.pump")
+            raise UsageError(f"{address} does not name one subject to publish to; add for example subject=clean.pump")
 
     def _connect(self) -> BrokerConnection:
         line = _NatsLine(self._remote, self._stream, self._subject, self._on_result)

@@ -170,8 +170,8 @@ class NiSource:
         names = self._column_names or tuple(channel.rpartition("/")[2] for channel in channels)
         if len(names) != len(channels):
             raise UsageError(
-                f"ni: {self._channels} has {len(channels)} channels, but columns= has {len(names)} names; give one for"
-                " each channel."
+                f"ni: {self._channels} has {len(channels)} channels, but the number of names in columns= is"
+                f" {len(names)}; give a name for each channel."
             )
         self._names = tuple(unique_names(names))
         self._units = tuple(parse_header(name)[1] or "V" for name in names)
