@@ -59,7 +59,7 @@ class NatsPull:
     def __init__(self, remote: Remote, link: NatsLink) -> None:
         self._remote = remote
         self._link = link
-        self._received: deque[StreamMessage] = deque()
+        self._came: deque[StreamMessage] = deque()
         self._requested = 0  # messages requested and not received yet
         self._last = 0  # number of this consumer's last message
         self._largest = 1000  # bytes of the largest message so far
@@ -107,8 +107,8 @@ class NatsPull:
         """
         link = self._link
         with link.changed:
-            link.changed.wait_for(lambda: bool(self._received) or link.ended, timeout_s)
-            taken = [self._received.popleft() for _ in range(min(len(self._received), at_once))]
+            link.changed.wait_for(lambda: bool(self._came) or link.ended, timeout_s)
+            taken = [self._came.popleft() for _ in range(min(len(self._came), at_once))]
             silent = self._requested > 0 and time.monotonic() > self._heard_s + _SILENT_S
         if not taken:
             link.check()
@@ -143,7 +143,7 @@ class NatsPull:
         """Request more messages once half of the limit is free."""
         with self._link.changed:
             limit = max(2, min(_MOST_REQUESTED, _BUFFERED_BYTES // self._largest))
-            more = limit - self._requested - len(self._received)
+            more = limit - self._requested - len(self._came)
             if more < limit / 2 or self._link.ended:
                 return
             if not self._requested:
@@ -162,12 +162,12 @@ class NatsPull:
         with link.changed:
             self._heard_s = time.monotonic()
             if message.reply:
-                self._append(message)
+                self._hold(message)
             else:
                 self._handle_status(message.headers or {})
             link.changed.notify_all()
 
-    def _append(self, message: Msg) -> None:
+    def _hold(self, message: Msg) -> None:
         number, consumer_number, stored_ns = _numbers_of(message.reply)
         if consumer_number != self._last + 1:
             self._link.end(self._remote.away(f"messages before {number} were lost in transit"))
@@ -175,7 +175,7 @@ class NatsPull:
         self._last = consumer_number
         self._requested -= 1
         self._largest = max(self._largest, len(message.data))
-        self._received.append(StreamMessage(number, message.data, stored_ns / _NANO, self._heard_s))
+        self._came.append(StreamMessage(number, message.data, stored_ns / _NANO, self._heard_s))
 
     def _handle_status(self, headers: dict[str, str]) -> None:
         """Handle a status: 100 is a heartbeat, 408 the end of a request with messages left, others end the reading."""
