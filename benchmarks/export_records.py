@@ -54,7 +54,7 @@ class Row(NamedTuple):
     record: str
     channels: int
     rows: int
-    found: dict[Precision, list[Beside]]
+    found: dict[Precision, list[Addition]]
     refused: Counter[str]
 
 
@@ -67,7 +67,7 @@ def tuned(recording: becalm.Recording) -> list[ChannelRecipe]:
     return list(becalm.tune(part, causal=True).channel)
 
 
-class Beside(NamedTuple):
+class Addition(NamedTuple):
     """A record of one channel through C and through becalm, and what becalm itself does."""
 
     compared: Compared
@@ -78,7 +78,7 @@ class Beside(NamedTuple):
     """The first rows beside the specification, where the stream is beyond what is asked for, and no bank."""
 
 
-def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision: Precision) -> Beside:
+def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision: Precision) -> Addition:
     """Export one channel, compile it, and run a record through it."""
     recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
     seen = readings[np.isfinite(readings)]
@@ -90,9 +90,9 @@ def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision
         (one,) = bundle.channels
         found = compare(program, one, channel, "record", readings)
         if not is_beyond(found, precision):
-            return Beside(found, 0.0, None)
+            return Addition(found, 0.0, None)
         told = None if one.design.modes else compare(program, one, channel, "record", readings[:_FIRST], specified)
-        return Beside(found, moved_by_digits(recipe, readings, one.kind.number.bits), told)
+        return Addition(found, moved_by_digits(recipe, readings, one.kind.number.bits), told)
 
 
 def is_beyond(one: Compared, precision: Precision) -> bool:
@@ -112,7 +112,7 @@ def moved_by_digits(recipe: Recipe, readings: Floats, bits: int) -> float:
 
 def row_of(title: str, recording: becalm.Recording, channels: Sequence[ChannelRecipe]) -> Row:
     """Export and compare all channels of one recording."""
-    found: dict[Precision, list[Beside]] = {precision: [] for precision in _PRECISIONS}
+    found: dict[Precision, list[Addition]] = {precision: [] for precision in _PRECISIONS}
     refused: Counter[str] = Counter()
     rate_hz = recording.timebase.rate_hz
     for channel in channels:
@@ -183,7 +183,7 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _beyond(found: dict[Precision, list[Beside]]) -> Iterator[str]:
+def _beyond(found: dict[Precision, list[Addition]]) -> Iterator[str]:
     """Tell of each channel that keeps less than is asked for."""
     for precision, every in found.items():
         for one, moved, specification in every:
@@ -195,7 +195,7 @@ def _beyond(found: dict[Precision, list[Beside]]) -> Iterator[str]:
                 yield f"{one.channel}, {precision}: {off}; {itself}{exact}"
 
 
-def _db(found: Sequence[Beside]) -> str:
+def _db(found: Sequence[Addition]) -> str:
     least = min((one.compared.snr_db for one in found), default=None)
     return "" if least is None else "no difference" if np.isinf(least) else f"{least:.0f} dB"
 

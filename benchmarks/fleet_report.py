@@ -25,7 +25,7 @@ from app_runs import CHROMIUM, QUIET
 from becalm.cleaning.faults import Fault
 from becalm.cleaning.judging import InnovationJudge, Judgement
 from becalm.report.fleet_page import FleetFacts, fleet_page
-from becalm.report.fleet_rows import FleetRow, faults_told
+from becalm.report.fleet_rows import FleetRow, faults_text
 from pages import page_parser, publish
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _row(number: int, rng: np.random.Generator) -> FleetRow:
         health=judgement.nis_mean,
         noise_std=noise_std,
         usable_share=1 - sum(fault.readings for fault in faults) / _ROWS,
-        faults=faults_told(faults),
+        faults=faults_text(faults),
         says=judgement.says,
         recipe=f"{int(rng.integers(1 << 48)) if number % 97 == 0 else 0xC0FFEE00 + number % 3:012x}",
         rows=_ROWS - int(rng.integers(200)),

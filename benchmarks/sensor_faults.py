@@ -13,7 +13,7 @@ from collections import Counter
 import numpy as np
 
 import becalm
-from becalm.core.health.faults import said
+from becalm.core.health.faults import fault_messages
 from becalm.core.health.limits import find_limits, run_lengths
 from pages import page_parser, publish
 from sensor_faults_jobs import Score, clipped, dead, drift, dropout, false_alarms, monitor_alarms, stuck, watched
@@ -32,7 +32,7 @@ def real() -> list[str]:
             limits = find_limits(z, elapsed, ALARMS_PER_HOUR, step_s)
             faults = watched(z, elapsed, limits)
             rails = "none" if not np.isfinite(limits.rails).any() else f"{limits.low:.6g} to {limits.high:.6g}"
-            sentences = " ".join(said(faults.found, limits, step_s)) or "nothing"
+            sentences = " ".join(fault_messages(faults.found, limits, step_s)) or "nothing"
             label = name.replace("\\", "/")
             rows.append(
                 f"| {file.partition('/')[0]} | {label} | {limits.resolution:.6g} | {rails}"

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 import becalm
 from becalm.errors import InputError
-from becalm.files.opening import OpenSource, understood
+from becalm.files.opening import OpenSource, open_table
 from becalm.files.read_options import ReadOptions
 from becalm.files.roles import values_of
 from becalm.files.source import CHANNEL, RawTable
@@ -85,7 +85,7 @@ def _insisted(path: Path, raw: RawTable, why: str) -> Part:
     """Take the flags of a table that holds nothing else."""
     if flags := _flags(raw.rows.schema):
         with suppress(InputError):
-            return _part(understood(path, raw, ReadOptions(channels=flags)))
+            return _part(open_table(path, raw, ReadOptions(channels=flags)))
     names = tuple(name for name in raw.names if raw.time is None or name != raw.time.column)
     return Part(raw.group, names, None, why)
 

@@ -105,7 +105,7 @@ def test_filters_that_stand_alike_say_the_same(name: str, seed: int, warm: int) 
     whole, later = open_channel(CHANNELS[name], STEP_S, 0), open_channel(CHANNELS[name], STEP_S, 0)
     pushed(whole, z[:seam], elapsed[:seam])
     known = z[np.isfinite(z)]
-    later.begin_after(History(float(known[0]), begin, begin, float(elapsed[1:begin].sum()), *_between(z[:begin])))
+    later.set_history(History(float(known[0]), begin, begin, float(elapsed[1:begin].sum()), *_between(z[:begin])))
     pushed(later, z[begin:seam], elapsed[begin:seam])
     stood, stands = whole.comparable_state(), later.comparable_state()
     one, other = pushed(whole, z[seam:], elapsed[seam:]), pushed(later, z[seam:], elapsed[seam:])
@@ -120,7 +120,7 @@ def test_after_long_enough_they_do_stand_alike(name: str) -> None:
     whole, later = open_channel(CHANNELS[name], STEP_S, 0), open_channel(CHANNELS[name], STEP_S, 0)
     seam, begin = 5 * CUT, 2 * CUT
     pushed(whole, z[:seam], elapsed[:seam])
-    later.begin_after(History(float(z[np.isfinite(z)][0]), begin, begin, float(begin), *_between(z[:begin])))
+    later.set_history(History(float(z[np.isfinite(z)][0]), begin, begin, float(begin), *_between(z[:begin])))
     pushed(later, z[begin:seam], elapsed[begin:seam])
     stood, stands = whole.comparable_state(), later.comparable_state()
     assert stood is not None

@@ -12,7 +12,7 @@ from becalm.cleaning.sensor_file import due_warnings, load_sensors
 from becalm.errors import SensorError
 from becalm.sensors.accelerometer import FullScale
 from becalm.sensors.bridge import Bridge
-from becalm.sensors.record import Sensitivity, applied
+from becalm.sensors.record import Sensitivity, convert_readings
 
 FILE = """
 [[sensor]]
@@ -102,7 +102,7 @@ def test_every_kind_is_read_and_applied(tmp_path: Path) -> None:
         "pull": np.array([20.0]),
         "oil": np.array([1.0]),
     }
-    told = {name: column for record in records for name, column in applied(record, columns).items()}
+    told = {name: column for record in records for name, column in convert_readings(record, columns).items()}
     strain = Bridge("half I", 2.1, 0.3, lead_ohm=2.0).strain(np.array([0.0, -2e-4]))
     expected: dict[str, list[float]] = {
         "seat": [0.0, 1.0, np.nan],  # the last one is clipped
@@ -212,5 +212,5 @@ def test_a_shunt_tells_the_gain_of_a_bridge(tmp_path: Path) -> None:
     ratio = 1e3 * (350 / (350 + shunted) - 0.5)  # mV/V, by resistors
     text = quarter + f"shunt_ohm = 174650\nshunt_reading = {0.98 * ratio!r}\n"
     (record,) = load_sensors(written(tmp_path, text))
-    found = applied(record, {"e": np.array([0.98 * ratio])})["e"]
+    found = convert_readings(record, {"e": np.array([0.98 * ratio])})["e"]
     np.testing.assert_allclose(found, -952.381, atol=5e-4)

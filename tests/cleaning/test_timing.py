@@ -10,7 +10,7 @@ from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.recipe_parts import TimingRecipe
 from becalm.cleaning.slopes import Slopes, TimingNoise
-from becalm.cleaning.timing import time_std_of, timed
+from becalm.cleaning.timing import time_std_of, with_timing
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.rows import EstimatedRows
@@ -60,7 +60,7 @@ def test_the_noise_that_the_jitter_made_is_not_counted_twice() -> None:
     assert channel.timing is not None
     slopes = np.gradient(swing(EVEN), EVEN)
     assert channel.timing.included_std == pytest.approx(JITTER_S * np.sqrt(np.mean(slopes**2)), rel=0.03)
-    rest = timed(tune(recording), recording, JITTER_S, at_rest=True).channel[0].timing
+    rest = with_timing(tune(recording), recording, JITTER_S, at_rest=True).channel[0].timing
     assert rest == TimingRecipe(std_s=JITTER_S, included_std=0.0)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from becalm.cleaning.sensor_file import load_sensors
 from becalm.core.arrays import Floats
-from becalm.sensors.record import applied
+from becalm.sensors.record import convert_readings
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
@@ -57,7 +57,7 @@ def test_the_truth_is_found_and_read_back_to_the_same_numbers(laid_down: Path, r
     (record,) = load_sensors(tmp_path / "s.toml")
     columns = readings(9.81)
     expected = (columns - np.array(told["bias"])) @ np.array(told["correction"]).T
-    found = applied(record, dict(zip(record.channels, columns.T, strict=True)))
+    found = convert_readings(record, dict(zip(record.channels, columns.T, strict=True)))
     np.testing.assert_allclose(np.column_stack(list(found.values())), expected, rtol=0, atol=1e-11)
     assert np.array(record.relative_stds) == pytest.approx(np.array(told["scale_uncertainty_percent"]) / 200)
     assert record.offset_std == pytest.approx(told["zero_uncertainty"] / 2)

@@ -376,7 +376,7 @@ def test_faults_are_told_of_a_hole_too() -> None:
         Verdict.STUCK: FaultCount(91, 109, 114.0),
         Verdict.GAP: FaultCount(1, 50, 55.0),
     }
-    one.forget_counts()
+    one.reset_counts()
     assert one.faults == {}
     assert sum(one.counts.values()) == 0
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.health.faults import Faults, said
+from becalm.core.health.faults import Faults, fault_messages
 from becalm.core.health.limits import Limits, find_limits
 from becalm.core.verdict import ADVICE, Verdict
 from becalm.errors import UsageError
@@ -122,12 +122,12 @@ def test_what_was_found_is_said_with_when_and_what_to_do() -> None:
     faults = Faults(LIMITS)
     faults.push(np.array([0.0, 5.0, 1.0, 1.0]), np.array([0.0, 1.0, 1.0, 1.0]))
     faults.push(np.array([1.0, 1.0, 0.0, 9.0]), np.array([1.0, 1.0, 3.0, 1.0]))
-    clipped, stuck, gap = said(faults.found, LIMITS, 0.5)
+    clipped, stuck, gap = fault_messages(faults.found, LIMITS, 0.5)
     assert clipped.startswith("2 readings at a rail or beyond (-5 to 5), first at 0.5 s (row 2). ")
     assert stuck.startswith("1 reading in runs of 4 equal ones or more, first at 2.5 s (row 6). ")
     assert gap.startswith("1 gap of more than 1.5 steps, first at 4 s (row 7). ")
     assert clipped.endswith(ADVICE[Verdict.CLIPPED])
-    assert said({}, LIMITS, 0.5) == []
+    assert fault_messages({}, LIMITS, 0.5) == []
 
 
 @pytest.mark.parametrize("name", SIGNALS)

@@ -10,9 +10,9 @@ from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.outlier_rule import (
     Outliers,
-    beside_others,
     find_outlier_rule,
     is_outlier,
+    verdicts_from_neighbours,
 )
 from becalm.core.verdict import Verdict
 from becalm.native.scans import LONGEST_0
@@ -45,7 +45,9 @@ def test_a_value_that_fills_in_ten_times_is_left_out_though_readings_jump_as_far
     z = stairs()
     z[1010:1020] = 0.0
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.005)
-    assert np.flatnonzero(beside_others(z, limits.outliers, stuck_at_once(limits))).tolist() == [*range(1010, 1020)]
+    assert np.flatnonzero(verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits))).tolist() == [
+        *range(1010, 1020)
+    ]
     lost = np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)))
     assert lost.tolist() == [*range(1010, 1020)], "causally too: no reading of it comes to 0 at once"
     z[1010:1020] = 0.25
@@ -58,7 +60,7 @@ def test_a_channel_that_is_off_for_a_tenth_of_the_record_rests_at_0() -> None:
     z = 100.0 + 0.02 * noise()
     z[2000:2500] = 0.0
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
-    assert not beside_others(z, limits.outliers, stuck_at_once(limits)).any()
+    assert not verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits)).any()
     assert not Faults(limits).push(z, np.ones(ROWS)).any()
 
 
@@ -68,7 +70,7 @@ def test_a_0_that_lasts_is_believed_by_a_recipe_that_knows_none() -> None:
     z[1000:] = 0.0
     causal = Faults(limits).push(z, np.ones(ROWS))
     assert np.flatnonzero(causal).tolist() == [*range(1000, 1000 + LONGEST_0 - 1)]
-    assert not beside_others(z, limits.outliers, stuck_at_once(limits)).any()
+    assert not verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits)).any()
     soon = judged_soon(z, limits, 3, [1500])
     assert np.flatnonzero(soon).tolist() == [*range(1000, 1000 + LONGEST_0 - 4)]
     z[1000:] = 50.0
@@ -93,7 +95,10 @@ def test_a_0_stands_for_none_where_no_reading_is_near_it(z: Floats) -> None:
     elapsed = np.diff(np.flatnonzero(np.isfinite(z)), prepend=0).astype(float)
     limits = find_limits(z[np.isfinite(z)], elapsed, 1.0, 0.005)
     fills = [*range(1000, 1010)]
-    assert np.flatnonzero(beside_others(z, limits.outliers, stuck_at_once(limits)) == Verdict.OUTLIER).tolist() == fills
+    assert (
+        np.flatnonzero(verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits)) == Verdict.OUTLIER).tolist()
+        == fills
+    )
     assert np.flatnonzero(Faults(limits).push(z, np.ones(ROWS)) == Verdict.OUTLIER).tolist() == fills
 
 
@@ -132,7 +137,10 @@ def test_a_0_amid_what_is_plausible_that_lasts_is_a_fault() -> None:
     z = 50 * np.sign(np.sin(np.arange(ROWS) / 50.0)) + noise()
     z[2000:3000] = 0.0
     limits = Limits(outliers=Outliers(60.0, 120.0, -150.0, 150.0, True, far_from_0=10.0), stuck_readings=6)
-    for codes in (Faults(limits).push(z, np.ones(ROWS)), beside_others(z, limits.outliers, stuck_at_once(limits))):
+    for codes in (
+        Faults(limits).push(z, np.ones(ROWS)),
+        verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits)),
+    ):
         assert (codes[2000 + LONGEST_0 : 3000] == Verdict.STUCK).all()
         assert (codes[2000:3000] > 0).all()
 
@@ -156,7 +164,7 @@ def test_a_0_that_a_channel_comes_to_again_and_again_is_its_own(name: str) -> No
     z = RESTS[name]
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
     assert limits.outliers.far_from_0 == 0
-    assert np.mean(beside_others(z, limits.outliers, stuck_at_once(limits))[z == 0] > 0) < 0.1
+    assert np.mean(verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits))[z == 0] > 0) < 0.1
 
 
 @pytest.mark.parametrize("rows", [1, 10, 40])
@@ -165,7 +173,10 @@ def test_a_0_amid_quick_motion_far_from_it_stands_for_none(rows: int) -> None:
     for start in (700, 1900, 3100):
         z[start : start + rows] = 0.0
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.005)
-    for codes in (Faults(limits).push(z, np.ones(ROWS)), beside_others(z, limits.outliers, stuck_at_once(limits))):
+    for codes in (
+        Faults(limits).push(z, np.ones(ROWS)),
+        verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits)),
+    ):
         assert np.array_equal(codes > 0, z == 0)
 
 
@@ -200,7 +211,7 @@ def test_a_rest_that_comes_slowly_is_none() -> None:
     speed = np.maximum(30 * np.sin(np.arange(ROWS) / 300.0), 0.0)
     z = np.where(speed > 0, speed + 0.01 * rng.normal(size=ROWS), 0.0)
     limits = find_limits(z, np.ones(ROWS), 1.0, 0.01)
-    assert not beside_others(z, limits.outliers, stuck_at_once(limits)).any()
+    assert not verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits)).any()
     assert not Faults(limits).push(z, np.ones(ROWS)).any()
 
 
@@ -218,5 +229,8 @@ def test_a_0_that_lasts_is_believed_where_rows_are_missing(every: int) -> None:
     limits = Limits(outliers=find_outlier_rule(z)._replace(repeats_are_one=True), stuck_readings=8)
     z[1000:] = 0.0
     z[np.arange(ROWS) % every > 0] = np.nan
-    for codes in (judged_soon(z, limits, 3, [1500]), beside_others(z, limits.outliers, stuck_at_once(limits))):
+    for codes in (
+        judged_soon(z, limits, 3, [1500]),
+        verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits)),
+    ):
         assert not codes[1000 + LONGEST_0 :].any()

@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.gate import Gate
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels
-from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.online import Online
 from becalm.errors import ModelError
 from bits import same_bits
@@ -134,7 +134,7 @@ def test_a_huge_reading_leaves_numbers(name: str, at: int, size: float, causal: 
     z = readings()[50:130].copy()
     z[np.isnan(z)], z[at] = 100.0, size
     signal, sigma, probability = flow(BANKS[name], z, [], causal=causal)
-    first = int(at == 0 and abs(size) > largest_beside(BANKS[name].least_noise_variance))
+    first = int(at == 0 and abs(size) > largest_magnitude_for_noise(BANKS[name].least_noise_variance))
     assert np.isnan(signal[:first]).all()
     assert np.isfinite(signal[first:]).all()
     assert np.isfinite(sigma[first:]).all()

@@ -7,7 +7,7 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits, find_limits, find_resolution, run_lengths, stuck_at_once
-from becalm.core.health.outlier_rule import beside_others
+from becalm.core.health.outlier_rule import verdicts_from_neighbours
 from becalm.core.health.saturation import SaturationLimits, find_saturation
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError
@@ -145,7 +145,7 @@ def test_dropouts_that_share_a_value_are_no_rest(value: float) -> None:
     limits = limits_of(z)
     assert limits.stuck_readings is not None
     assert limits.stuck_readings < 20
-    codes = beside_others(z, limits.outliers, stuck_at_once(limits))
+    codes = verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits))
     assert (codes[8000:8400] == Verdict.STUCK).all()
     assert (codes[12_000:14_000] == Verdict.STUCK).all()
     assert np.count_nonzero(codes) == 2400

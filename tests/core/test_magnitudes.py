@@ -10,10 +10,10 @@ from becalm.core.filter.causal_flow import CausalFlow
 from becalm.core.filter.fixed_lag_flow import FixedLagFlow
 from becalm.core.filter.gate import Gate
 from becalm.core.filter.smoothed_flow import SmoothedFlow
-from becalm.core.health.faults import Faults, said
+from becalm.core.health.faults import Faults, fault_messages
 from becalm.core.health.limits import find_limits
 from becalm.core.model.components import motion
-from becalm.core.model.magnitudes import find_largest, largest_beside, level_by
+from becalm.core.model.magnitudes import find_largest, largest_magnitude_for_noise, level_from_first_reading
 from becalm.core.online import Online
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
@@ -68,17 +68,17 @@ def test_a_channel_tells_what_no_sensor_gives() -> None:
     faults = Faults(limits)
     codes = faults.push(z, np.ones(ROWS))
     assert np.flatnonzero(codes == Verdict.OVERRANGE).tolist() == [3]
-    assert any("beyond" in sentence for sentence in said(faults.found, limits, 0.01))
+    assert any("beyond" in sentence for sentence in fault_messages(faults.found, limits, 0.01))
 
 
 def test_a_reading_that_float64_rounds_by_more_than_the_noise_is_none() -> None:
-    assert largest_beside(0.0) == BEYOND_ANY_SENSOR
-    assert largest_beside(1e300) == BEYOND_ANY_SENSOR
-    largest = largest_beside(4.0)
+    assert largest_magnitude_for_noise(0.0) == BEYOND_ANY_SENSOR
+    assert largest_magnitude_for_noise(1e300) == BEYOND_ANY_SENSOR
+    largest = largest_magnitude_for_noise(4.0)
     assert np.spacing(largest) > 100 * 2.0
-    assert largest_beside(1.0) == pytest.approx(largest / 2)
-    assert level_by(1e15, 1.0) == 1e15
-    assert level_by(1e17, 1.0) == 0.0
+    assert largest_magnitude_for_noise(1.0) == pytest.approx(largest / 2)
+    assert level_from_first_reading(1e15, 1.0) == 1e15
+    assert level_from_first_reading(1e17, 1.0) == 0.0
 
 
 @pytest.mark.parametrize("kind", ["causal", "smoothed", "lagged"])
@@ -113,7 +113,7 @@ def test_a_gate_finds_back_from_whatever_it_believed(order: int, row: int, size:
     part, good = motion(order, (2 * np.pi * 0.05) ** (2 * order)), noise()
     z = good.copy()
     z[row] = size
-    rounded = 4 * np.spacing(size) if row == 0 and size == level_by(size, 1.0) else 1e-3
+    rounded = 4 * np.spacing(size) if row == 0 and size == level_from_first_reading(size, 1.0) else 1e-3
     right = told_of(flow_of(part, 1.0, causal=True, gate=GATE), good)
     for causal in (True, False):
         told = told_of(flow_of(part, 1.0, causal=causal, gate=GATE), z)

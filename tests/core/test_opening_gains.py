@@ -8,7 +8,7 @@ import pytest
 from becalm.core.arrays import Floats
 from becalm.core.model.covariances import gain_before
 from becalm.core.model.model import Model
-from becalm.core.steady.opening_gains import gains_after, leap_of, open_at
+from becalm.core.steady.opening_gains import covariance_map, determine_state, gains_after
 from becalm.core.steady.steady_gain import steady
 from becalm.errors import ModelError
 
@@ -33,7 +33,7 @@ MODELS = {**{f"order {order}": differencing(order) for order in ORDERS}, "turnin
 def test_first_readings_of_a_polynomial_tell_its_state(order: int) -> None:
     """A state that moves without noise makes a polynomial; its last state is what the weights make of readings."""
     model, rng = differencing(order), np.random.default_rng(order)
-    opening = open_at(model)
+    opening = determine_state(model)
     x, readings = rng.normal(size=order), []
     for k in range(len(opening.weights)):
         x = model.F @ x if k else x
@@ -46,7 +46,7 @@ def test_first_readings_of_a_polynomial_tell_its_state(order: int) -> None:
 def test_an_opening_is_the_best_that_one_large_gaussian_tells(name: str) -> None:
     """All first readings at once: z = A x + B w + v of the last state x, by generalised least squares."""
     model = MODELS[name]
-    opening, backward = open_at(model), np.linalg.inv(model.F)
+    opening, backward = determine_state(model), np.linalg.inv(model.F)
     rows, n = opening.weights.shape
     back = [np.linalg.matrix_power(backward, many) for many in range(rows)]
     A = np.vstack([model.H @ back[rows - 1 - k] for k in range(rows)])
@@ -71,7 +71,7 @@ def riccati(P: Floats, model: Model) -> Floats:
 @pytest.mark.parametrize("name", MODELS)
 def test_gains_after_settle_where_the_riccati_equation_does(name: str) -> None:
     model = MODELS[name]
-    found = gains_after(open_at(model), model, 5000)
+    found = gains_after(determine_state(model), model, 5000)
     assert found.settled
     assert 5 < len(found.K) < 5000
     np.testing.assert_allclose(found.K[-1], steady(model).gain[:, 0], rtol=1e-9, atol=1e-12)
@@ -80,7 +80,7 @@ def test_gains_after_settle_where_the_riccati_equation_does(name: str) -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_gains_after_are_those_of_the_riccati_equation_row_by_row(name: str) -> None:
     model = MODELS[name]
-    opening = open_at(model)
+    opening = determine_state(model)
     found = gains_after(opening, model, 40)
     P = model.F @ opening.P @ model.F.T + model.process_covariance
     for gain in found.K:
@@ -90,7 +90,7 @@ def test_gains_after_are_those_of_the_riccati_equation_row_by_row(name: str) -> 
 
 def test_gains_that_have_not_settled_are_given_up() -> None:
     model = differencing(2, 1e-9)
-    found = gains_after(open_at(model), model, 30)
+    found = gains_after(determine_state(model), model, 30)
     assert not found.settled
     assert len(found.K) == 30
 
@@ -98,7 +98,7 @@ def test_gains_that_have_not_settled_are_given_up() -> None:
 @pytest.mark.parametrize("name", MODELS)
 def test_a_leap_is_a_riccati_step_and_twice_is_two(name: str) -> None:
     model, rng = MODELS[name], np.random.default_rng(4)
-    once = leap_of(model)
+    once = covariance_map(model)
     A = rng.normal(size=(model.states, model.states))
     for P in (A @ A.T, steady(model).predicted_cov, np.zeros_like(A)):
         one = riccati(P, model)
@@ -112,4 +112,4 @@ def test_a_leap_is_a_riccati_step_and_twice_is_two(name: str) -> None:
 
 def test_what_cannot_be_taken_back_is_refused() -> None:
     with pytest.raises(ModelError, match="F has no inverse"):
-        open_at(Model(F=[[0]], H=[[1]], Q=[[1]], R=[[1]]))
+        determine_state(Model(F=[[0]], H=[[1]], Q=[[1]], R=[[1]]))

@@ -17,10 +17,10 @@ from becalm.core.health.look_ahead import LookAhead
 from becalm.core.health.outlier_rule import (
     NO_OUTLIERS,
     Outliers,
-    beside_others,
     distances_of,
     find_outlier_rule,
     is_outlier,
+    verdicts_from_neighbours,
 )
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
@@ -271,7 +271,7 @@ def test_both_sides_tell_the_same_wherever_the_record_is_cut(
     z: Floats, as_one: bool, stuck: int | None, cuts: list[int]
 ) -> None:
     limits = Limits(outliers=Outliers(30.0, 60.0, -9.0, 99.0, as_one), stuck_readings=stuck)
-    found = beside_others(np.where(np.isfinite(z), z, np.nan), limits.outliers, stuck_at_once(limits))
+    found = verdicts_from_neighbours(np.where(np.isfinite(z), z, np.nan), limits.outliers, stuck_at_once(limits))
     whole = found
     ahead, elapsed = LookAhead(limits), np.arange(len(z), dtype=np.float64)
     bounds = [0, *sorted(min(cut, len(z)) for cut in cuts), len(z)]
@@ -333,7 +333,7 @@ def test_equal_readings_after_seldom_ones_are_the_same_wherever_rows_are_cut(cut
     ahead, bounds = LookAhead(limits), [0, *cuts, len(z)]
     parts = [ahead.push(z[a:b], np.ones(b - a)) for a, b in pairwise(bounds)]
     codes = np.concatenate([part[2] for part in [*parts, ahead.finish()]])
-    assert np.array_equal(codes, beside_others(z, limits.outliers, stuck_at_once(limits)))
+    assert np.array_equal(codes, verdicts_from_neighbours(z, limits.outliers, stuck_at_once(limits)))
 
 
 @given(

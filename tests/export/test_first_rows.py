@@ -12,7 +12,7 @@ import pytest
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import GateRecipe, ToneRecipe
 from becalm.core.arrays import Floats
-from becalm.core.model.prior import known_before
+from becalm.core.model.prior import flat_prior
 from becalm.errors import RecipeError
 from becalm.export.design import Design
 from becalm.export.number_type import FLOAT
@@ -64,7 +64,7 @@ def first_signal(design: Design, z: Floats) -> Decimal:
         model, n = design.model, design.states
         F, Q, H, one = (_exactly(part) for part in (model.F, model.process_covariance, model.H, np.eye(n)))
         back, R, level = solved(F, one), Decimal(design.noise_variance), Decimal(float(z[0]))
-        Y, y = _exactly(known_before(model).Y), _exactly(np.zeros((n, 1)))
+        Y, y = _exactly(flat_prior(model).Y), _exactly(np.zeros((n, 1)))
         for k, reading in enumerate(z.tolist()):
             if k:
                 M = back.T.dot(Y).dot(back)

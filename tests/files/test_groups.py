@@ -13,7 +13,7 @@ from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
 from becalm.files.opening import OpenSource
 from becalm.files.read_options import ReadOptions
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 from becalm.files.time_base_choice import chosen_table
 
 PATH = Path("log.xyz")
@@ -27,9 +27,9 @@ def column(rows: int, seed: int = 0, unit: str = "m/s^2") -> Column:
 def log() -> tuple[RawTable, ...]:
     stamps = Column.of(5.0 + np.arange(20) * 0.5, "s")
     groups = [
-        Group("fast", {"ax": column(300), "ay": column(300, 1)}, 300, ToldTime(rate_hz=100.0, start="2026-01-02")),
+        Group("fast", {"ax": column(300), "ay": column(300, 1)}, 300, FormatTime(rate_hz=100.0, start="2026-01-02")),
         Group("empty", {"b": column(0)}, 0),
-        Group("slow", {TIME: stamps, "ax": column(20, 2, "g"), "flag": column(20, 3, "")}, 20, ToldTime(TIME)),
+        Group("slow", {TIME: stamps, "ax": column(20, 2, "g"), "flag": column(20, 3, "")}, 20, FormatTime(TIME)),
     ]
     return tables(FOREIGN, "xyz", groups)
 
@@ -91,7 +91,7 @@ def test_what_chooses_none_is_refused_in_a_sentence(
 
 
 def test_one_table_needs_no_choice_and_has_no_group() -> None:
-    (only,) = tables(FOREIGN, "xyz", [Group("all", {"a": column(5)}, 5, ToldTime(rate_hz=1.0))])
+    (only,) = tables(FOREIGN, "xyz", [Group("all", {"a": column(5)}, 5, FormatTime(rate_hz=1.0))])
     assert only.group == ""
     assert chosen_table(PATH, [only], ReadOptions()) is only
     with pytest.raises(UsageError, match="leave --group out"):

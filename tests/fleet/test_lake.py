@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from becalm.errors import RecipeError, UsageError
-from becalm.fleet.lake import FILE, FOLDER, places_in, told_apart
+from becalm.fleet.lake import FILE, FOLDER, find_sensor_layout, places_in
 from becalm.fleet.recipes import open_book
 from made import recipe_of, table_of
 
@@ -63,11 +63,11 @@ def test_a_folder_is_called_as_it_is_and_not_as_a_link_to_it(tmp_path: Path) -> 
 def test_keys_that_folders_tell_need_no_file_to_be_read(tmp_path: Path) -> None:
     lake = write(tmp_path / "lake", "date=2026-01-01/sensor=1/a.parquet", "date=2026-01-01/sensor=2/a.parquet")
     (lake / "date=2026-01-01" / "sensor=1" / "a.parquet").write_bytes(b"rubbish")
-    told = told_apart(lake, "sensor")
+    told = find_sensor_layout(lake, "sensor")
     assert isinstance(told, list)
     assert [place.name for place in told] == ["sensor=1", "sensor=2"]
     with pytest.raises(UsageError, match="'sensor' twice"):
-        told_apart(lake, "sensor,sensor")
+        find_sensor_layout(lake, "sensor,sensor")
 
 
 def test_files_beside_folders_are_refused(tmp_path: Path) -> None:

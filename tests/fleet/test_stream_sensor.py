@@ -243,5 +243,5 @@ def test_a_name_that_no_folder_can_have_is_refused() -> None:
     (event,) = one.hear(rows_of(50)).events
     assert (event.kind, event.rows, one.state) == ("refused", 50, None)
     assert "is too long for the name of a folder" in event.says
-    assert one._walk.told_under("ü" * 130) == ""
-    assert one._walk.told_under("ü" * 120) == "ü" * 120
+    assert one._walk.output_name("ü" * 130) == ""
+    assert one._walk.output_name("ü" * 120) == "ü" * 120

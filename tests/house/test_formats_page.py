@@ -10,7 +10,7 @@ from format_samples import RATE_HZ, SAMPLES, Sample, signal
 
 from becalm.files import open_source
 from becalm.files.decoding import read_bytes
-from becalm.files.registry import FOREIGNERS
+from becalm.files.registry import LIBRARY_FORMATS
 
 ROWS = 60
 NO_WRITER = {"recorders.ide"}  # nothing here writes it; its sample is real
@@ -29,5 +29,5 @@ def test_every_format_has_a_sample(tmp_path: Path) -> None:
     heads = [
         read_bytes(sample.make(tmp_path / f"{n}{sample.endings[0]}", ROWS), 512) for n, sample in enumerate(SAMPLES)
     ]
-    without = {one.module for one in FOREIGNERS if not any(map(one.is_it, heads))}
+    without = {one.module for one in LIBRARY_FORMATS if not any(map(one.is_it, heads))}
     assert without == NO_WRITER

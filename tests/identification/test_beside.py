@@ -17,7 +17,7 @@ from becalm.core.model.components import ORDERS, motion
 from becalm.errors import ModelError, RecordingError
 from becalm.identification.coloured_likelihood import UNSCORED, score_coloured
 from becalm.identification.cross_validation import lasting, simplest, tune_smoother
-from becalm.identification.known_noise import _beside_white, foretold_square, tune_beside
+from becalm.identification.known_noise import _beside_white, foretold_square, tune_with_known_noise
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
 from becalm.metrics.truth import rms_error
 
@@ -65,7 +65,7 @@ def test_the_motion_is_found_beside_white_noise(order: int, causal: bool) -> Non
     density, orders, cutoffs = cutoff_to_ratio(order, 0.1), [], []
     for seed in range(5):
         z = moved(order, density, 20_000, seed) + white(20_000, seed)
-        found = tune_beside(even(z), 1.0, causal=causal)
+        found = tune_with_known_noise(even(z), 1.0, causal=causal)
         assert found.noise_variance == 1.0
         assert found.coloured is None
         assert found.at_edge == ""
@@ -91,7 +91,7 @@ def test_a_known_variance_makes_the_density_no_less_certain() -> None:
 @pytest.mark.parametrize("order", ORDERS)
 def test_it_is_the_maximum_of_the_filters_likelihood(order: int) -> None:
     z = moved(order, cutoff_to_ratio(order, 0.2), 2000, 3) + white(2000, 3)
-    found = tune_beside(even(z), 1.0, causal=True)
+    found = tune_with_known_noise(even(z), 1.0, causal=True)
 
     def likelihood(ratio: float) -> float:
         run = kalman_filter(motion(found.order, ratio).to_model(1.0, 1.0), z)
@@ -110,7 +110,7 @@ def test_a_sine_is_smoothed_no_worse_for_knowing_the_noise(rows: int) -> None:
     known, found = [], []
     for seed in range(8):
         z = truth + 0.3 * white(rows, seed)
-        known.append(error_of(tune_beside(even(z), 0.09, causal=False), z, truth, causal=False))
+        known.append(error_of(tune_with_known_noise(even(z), 0.09, causal=False), z, truth, causal=False))
         found.append(error_of(simplest(tune_smoother(even(z))), z, truth, causal=False))
     assert np.mean(known) <= 1.005 * np.mean(found)
 
@@ -121,7 +121,7 @@ def test_both_roads_of_a_smoother_lead_to_the_same_motion() -> None:
     whole, singly = even(z), Evidence.of(z, elapsed)
     assert lasting(whole)
     assert not lasting(singly)
-    near, far = (tune_beside(evidence, 0.09, causal=False) for evidence in (whole, singly))
+    near, far = (tune_with_known_noise(evidence, 0.09, causal=False) for evidence in (whole, singly))
     assert near.order == far.order
     assert near.loss == pytest.approx(far.loss, abs=2e-3)
     assert np.log(near.ratio / far.ratio) == pytest.approx(0.0, abs=2 * near.order * 0.05)
@@ -132,8 +132,8 @@ def test_both_roads_of_a_smoother_lead_to_the_same_motion() -> None:
 def test_a_motion_in_coloured_noise_is_a_fifth_nearer_than_as_if_white(seed: int, causal: bool) -> None:
     truth = moved(2, 0.02**4, 5000, seed)
     z = truth + red(5000, seed) + 0.3 * white(5000, seed)
-    coloured = tune_beside(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=causal)
-    plain = tune_beside(even(z), 1.09, causal=causal)
+    coloured = tune_with_known_noise(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=causal)
+    plain = tune_with_known_noise(even(z), 1.09, causal=causal)
     assert coloured.order == 2
     assert coloured.coloured == ColouredNoise((0.9,), 1.0)
     assert np.log(coloured.ratio * 0.09 / 0.02**4) == pytest.approx(0.0, abs=1.2)
@@ -143,7 +143,7 @@ def test_a_motion_in_coloured_noise_is_a_fifth_nearer_than_as_if_white(seed: int
 def test_a_long_record_beside_coloured_noise_is_tuned_on_some_of_it() -> None:
     truth = moved(2, 0.02**4, 100_000, 5)
     z = truth + red(100_000, 5) + 0.3 * white(100_000, 5)
-    found = tune_beside(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=True)
+    found = tune_with_known_noise(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=True)
     assert found.count == 16 * (2048 - UNSCORED)
     assert found.order == 2
     assert np.log(found.ratio * 0.09 / 0.02**4) == pytest.approx(0.0, abs=0.4)
@@ -154,7 +154,7 @@ def test_missing_readings_are_steps_all_the_same() -> None:
     z = truth + red(5000, 1) + 0.3 * white(5000, 1)
     z[np.random.default_rng(1).random(5000) < 0.2] = np.nan
     z[2000:2300] = np.nan
-    found = tune_beside(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=False)
+    found = tune_with_known_noise(even(z), 0.09, ColouredNoise((0.9,), 1.0), causal=False)
     assert found.order == 2
     assert np.log(found.ratio * 0.09 / 0.02**4) == pytest.approx(0.0, abs=1.2)
 
@@ -193,7 +193,7 @@ def test_the_foretold_square_weighs_residual_and_freedom() -> None:
 @pytest.mark.parametrize("noise", [None, ColouredNoise((0.5,), 0.5)])
 @pytest.mark.parametrize("causal", [True, False])
 def test_short_records_are_tuned(rows: int, noise: ColouredNoise | None, causal: bool) -> None:
-    found = tune_beside(even(white(rows, rows)), 1.0, noise, causal=causal)
+    found = tune_with_known_noise(even(white(rows, rows)), 1.0, noise, causal=causal)
     assert found.order in (1, 2, 3, 4, 5)
     assert 0 < found.ratio < np.inf
 
@@ -205,19 +205,19 @@ def test_stretches_that_tell_no_motion_are_refused(rows: int, noise: ColouredNoi
     """Readings one by one and in pairs; without a warning of arithmetic on the way."""
     parted = Evidence.of(white(50, 1), np.where(np.arange(50) % rows == 0, 1e4, 1.0))
     with pytest.raises(RecordingError, match=r"^No stretch of the record is long enough"):
-        tune_beside(parted, 1.0, noise, causal=causal)
+        tune_with_known_noise(parted, 1.0, noise, causal=causal)
 
 
 def test_short_stretches_tell_what_they_can() -> None:
     """Four readings in a row tell a smoother of the lower orders, and a filter one scored reading each."""
     parted = Evidence.of(white(400, 1), np.where(np.arange(400) % 8 == 0, 1e4, 1.0))
     for causal in (True, False):
-        assert tune_beside(parted, 1.0, causal=causal).count in (400, 50 * 5)
+        assert tune_with_known_noise(parted, 1.0, causal=causal).count in (400, 50 * 5)
 
 
 def test_what_cannot_be_tuned_is_refused() -> None:
     with pytest.raises(RecordingError, match=r"^7 readings came; 8 or more are needed for a motion"):
-        tune_beside(even(np.arange(7.0)), 1.0, causal=True)
+        tune_with_known_noise(even(np.arange(7.0)), 1.0, causal=True)
     stamped = Evidence.of(white(50, 1), np.random.default_rng(1).uniform(0.5, 1.5, 50))
     with pytest.raises(ModelError, match=r"not a whole number of steps"):
-        tune_beside(stamped, 1.0, ColouredNoise((0.9,), 1.0), causal=True)
+        tune_with_known_noise(stamped, 1.0, ColouredNoise((0.9,), 1.0), causal=True)

@@ -13,7 +13,7 @@ from becalm.core.closed_forms import autoregressive_power
 from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import motion
 from becalm.errors import RecordingError
-from becalm.identification.coloured import FORGETS, LEAST_WHITE, NoiseModel, fit_noise
+from becalm.identification.coloured import LEAST_WHITE, LONGEST_CORRELATION, NoiseModel, fit_noise
 from becalm.identification.coloured_likelihood import Shape, _squared, exact_misfit, spectral_misfit
 
 RESONANCE = (2 * 0.95 * float(np.cos(0.5)), -(0.95**2))
@@ -127,7 +127,10 @@ def test_what_is_found_forgets_within_a_tenth_of_a_stretch() -> None:
         found = fit_noise([coloured((float(np.exp(-1 / memory)),), 2000, rng) + 0.1 * rng.normal(size=2000)])
         assert (found.coloured is not None) == (memory < 1000)
         if found.coloured is not None:
-            assert -1 / np.log(np.abs(np.roots([1, *(-p for p in found.coloured.coefficients)])).max()) < FORGETS * 2000
+            assert (
+                -1 / np.log(np.abs(np.roots([1, *(-p for p in found.coloured.coefficients)])).max())
+                < LONGEST_CORRELATION * 2000
+            )
 
 
 def test_several_stretches_of_levels_of_their_own_tell_one_noise() -> None:

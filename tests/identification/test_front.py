@@ -13,7 +13,7 @@ from becalm.core.model.components import motion
 from becalm.core.steady.dials import motion_filter
 from becalm.errors import ModelError, UsageError
 from becalm.identification.likelihood import Evidence, tune_motion
-from becalm.identification.wishes.front import Front, noise_lag_front, pick
+from becalm.identification.wishes.front import TradeOffCurve, noise_lag_front, pick
 from becalm.identification.wishes.waiting import waiting_curve
 
 RATE_HZ = 500.0
@@ -21,11 +21,11 @@ R = 0.04  # unit^2
 
 
 @pytest.fixture(scope="module")
-def front() -> Front:
+def front() -> TradeOffCurve:
     return noise_lag_front(R, 1 / RATE_HZ)
 
 
-def test_the_front_has_no_point_that_another_beats(front: Front) -> None:
+def test_the_front_has_no_point_that_another_beats(front: TradeOffCurve) -> None:
     best = front.best
     assert front.orders == (1, 2, 3)
     for point in best:
@@ -52,7 +52,7 @@ def test_the_front_foretells_the_noise_of_a_recording() -> None:
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_a_point_is_the_filter_that_runs(front: Front, order: int) -> None:
+def test_a_point_is_the_filter_that_runs(front: TradeOffCurve, order: int) -> None:
     point = [point for point in front.points if point.order == order][30]
     z = np.zeros(40_000)
     z[20_000] = 1.0
@@ -67,7 +67,7 @@ def test_a_point_is_the_filter_that_runs(front: Front, order: int) -> None:
 
 
 @pytest.mark.parametrize("wish", ["max_lag_s", "bandwidth_hz", "noise_gain_db"])
-def test_a_pick_fulfils_its_wish_and_is_the_best_that_does(front: Front, wish: str) -> None:
+def test_a_pick_fulfils_its_wish_and_is_the_best_that_does(front: TradeOffCurve, wish: str) -> None:
     value, field = {
         "max_lag_s": (0.012, "lag_s"),
         "bandwidth_hz": (40.0, "bandwidth_hz"),
@@ -84,7 +84,7 @@ def test_a_pick_fulfils_its_wish_and_is_the_best_that_does(front: Front, wish: s
     assert all(f"{point.noise_gain_db:.1f} dB" in picked.why for point in everyone)
 
 
-def test_no_point_of_the_front_beats_a_pick(front: Front) -> None:
+def test_no_point_of_the_front_beats_a_pick(front: TradeOffCurve) -> None:
     picked = pick(front, max_lag_s=0.01).point
     quicker = [point for point in front.points if point.lag_s <= 0.01]
     assert quicker
@@ -130,7 +130,7 @@ def test_the_curve_goes_from_the_filter_to_the_smoother(order: int) -> None:
     assert curve[0].noise_std == pytest.approx(np.sqrt(R * motion_filter(order, ratio).noise_gain()), rel=1e-9)
 
 
-def test_wishes_that_cannot_be_are_said(front: Front) -> None:
+def test_wishes_that_cannot_be_are_said(front: TradeOffCurve) -> None:
     with pytest.raises(UsageError, match="0 wishes came"):
         pick(front)
     with pytest.raises(UsageError, match="2 wishes came"):

@@ -8,7 +8,7 @@ import pytest
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.filter.gate import Gate, threshold_for
 from becalm.identification.choose import choose
-from becalm.identification.gating import choose_gated, foretells_better
+from becalm.identification.gating import choose_gated, predicts_better
 from becalm.identification.imputation import imputed
 from becalm.identification.likelihood import Tuning
 
@@ -68,8 +68,8 @@ def shocks(seed: int) -> Floats:
 def test_the_readings_after_them_tell_spikes_from_motion(seed: int) -> None:
     quick = Tuning(1, 4.0, 0.25, ROWS)
     calm = Tuning(1, 0.0025, 1.0, ROWS)
-    assert not foretells_better(quick, shocks(seed), ELAPSED, GATE)
-    assert foretells_better(calm, walk(seed) + spikes(seed, 0.01, 8.0), ELAPSED, GATE)
+    assert not predicts_better(quick, shocks(seed), ELAPSED, GATE)
+    assert predicts_better(calm, walk(seed) + spikes(seed, 0.01, 8.0), ELAPSED, GATE)
 
 
 def test_what_stands_for_rejects_is_as_likely_as_they_were() -> None:

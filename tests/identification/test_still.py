@@ -12,7 +12,7 @@ import pytest
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError
-from becalm.identification.rest.detection import Stillness, find_still, said_still
+from becalm.identification.rest.detection import Stillness, detect_rests, named_rests
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 RATE_HZ = 100.0
@@ -69,7 +69,7 @@ SEEN_AS: dict[str, Callable[[Floats], Floats]] = {
 
 @pytest.mark.parametrize("name", SEEN_AS)
 def test_rests_are_found_and_nothing_else(name: str) -> None:
-    found = find_still(Recording(SEEN_AS[name](record()), rate_hz=RATE_HZ))
+    found = detect_rests(Recording(SEEN_AS[name](record()), rate_hz=RATE_HZ))
     precision, recall = hits(found, ~moving())
     assert precision > 0.99, found.reason
     assert recall > 0.9, found.reason
@@ -80,7 +80,7 @@ def test_rests_are_found_and_nothing_else(name: str) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_record_at_rest_is_still_throughout(seed: int) -> None:
     z = np.random.default_rng(seed).normal(size=3000)
-    found = find_still(Recording(z, rate_hz=RATE_HZ))
+    found = detect_rests(Recording(z, rate_hz=RATE_HZ))
     assert found.mask(3000).mean() > 0.95
     assert "throughout" in found.reason
 
@@ -92,7 +92,7 @@ def test_rest_of_a_slow_sensor_at_a_high_rate_is_found() -> None:
     pole = np.exp(-2 * np.pi * 50 / 1e4)
     z = lfilter([1 - pole], [1, -pole], np.random.default_rng(4).normal(size=100_000))
     z[40_000:60_000] += np.sin(np.arange(20_000) / 1e3)
-    found = find_still(Recording(z, rate_hz=1e4))
+    found = detect_rests(Recording(z, rate_hz=1e4))
     rest = np.ones(100_000, dtype=bool)
     rest[40_000:60_000] = False
     precision, recall = hits(found, rest)
@@ -129,20 +129,20 @@ NEVER_STILL = {
 
 @pytest.mark.parametrize("name", NEVER_STILL)
 def test_a_record_without_rest_says_so(name: str) -> None:
-    found = find_still(Recording(NEVER_STILL[name], rate_hz=RATE_HZ))
+    found = detect_rests(Recording(NEVER_STILL[name], rate_hz=RATE_HZ))
     assert found.stretches == ()
     assert found.reason.endswith(".")
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 31, 49, 99])
 def test_a_short_record_says_so(count: int) -> None:
-    found = find_still(Recording(NOISE[:count], rate_hz=RATE_HZ))
+    found = detect_rests(Recording(NOISE[:count], rate_hz=RATE_HZ))
     assert found.stretches == ()
 
 
 def test_a_gap_is_no_rest() -> None:
     times_s = np.concatenate([T[:3000], 60 + T[:3000]])
-    found = find_still(Recording(NOISE[:6000], times_s=times_s))
+    found = detect_rests(Recording(NOISE[:6000], times_s=times_s))
     assert [stretch.start for stretch in found.stretches] == [0, pytest.approx(3000, abs=60)]
     assert found.stretches[0].stop <= 3000 <= found.stretches[1].start
 
@@ -151,7 +151,7 @@ def test_shorter_rests_are_found_when_asked_for() -> None:
     z = record()[:, 0]
     z[np.abs(T - 50) < 4] = record(7)[np.abs(T - 18) < 4, 0][: np.count_nonzero(np.abs(T - 50) < 4)]
     z[np.abs(T - 50) < 0.6] = NOISE[np.abs(T - 50) < 0.6]
-    long, short = (find_still(Recording(z, rate_hz=RATE_HZ), shortest_s) for shortest_s in (1.0, 0.4))
+    long, short = (detect_rests(Recording(z, rate_hz=RATE_HZ), shortest_s) for shortest_s in (1.0, 0.4))
     assert not long.mask(COUNT)[5000]
     assert short.mask(COUNT)[5000]
 
@@ -159,14 +159,14 @@ def test_shorter_rests_are_found_when_asked_for() -> None:
 @pytest.mark.parametrize("shortest_s", [0.0, -1.0, np.nan, np.inf])
 def test_a_rest_of_no_duration_is_refused(shortest_s: float) -> None:
     with pytest.raises(RecordingError, match="shortest_s"):
-        find_still(Recording(NOISE, rate_hz=RATE_HZ), shortest_s)
+        detect_rests(Recording(NOISE, rate_hz=RATE_HZ), shortest_s)
 
 
 def test_said_stretches_are_rows() -> None:
     recording = Recording(NOISE, times_s=1e6 + T)
-    assert said_still(recording, [(0, 30)]).stretches == ((0, 3000),)
-    assert said_still(recording, [(60, 70.5), (5, 10), (8, 12)]).stretches == ((500, 1200), (6000, 7050))
-    assert said_still(recording, [(100, 1000)]).stretches == ((10_000, COUNT),)
+    assert named_rests(recording, [(0, 30)]).stretches == ((0, 3000),)
+    assert named_rests(recording, [(60, 70.5), (5, 10), (8, 12)]).stretches == ((500, 1200), (6000, 7050))
+    assert named_rests(recording, [(100, 1000)]).stretches == ((10_000, COUNT),)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_said_stretches_are_rows() -> None:
 )
 def test_a_stretch_that_is_none_is_refused(spans_s: list[tuple[float, float]], words: str) -> None:
     with pytest.raises(RecordingError, match=words):
-        said_still(Recording(NOISE, rate_hz=RATE_HZ), spans_s)
+        named_rests(Recording(NOISE, rate_hz=RATE_HZ), spans_s)
 
 
 def real(file: str) -> Path:
@@ -220,7 +220,7 @@ def test_rests_of_a_hand_held_sensor_are_those_that_the_cameras_saw(file: str, n
     sensors, still = broad(file)
     samples = sensors[name]
     for channels in ([0, 1, 2], [0], [1], [2]):
-        found = find_still(Recording(samples[:, channels], rate_hz=2000 / 7))
+        found = detect_rests(Recording(samples[:, channels], rate_hz=2000 / 7))
         precision, recall = hits(found, still)
         assert precision > 0.999
         assert recall > 0.89
@@ -230,7 +230,7 @@ def test_rests_of_a_hand_held_sensor_are_those_that_the_cameras_saw(file: str, n
 def test_a_turned_sensor_rests_in_every_pose(file: str) -> None:
     """Motionless for forty seconds, then in some three dozen poses of a few seconds."""
     table = np.loadtxt(real(f"imu_tk/{file}"))
-    found = find_still(Recording(table[:, 1:], times_s=table[:, 0]))
+    found = detect_rests(Recording(table[:, 1:], times_s=table[:, 0]))
     since_s = table[:, 0] - table[0, 0]
     assert found.mask(len(table))[since_s < 40].all()
     assert 30 <= len(found.stretches) <= 50
@@ -240,7 +240,7 @@ def test_a_quiet_start_is_found() -> None:
     """Ten seconds on a table before it is picked up; the accelerometer feels something in the first of them."""
     table = np.loadtxt(real("fusion/sensor_data.csv"), delimiter=",", skiprows=1)
     for columns in (slice(1, 4), slice(4, 7)):
-        found = find_still(Recording(table[:, columns], times_s=table[:, 0]))
+        found = detect_rests(Recording(table[:, columns], times_s=table[:, 0]))
         assert found.mask(len(table))[(table[:, 0] > 1.5) & (table[:, 0] < 9)].all()
         assert found.mask(len(table)).mean() < 0.5
 
@@ -251,5 +251,5 @@ def test_a_car_on_a_motorway_never_rests(file: str) -> None:
         table = np.array(list(csv.reader(opened))[1:], dtype=float)
     width = table.shape[1] - 1
     for channels in (list(range(width)), *([c] for c in range(width))):
-        found = find_still(Recording(table[:, 1:][:, channels], times_s=table[:, 0]))
+        found = detect_rests(Recording(table[:, 1:][:, channels], times_s=table[:, 0]))
         assert found.stretches == (), found.reason

@@ -21,7 +21,7 @@ from becalm.cleaning.judging import Decision
 from becalm.core.verdict import Verdict
 from becalm.report.fleet_order import TRAITS, badness, summary, usual_noise, worst_first
 from becalm.report.fleet_page import FleetFacts, fleet_page
-from becalm.report.fleet_rows import LOSSES, FleetRow, faults_told, row_of
+from becalm.report.fleet_rows import LOSSES, FleetRow, faults_text, row_of
 from fleet_report import simulated
 
 FACTS = FleetFacts("lake", "cleaned", "2026-03-01T06:00:00+00:00", 5025.0, 12_345_678, ("default",))
@@ -115,11 +115,11 @@ def test_something_is_true_of_every_row_and_kept_is_never_all(rows: list[FleetRo
 
 def test_faults_are_told_in_words_and_the_grave_ones_make_faulty() -> None:
     faults = [Fault(what, count, 1, 0.0, 0.0) for what, count in (("spike", 1), ("clipped", 1203), ("gap", 2))]
-    assert faults_told(faults) == "1 203 clipped, 1 spike, 2 gaps"
+    assert faults_text(faults) == "1 203 clipped, 1 spike, 2 gaps"
     faulty = next(trait for trait in TRAITS if trait.name == "faulty")
     for verdict in Verdict:
         what = verdict.name.lower()
-        row = replace(FINE, faults=faults_told([Fault(what, 1, 1, 0.0, 0.0)]))
+        row = replace(FINE, faults=faults_text([Fault(what, 1, 1, 0.0, 0.0)]))
         assert faulty.holds(row) == (what in LOSSES), what
 
 

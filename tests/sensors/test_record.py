@@ -16,7 +16,7 @@ from becalm.sensors.accelerometer import Accelerometer, FullScale, sensitivity_m
 from becalm.sensors.bridge import Bridge
 from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.load_cell import LoadCell
-from becalm.sensors.record import Sensitivity, SensorRecord, Sheet, applied
+from becalm.sensors.record import Sensitivity, SensorRecord, Sheet, convert_readings
 
 CURVE = SensorRecord(("t",), "V", "degC", CalibrationCurve((-50.0, 100.0, 2.0)), full_scale=FullScale(0.0, 5.0))
 CELL = SensorRecord(("f",), "mV", "N", LoadCell(2.0, 500.0), reading_size=0.1)
@@ -33,27 +33,27 @@ readings = arrays(float, (3, 7), elements=st.floats(-4, 4) | st.just(np.nan))
 def test_every_record_keeps_the_house_rules(record: SensorRecord, raw: Floats) -> None:
     columns = {**dict(zip(record.channels, raw, strict=False)), "other": raw[0]}
     before = {name: column.copy() for name, column in columns.items()}
-    told = applied(record, columns)
+    told = convert_readings(record, columns)
     assert tuple(told) == record.channels
     for name, column in columns.items():
         np.testing.assert_array_equal(column, before[name])  # input untouched
     for name in record.channels:
         assert told[name].shape == (7,)
         assert np.isnan(told[name][np.isnan(columns[name])]).all()
-    rows = [applied(record, {name: column[k : k + 1] for name, column in columns.items()}) for k in range(7)]
+    rows = [convert_readings(record, {name: column[k : k + 1] for name, column in columns.items()}) for k in range(7)]
     for name in record.channels:  # each row has the same bits, however many come
         np.testing.assert_array_equal([row[name][0] for row in rows], told[name])
 
 
 def test_readings_become_what_sheets_say() -> None:
-    np.testing.assert_allclose(applied(CURVE, {"t": np.array([1.0, 2.0])})["t"], [52, 158])
-    np.testing.assert_allclose(applied(CELL, {"f": np.array([20.0])})["f"], [500])
+    np.testing.assert_allclose(convert_readings(CURVE, {"t": np.array([1.0, 2.0])})["t"], [52, 158])
+    np.testing.assert_allclose(convert_readings(CELL, {"f": np.array([20.0])})["f"], [500])
     strain = -4e6 * 0.5e-3 / (2.1 * (1 + 1e-3))
-    np.testing.assert_allclose(applied(STRAIN, {"e": np.array([0.5])})["e"], [strain], rtol=1e-12)
+    np.testing.assert_allclose(convert_readings(STRAIN, {"e": np.array([0.5])})["e"], [strain], rtol=1e-12)
 
 
 def test_a_clipped_reading_is_missing() -> None:
-    told = applied(CURVE, {"t": np.array([0.0, 2.0, 4.9976, 5.0])})["t"]
+    told = convert_readings(CURVE, {"t": np.array([0.0, 2.0, 4.9976, 5.0])})["t"]
     np.testing.assert_array_equal(np.isnan(told), [True, False, True, True])
 
 
@@ -79,9 +79,9 @@ def test_a_sensor_is_due_on_its_day() -> None:
 
 def test_columns_that_do_not_fit_are_refused() -> None:
     with pytest.raises(SensorError, match="channel 'z' is missing; there are x, y"):
-        applied(TRIAXIAL, {"x": np.zeros(2), "y": np.zeros(2)})
+        convert_readings(TRIAXIAL, {"x": np.zeros(2), "y": np.zeros(2)})
     with pytest.raises(SensorError, match="differ in length"):
-        applied(TRIAXIAL, {"x": np.zeros(2), "y": np.zeros(2), "z": np.zeros(3)})
+        convert_readings(TRIAXIAL, {"x": np.zeros(2), "y": np.zeros(2), "z": np.zeros(3)})
 
 
 @pytest.mark.parametrize("coefficients", [(), (3.0,), (3.0, 0.0), (np.nan, 1.0), (0.0, 1.0, np.inf)])
@@ -95,5 +95,5 @@ def test_a_curve_that_tells_nothing_is_refused(coefficients: tuple[float, ...]) 
 )
 def test_a_reading_without_bounds_is_no_number_and_no_warning(conversion: CalibrationCurve | Bridge | LoadCell) -> None:
     record = SensorRecord(("a",), "V", "N", conversion)
-    told = applied(record, {"a": np.array([np.inf, 1e-3, -np.inf, 1e-3])})["a"]
+    told = convert_readings(record, {"a": np.array([np.inf, 1e-3, -np.inf, 1e-3])})["a"]
     np.testing.assert_array_equal(np.isfinite(told), [False, True, False, True])

@@ -19,7 +19,7 @@ from websockets.sync.client import ClientConnection, connect
 from becalm.errors import BecalmError
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import text
-from becalm.web.incoming_messages import heard
+from becalm.web.incoming_messages import parse_frame
 from becalm.web.serving import Server, listen
 from becalm.web.site import Page, site
 from becalm.web.uploads import Uploads
@@ -68,7 +68,7 @@ class Stub:
         if frame["type"] == "websocket.disconnect":
             websocket._raise_on_disconnect(frame)
         try:
-            said = heard(frame)
+            said = parse_frame(frame)
         except BecalmError as cause:
             await websocket.send_text(text({"kind": "trouble", "says": str(cause)}))
             return

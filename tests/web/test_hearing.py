@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from becalm.errors import UsageError
-from becalm.web.incoming_messages import heard, number_of
+from becalm.web.incoming_messages import number_of, parse_frame
 from becalm.web.livepage import messages as of_live_pages
 from becalm.web.tuner import messages as of_the_tuner
 
@@ -35,13 +35,13 @@ from becalm.web.tuner import messages as of_the_tuner
 )
 def test_what_is_no_message_is_refused_in_a_short_sentence(frame: dict[str, Any], says: str) -> None:
     with pytest.raises(UsageError) as refused:
-        heard({"type": "websocket.receive", **frame})
+        parse_frame({"type": "websocket.receive", **frame})
     assert says in str(refused.value)
     assert len(str(refused.value)) < 300
 
 
 def test_a_message_is_read() -> None:
-    assert heard({"text": '{"do": "look", "from_s": -1.5e3, "to_s": null}'}) == {
+    assert parse_frame({"text": '{"do": "look", "from_s": -1.5e3, "to_s": null}'}) == {
         "do": "look",
         "from_s": -1500.0,
         "to_s": None,
@@ -74,5 +74,5 @@ def test_both_pages_hear_in_the_same_words_what_is_wrong(room: Any, said: dict[s
 @pytest.mark.parametrize("said", [{"do": "undo", "number": 1, "k" * 100_000: 2}, {"do": "k" * 100_000, "number": 1}])
 def test_what_is_wrong_is_not_repeated_in_full(said: dict[str, Any]) -> None:
     with pytest.raises(UsageError) as refused:
-        of_live_pages.understood(said)
+        of_live_pages.parse_message(said)
     assert len(str(refused.value)) < 500

@@ -15,7 +15,7 @@ from websockets.sync.client import ClientConnection
 
 from becalm.errors import UsageError
 from becalm.web.access import LOOPBACK, Access
-from becalm.web.serving import MOST_SAID_BYTES, Server, TakenError, listen
+from becalm.web.serving import MAX_MESSAGE_BYTES, Server, TakenError, listen
 from becalm.web.site import Page, site
 from served import HOST, HTML, KNOWN, TOKEN, UPGRADE, Served, filled, hung_up, link, served, still_served, until
 
@@ -106,7 +106,7 @@ def test_messages_that_are_none_are_told_so_and_the_wire_stays_open(page: Served
 def test_a_message_without_end_is_cut_off(page: Served) -> None:
     with page.wire() as wire:
         wire.recv()
-        wire.send('{"a": "' + "x" * (MOST_SAID_BYTES - 9) + '"}')  # as much as may be said
+        wire.send('{"a": "' + "x" * (MAX_MESSAGE_BYTES - 9) + '"}')  # as much as may be said
         assert heard_of(wire)["kind"] == "heard"
         wire.socket.sendall(struct.pack("!BBQ4s", 0x81, 0xFF, 2 << 20, b"mask"))  # a text of 2 MiB will follow
         with pytest.raises(ConnectionClosedError) as ended:

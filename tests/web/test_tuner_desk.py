@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.cleaning.dial_positions import POSITIONS, dial, told_of
+from becalm.cleaning.dial_positions import POSITIONS, dial, summary_of
 from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import TimingRecipe
@@ -16,7 +16,7 @@ from becalm.errors import RecipeError, UsageError
 from becalm.identification.choose import Choice
 from becalm.identification.likelihood import Evidence, Tuning
 from becalm.web.tuner.costs import cost_map
-from becalm.web.tuner.evidence import beside_best, described
+from becalm.web.tuner.evidence import compared_with_best, described
 from becalm.web.tuner.messages import Turned
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.settings import FOUND, GIVEN, Options, Setting, components
@@ -164,12 +164,12 @@ def test_components_have_names_for_people() -> None:
 
 
 def test_evidence_is_told_in_words() -> None:
-    assert beside_best(RIVALS) == {
+    assert compared_with_best(RIVALS) == {
         1: "estimates a left-out reading 5.1 % worse",
         2: "estimates a left-out reading as well as any",
     }
     filters = (Tuning(1, 1.0, 1.0, 1000, -1500.0), Tuning(2, 1.0, 1.0, 1000, -1400.0), Tuning(3, 1.0, 1.0, 0, -np.inf))
-    assert beside_best(filters) == {
+    assert compared_with_best(filters) == {
         1: "predicts the next reading 11 % worse",
         2: "predicts the next reading as well as any",
         3: "predicts the next reading far worse",
@@ -215,7 +215,7 @@ def test_a_channel_that_is_left_as_it_is_is_not_in_the_recipe(desk: ViewModel) -
     desk.turn(1, Turned(unchanged=True), final=True)
     with pytest.raises(UsageError, match="No channel is left"):
         desk.recipe()
-    assert desk.state_told()["recipe"] == ""
+    assert desk.state_message()["recipe"] == ""
     desk.restore(text)
     assert desk.recipe().to_toml() == text
     for _ in range(3):
@@ -246,7 +246,7 @@ def test_a_dial_goes_from_quick_to_calm(order: int, lag: int | None) -> None:
     assert (found["noise_left"][known] <= 0.5 * (1 + 1e-9)).all()
     middle = POSITIONS // 2
     set_ = channel.model_copy(update={"process_noise_density": float(found["process_noise_density"][middle])})
-    told = told_of(set_, 1 / RATE_HZ, lag)
+    told = summary_of(set_, 1 / RATE_HZ, lag)
     assert told.noise_left == pytest.approx(found["noise_left"][middle], rel=1e-6)
     if not lag:
         assert told.bandwidth_hz == pytest.approx(found["bandwidth_hz"][middle], rel=1e-6)

@@ -72,7 +72,7 @@ def test_nobody_waits_for_a_page_that_does_not_listen(tmp_path: Path) -> None:
         pages: list[Any] = [Conversation(shared, ear) for ear in ears]  # type: ignore[arg-type]
         shared.pages.update(pages)
         try:
-            await asyncio.wait_for(shared.tell_all(lambda page: page.working("..."), pages[1]), PATIENCE_S)
+            await asyncio.wait_for(shared.estimate_all(lambda page: page.working("..."), pages[1]), PATIENCE_S)
             while not ears[2].heard:
                 await asyncio.sleep(0)
             return [len(ear.heard) for ear in ears]

@@ -14,7 +14,9 @@ def calibrated(channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Cal
     return tuple(_calibrated(channel, calibrations.get(channel.name)) for channel in channels)
 
 
-def tared_anew(channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]) -> tuple[ChannelRecipe, ...]:
+def with_new_tares(
+    channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]
+) -> tuple[ChannelRecipe, ...]:
     """Return the recipes with the tares of the present recording, in place of those of the tuning recording."""
     tares = {name: one for name, one in calibrations.items() if one.tare is not None}
     return calibrated(channels, tares)

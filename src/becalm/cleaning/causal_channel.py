@@ -74,9 +74,9 @@ class CausalChannel:
         self._rhythm.write(timing, elapsed)
         return self.filter.process(z, elapsed, timing, states=states)
 
-    def begin_after(self, before: History) -> None:
+    def set_history(self, before: History) -> None:
         """Set the history before the first row."""
-        self.filter.begin_after(before)
+        self.filter.set_history(before)
         self._has_begun = before.rows > 0
 
     def comparable_state(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from becalm.cleaning.filters import Filter
 from becalm.cleaning.judging import InnovationJudge, Judgement
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.slopes import said_of_times
+from becalm.cleaning.slopes import timing_sentences
 from becalm.cleaning.steps import SOON
 from becalm.core.health.outlier_rule import MOST_OUTLIERS
 from becalm.core.verdict import ADVICE, Verdict
@@ -49,7 +49,7 @@ def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filt
     judged = found.judged.judgement(partial(excess_error, tuning.counted_in(own_steps)) if smooths else None)
     judged = _doubted(judged, recipe, found.counts)
     says = f"{judged.says} {_NOTHING_REMOVED}" if figures.removes_nothing else judged.says
-    says = " ".join([says, *said_of_times(recipe.timing, found.timing_share or 0.0)])
+    says = " ".join([says, *timing_sentences(recipe.timing, found.timing_share or 0.0)])
     return ChannelReport(
         **_fields(judged),
         name=recipe.name,

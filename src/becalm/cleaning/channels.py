@@ -48,7 +48,7 @@ class ChannelCleaner(Protocol):
         """Return the report, once finished."""
         ...
 
-    def begin_after(self, before: History) -> None:
+    def set_history(self, before: History) -> None:
         """Set the history before the first row that will be pushed."""
         ...
 
@@ -132,10 +132,10 @@ class MotionChannel(FilteredChannel):
         rows = [*self._flow.push(usable, steps), *self._flow.finish()]
         return self._counted(rows if self._holes is None else [*self._holes.bridged(rows), *self._holes.finish()])
 
-    def begin_after(self, before: History) -> None:
+    def set_history(self, before: History) -> None:
         """Set the history before the first row that will be pushed."""
-        self._flow.begin_after(before.reading, before.readings, before.steps)
-        self.sensor.begin_after(before)
+        self._flow.set_history(before.reading, before.readings, before.steps)
+        self.sensor.set_history(before)
 
     def saved(self) -> dict[str, Any] | None:
         """Return the state of a causal filter as arrays; None for other filters, or where rows are held back."""
@@ -225,10 +225,10 @@ class CausalMotion:
         """Return no rows: `push` returned all of them."""
         return []
 
-    def begin_after(self, before: History) -> None:
+    def set_history(self, before: History) -> None:
         """Set the history before the first row that will be pushed."""
-        self._channel.begin_after(before)
-        self._monitor.begin_after(before.readings, before.rows, before.steps)
+        self._channel.set_history(before)
+        self._monitor.set_history(before.readings, before.rows, before.steps)
 
     def saved(self) -> dict[str, Any]:
         """Return the state as arrays."""
@@ -237,7 +237,7 @@ class CausalMotion:
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Restore the state that `saved` returned."""
         self._channel.load_state_dict(arrays)
-        self._channel.filter.forget_counts()
+        self._channel.filter.reset_counts()
         self._monitor.restore(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
@@ -302,9 +302,9 @@ class UnchangedChannel:
         """Return no rows: `push` returned all of them."""
         return []
 
-    def begin_after(self, before: History) -> None:
+    def set_history(self, before: History) -> None:
         """Set the history before the first row that will be pushed."""
-        self._sensor.begin_after(before)
+        self._sensor.set_history(before)
 
     def saved(self) -> dict[str, Any]:
         """Return what the verdicts of later rows depend on, as arrays."""

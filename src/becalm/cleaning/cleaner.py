@@ -81,10 +81,10 @@ class Cleaner:
         """End the recording; return the estimates of the remaining pushes."""
         return self._complete_pushes(list(self._pool.map(lambda channel: channel.finish(), self._channels)))
 
-    def begin_after(self, before: Sequence[History]) -> None:
+    def set_history(self, before: Sequence[History]) -> None:
         """Set the history of each channel, for rows that begin in the middle of a recording."""
         for channel, own in zip(self._channels, before, strict=True):
-            channel.begin_after(own)
+            channel.set_history(own)
 
     def saved(self) -> list[dict[str, Any]] | None:
         """Return the state of each channel as arrays; None where a channel is not causal, or holds rows back."""

@@ -104,7 +104,7 @@ def _figures_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, fl
     return response.bandwidth_hz, response.lag_s, float(np.sqrt(response.noise_gain))
 
 
-def told_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSummary:
+def summary_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSummary:
     """Return a summary of the filter of a channel.
 
     Parameters

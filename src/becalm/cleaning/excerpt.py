@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.faults import SensorWatch, beside_filter
+from becalm.cleaning.faults import SensorWatch, merged_verdicts
 from becalm.cleaning.filters import Filter
 from becalm.cleaning.limits_entry import rows_that_judge
 from becalm.cleaning.recipe import ChannelRecipe
@@ -162,7 +162,7 @@ class ChannelRun:
                     yield from self._widened(uncertainty, wider.rows(wanted), before)
 
     def _widened(self, uncertainty: Uncertainty, estimates: EstimatedRows, before: Codes) -> list[EstimatedRows]:
-        return uncertainty.widened([estimates._replace(verdicts=beside_filter(estimates.verdicts, before))])
+        return uncertainty.widened([estimates._replace(verdicts=merged_verdicts(estimates.verdicts, before))])
 
     def _start_row(self, first: int) -> int:
         """Return the row to start with, enough readings and enough time before `first`."""

@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.limits_entry import alarms_of, limits_of, written
+from becalm.cleaning.limits_entry import alarms_of, limits_of, limits_recipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.channel import History
-from becalm.core.health.faults import FaultCount, Faults, said
+from becalm.core.health.faults import FaultCount, Faults, fault_messages
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
 from becalm.core.health.monitor import InnovationMonitor
-from becalm.core.health.noise_change import said_of_change
-from becalm.core.health.outlier_rule import beside_others
+from becalm.core.health.noise_change import noise_change_message
+from becalm.core.health.outlier_rule import verdicts_from_neighbours
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import ADVICE, LOST, Verdict
 from becalm.native.scans import EVERY_REPEAT
@@ -114,14 +114,14 @@ class Findings(NamedTuple):
     def says(self) -> list[str]:
         """Return sentences: which faults were found, when each came first, and what to do."""
         lost = sum(found.readings for verdict, found in self.found.items() if verdict in _HARDLY_MEASURES)
-        lines = said(self.found, self.limits, self.step_s)
+        lines = fault_messages(self.found, self.limits, self.step_s)
         if lost > MOST_LOST * self.rows:
             lines.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")
         return [*self._repeats(), *lines, *self.changes()]
 
     def changes(self) -> list[str]:
         """Return a sentence on when the noise changed, if it did."""
-        return said_of_change(self.monitor.history.change(), self.step_s)
+        return noise_change_message(self.monitor.history.change(), self.step_s)
 
     def advice(self) -> tuple[str, ...]:
         """Return what to do about the faults."""
@@ -160,12 +160,12 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = Fa
     rule = limits.outliers
     if not causal:
         possible = np.where(np.isfinite(z) & (np.abs(z) <= limits.largest) & (z != rule.blank), z, np.nan)
-        outlier_codes = beside_others(possible, rule, stuck_at_once(limits))
+        outlier_codes = verdicts_from_neighbours(possible, rule, stuck_at_once(limits))
         codes[(outlier_codes == Verdict.OUTLIER) & ~LOST[codes]] = Verdict.OUTLIER
         codes[outlier_codes == Verdict.STUCK] = Verdict.STUCK
     enters = ~LOST[codes] & (z != rule.blank)
     outliers = np.where((codes == Verdict.OUTLIER) & (z != rule.blank), np.clip(z, rule.low, rule.high), np.nan)
-    return Healthy(z if enters.all() else np.where(enters, z, np.nan), outliers, written(limits))
+    return Healthy(z if enters.all() else np.where(enters, z, np.nan), outliers, limits_recipe(limits))
 
 
 class SensorWatch:
@@ -234,10 +234,10 @@ class SensorWatch:
         self.rows += len(z)
         return np.where(LOST[verdicts], np.nan, z) if verdicts.any() else z
 
-    def begin_after(self, before: History) -> None:
+    def set_history(self, before: History) -> None:
         """Set the history before the first row."""
-        self._faults.begin_after(before.rows, before.steps, before.least, before.most)
-        self.monitor.begin_after(before.readings, before.rows, before.steps)
+        self._faults.set_history(before.rows, before.steps, before.least, before.most)
+        self.monitor.set_history(before.readings, before.rows, before.steps)
 
     def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
         """Take the innovations of the next rows (B,), and their expected standard deviations."""
@@ -276,7 +276,7 @@ class SensorWatch:
         rows = len(verdicts)
         before, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
         alarms, self._alarms = self._alarms[:rows], self._alarms[rows:]
-        named = beside_filter(verdicts, before)
+        named = merged_verdicts(verdicts, before)
         return np.where((named == Verdict.USED) & (alarms > 0), alarms, named) if alarms.any() else named
 
     @property
@@ -285,6 +285,6 @@ class SensorWatch:
         return Findings(self._faults.limits, self._step_s, self.rows, self._faults.found, self.monitor)
 
 
-def beside_filter(verdicts: Codes, before: Codes) -> Codes:
+def merged_verdicts(verdicts: Codes, before: Codes) -> Codes:
     """Return the verdicts (B,): those of the filter, if it rejected or found a step, else those from before it."""
     return np.where(_FROM_FILTER[verdicts], verdicts, before) if verdicts.any() else before

@@ -19,9 +19,9 @@ from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow, rows_between
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels
-from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.rows import Judge
-from becalm.core.steady.steady_gain import FORGOTTEN, rows_until
+from becalm.core.steady.steady_gain import NEGLIGIBLE_SHARE, rows_until_decayed
 from becalm.identification.likelihood import Tuning
 
 
@@ -72,7 +72,7 @@ class Filter:
         else:
             self.noise_variance, self.noise_std = self.tuning.noise_variance, recipe.motion.noise_std
             self.gap_limit = gap_limit_of(self.tuning.component, self.noise_variance)
-        self.largest = largest_beside(self.noise_variance)
+        self.largest = largest_magnitude_for_noise(self.noise_variance)
 
     def opened(
         self, judge: Judge | None = None, *, split: bool = False
@@ -104,9 +104,9 @@ class Filter:
     def forgotten_after(self) -> float:
         """Return after how many readings estimates forget the start (of a smoother: also the end) of a run; or inf."""
         if self.modes is None:
-            return rows_until(FORGOTTEN, self.tuning.component.to_model(1.0, self.noise_variance))
+            return rows_until_decayed(NEGLIGIBLE_SHARE, self.tuning.component.to_model(1.0, self.noise_variance))
         models = [mode.component.to_model(1.0, mode.noise_variance) for mode in self.modes.modes]
-        return max(rows_until(FORGOTTEN, model) for model in models)
+        return max(rows_until_decayed(NEGLIGIBLE_SHARE, model) for model in models)
 
     def _part(self, modes: InteractingModels, judge: Judge | None, split: bool) -> PartialFlow:
         if self.lag:

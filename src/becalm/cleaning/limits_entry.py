@@ -20,7 +20,7 @@ _PARTS = 36  # of the plausible range: a channel that comes closer to 0 may rest
 _LEAST_ROUNDING = 1e-3  # of the resolution; a smaller error is left out
 
 
-def written(limits: Limits) -> LimitsRecipe | None:
+def limits_recipe(limits: Limits) -> LimitsRecipe | None:
     """Return limits in the form of a recipe; None if there are only limits of the time."""
     rails = [float(rail) if np.isfinite(rail) else None for rail in limits.rails]
     largest = limits.largest if limits.largest < BEYOND_ANY_SENSOR else None

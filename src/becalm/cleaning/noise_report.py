@@ -15,7 +15,7 @@ from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import RecordingError, UsageError
 from becalm.identification.rest.allan import allan_deviation
 from becalm.identification.rest.allan_terms import noise_terms
-from becalm.identification.rest.detection import Stretch, find_still, said_still
+from becalm.identification.rest.detection import Stretch, detect_rests, named_rests
 from becalm.identification.rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
 from becalm.identification.rest.windows import quantum, runs_of
 
@@ -118,7 +118,7 @@ def report_noise(
     if not 0 < cutoff_hz < np.inf:
         raise UsageError(f"cutoff_hz = {cutoff_hz} is not a cut-off; give a positive number of hertz, such as 1.0.")
     recording = _without_impossible(recording)
-    stillness = find_still(recording) if still is None else said_still(recording, still)
+    stillness = detect_rests(recording) if still is None else named_rests(recording, still)
     spans_s = tuple(_span_s(recording, stretch) for stretch in stillness.stretches)
     reports = []
     for name, unit in zip(recording.names, recording.units, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 
 from becalm.core.recording import Recording
 from becalm.errors import SensorError
-from becalm.identification.rest.detection import SHORTEST_S, find_still
+from becalm.identification.rest.detection import SHORTEST_S, detect_rests
 from becalm.sensors.poses import FEWEST_POSES, Rests
 
 _AXES = 3
@@ -38,7 +38,7 @@ def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
     if len(recording.names) != _AXES:
         raise SensorError(f"{len(recording.names)} channels came; a triaxial sensor has three. Select these.")
     means, stds = [], []
-    for start, stop in find_still(recording, shortest_s).stretches:
+    for start, stop in detect_rests(recording, shortest_s).stretches:
         rest = recording.samples[start:stop]
         rest = rest[np.isfinite(rest).all(axis=1)]
         if len(rest) < _BLOCKS:
@@ -63,6 +63,6 @@ def find_poses(recording: Recording) -> Rests:
     if len(rests.means) < FEWEST_POSES:
         raise SensorError(
             f"{len(rests.means)} rests were found, but {FEWEST_POSES} are needed: "
-            f"{find_still(recording).reason} Lay the sensor down in each pose for some seconds."
+            f"{detect_rests(recording).reason} Lay the sensor down in each pose for some seconds."
         )
     return rests

@@ -100,7 +100,7 @@ class TimingNoise:
         return waiting[:count]
 
 
-def said_of_times(timing: TimingRecipe | None, share: float) -> list[str]:
+def timing_sentences(timing: TimingRecipe | None, share: float) -> list[str]:
     """Return a sentence on what uncertain times add to sigma, if it is noticeable."""
     if timing is None or share < _NOTICEABLE:
         return []

@@ -28,7 +28,7 @@ def time_std_of(time: Timebase) -> float:
     return 0.0 if time.uniform or rounded < _WORTH * time.step_s else float(rounded)
 
 
-def timed(recipe: Recipe, recording: Recording, std_s: float, *, at_rest: bool) -> Recipe:
+def with_timing(recipe: Recipe, recording: Recording, std_s: float, *, at_rest: bool) -> Recipe:
     """Return a recipe with the uncertainty of the time of readings.
 
     Parameters

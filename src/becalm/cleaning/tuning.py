@@ -17,7 +17,7 @@ from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.steps import SOON, gate_of, in_seconds, lag_in_rows
-from becalm.cleaning.timing import time_std_of, timed
+from becalm.cleaning.timing import time_std_of, with_timing
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
@@ -30,7 +30,7 @@ from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
 from becalm.identification.lines import MOST_TONES
 from becalm.identification.modes.robust import choose_robust
 from becalm.identification.modes.switching import Switched, find_switching
-from becalm.identification.rest.detection import said_still
+from becalm.identification.rest.detection import named_rests
 from becalm.identification.trust.tuning_spread import tuning_spread
 from becalm.identification.wishes.dial import Dial, may_judge, turn
 from becalm.installation import load_scipy, version
@@ -154,7 +154,7 @@ def explore(
     mode: Mode = "causal" if causal else "smoothed" if wishes.lag_s is None else "lagged"
     recipe = Recipe(mode=mode, lag_s=wishes.lag_s, tuned_on=origin, channel=tuple(one.channel for one in found))
     std_s = time_std_of(chosen.timebase) if wishes.time_std_s is None else wishes.time_std_s
-    return Tuned(timed(recipe, chosen, std_s, at_rest=bool(wishes.still_s)) if std_s else recipe, found)
+    return Tuned(with_timing(recipe, chosen, std_s, at_rest=bool(wishes.still_s)) if std_s else recipe, found)
 
 
 def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> ChannelTuning:
@@ -220,7 +220,7 @@ def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | N
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
     """Measure a channel's noise at rest, in uneven time as white noise; None if all readings at rest are equal."""
     readings, elapsed = judge(rest.channel(name)).readings, rest.timebase.elapsed_steps
-    parts = [slice(*stretch) for stretch in said_still(rest, still_s).stretches]
+    parts = [slice(*stretch) for stretch in named_rests(rest, still_s).stretches]
     if not any(np.nanstd(readings[part]) > 0 for part in parts if np.isfinite(readings[part]).any()):
         return None
     try:

@@ -14,7 +14,7 @@ from types import FrameType
 from typing import NamedTuple
 
 from becalm.cli.messages import stderr
-from becalm.cli.stopping import beside, stop_cleanly
+from becalm.cli.stopping import call_in_thread, stop_cleanly
 from becalm.errors import InputError, UsageError
 from becalm.files.read_options import ReadOptions
 from becalm.web.extra import need_app
@@ -122,7 +122,7 @@ def _open_listener(where: PageAddress) -> socket.socket:
 def _hear_signals() -> threading.Event:
     """Return an event that the first signal sets; a second signal ends the process at once."""
     stopped = threading.Event()
-    end = beside(stopped.set)
+    end = call_in_thread(stopped.set)
 
     def stop(number: int, frame: FrameType | None) -> None:
         stop_cleanly()

@@ -13,7 +13,7 @@ from rich.table import Table
 from becalm.cleaning.pose_entry import LEAST_GRAVITY, MOST_GRAVITY, PoseReport, report_poses
 from becalm.cleaning.sensor_file import to_toml
 from becalm.cli.messages import stderr, tell_notes
-from becalm.cli.opened_file import Said, open_as, refuse_overwriting, shown_name
+from becalm.cli.opened_file import FileOptions, open_as, refuse_overwriting, shown_name
 from becalm.errors import SensorError, UsageError
 from becalm.files.portions import beginning, cut_short
 from becalm.files.text_file import refuse_unwritable, write_text
@@ -23,7 +23,7 @@ from becalm.sensors.record import COVERAGE
 _AXES = 3
 
 
-def run(file: Path, said: Said, output: Path, unit: str, gravity: float | None, *, as_json: bool) -> None:  # noqa: PLR0913  (one argument for each option)
+def run(file: Path, said: FileOptions, output: Path, unit: str, gravity: float | None, *, as_json: bool) -> None:  # noqa: PLR0913  (one argument for each option)
     """Calibrate the accelerometer of a file, and write its sensor file.
 
     Raises

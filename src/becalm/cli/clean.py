@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from becalm.cleaning.calibrating import tared_anew
+from becalm.cleaning.calibrating import with_new_tares
 from becalm.cleaning.pipeline import fitted, in_mode, joined
 from becalm.cli.messages import progress, tell, tell_bands, tell_not_removed
-from becalm.cli.opened_file import is_same, load, open_every, recipe_beside, refuse_overwriting, refuse_taken, tuned
+from becalm.cli.opened_file import is_same, load, open_every, recipe_path_of, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.report_files import Done, Picturing
 from becalm.cli.times import pass_through, refuse_times, tell_times, timed
 from becalm.errors import UsageError
 from becalm.files.chunked_cleaning import clean_chunks
 from becalm.files.registry import format_to_write
-from becalm.files.text_file import refuse_unwritable, text_in_waiting
+from becalm.files.text_file import refuse_unwritable, staged_text
 from becalm.files.writing import open_output, refuse_columns
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
-    from becalm.cli.opened_file import Said
+    from becalm.cli.opened_file import FileOptions
     from becalm.cli.options import FilterOptions
     from becalm.files.opening import OpenSource
 
@@ -48,10 +48,10 @@ class Outputs(NamedTuple):
     @property
     def recipe(self) -> Path:
         """Return the path of the recipe."""
-        return recipe_beside(self.output)
+        return recipe_path_of(self.output)
 
 
-def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_json: bool) -> bool:
+def run(file: Path, said: FileOptions, asking: CleanOptions, outputs: Outputs, *, as_json: bool) -> bool:
     """Clean a file; return whether the model of every channel describes its signal."""
     output, recipe_path, filters = outputs.output, outputs.recipe, asking.asked
     if asking.recipe is not None and filters.anything:
@@ -77,7 +77,7 @@ def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_js
         text, gatherings = recipe.to_toml(), picturing.gatherings(sources, recipes)
         done: list[Done] = []
         with (
-            text_in_waiting(recipe_path, text),
+            staged_text(recipe_path, text),
             open_output(output, {"becalm.recipe": text}) as out,
             progress("cleaning", sum(source.rows for source in sources)) as step,
         ):
@@ -124,10 +124,12 @@ def run(file: Path, said: Said, asking: CleanOptions, outputs: Outputs, *, as_js
     return describes
 
 
-def _recipe_for(source: OpenSource, file_options: Said, options: CleanOptions, given: Recipe | None) -> Recipe:
+def _recipe_for(source: OpenSource, file_options: FileOptions, options: CleanOptions, given: Recipe | None) -> Recipe:
     """Return the recipe for a file: the given one, or one that is tuned on the file."""
     recipe = tuned(source, options.causal, options.asked, options.lag_s) if given is None else given
     wanted = in_mode(recipe, options.causal or None, options.lag_s)
     names = source.names if file_options.channels or source.group else None
     chosen = fitted(wanted, source.names, source.units, channels=names)
-    return file_options.kept_in(chosen.model_copy(update={"channel": tared_anew(chosen.channel, source.calibrations)}))
+    return file_options.with_time_options(
+        chosen.model_copy(update={"channel": with_new_tares(chosen.channel, source.calibrations)})
+    )

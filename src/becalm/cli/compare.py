@@ -15,12 +15,12 @@ from becalm.cli.messages import stderr, tell_notes
 from becalm.cli.opened_file import AS_WRITTEN, shown_name
 from becalm.files.opening import open_source
 from becalm.files.portions import beginning, cut_short
-from becalm.files.read_options import Asker, Fitting, ReadOptions
+from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
 from becalm.files.text_file import make_folder, refuse_unwritable, write_text
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison
-    from becalm.cli.opened_file import Said
+    from becalm.cli.opened_file import FileOptions
     from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
@@ -35,7 +35,7 @@ class CompareOptions(NamedTuple):
     folder: Path | None
 
 
-def run(source: OpenSource, said: Said, asking: CompareOptions, *, as_json: bool) -> None:
+def run(source: OpenSource, said: FileOptions, asking: CompareOptions, *, as_json: bool) -> None:
     """Compare on a file, or on the beginning of a long one, and print the result."""
     truth, causal, folder = asking
     page = None if folder is None else _page_in(folder)
@@ -65,20 +65,22 @@ def _page_in(folder: Path) -> Path:
 
 
 def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | None], comparison: Comparison) -> None:
-    from becalm.report.classic_figures import beside
+    from becalm.report.classic_figures import comparison_figures
     from becalm.report.page import Facts, page_of
     from becalm.report.running import pictures_of
 
     recording, truth = read
     facts = Facts(shown_name(source.path), source.sha256())
     recipe = comparison.cleaned.recipe
-    write_text(page, page_of(facts, recipe, pictures_of(recording, recipe), beside(comparison, recording, truth)))
+    write_text(
+        page, page_of(facts, recipe, pictures_of(recording, recipe), comparison_figures(comparison, recording, truth))
+    )
     stderr.print(f"Wrote {page}.")
 
 
-def _truth(path: Path, source: OpenSource, file_options: Said) -> Recording:
+def _truth(path: Path, source: OpenSource, file_options: FileOptions) -> Recording:
     """Read the same channels of the truth; the time options hold for both files."""
-    asker = Asker("The recording", " Give a truth of the same channels, or choose some with --channels.")
+    asker = RequestOrigin("The recording", " Give a truth of the same channels, or choose some with --channels.")
     fitting = Fitting(asker, dict(zip(source.names, source.units, strict=True)))
     kept = file_options.stamps == AS_WRITTEN
     options = ReadOptions(

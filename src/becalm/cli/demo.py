@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def run(folder: Path) -> None:
     """Write the drive and its clean signal into a folder, and print the errors."""
     from becalm.cleaning.pipeline import clean
-    from becalm.cli.opened_file import recipe_beside
+    from becalm.cli.opened_file import recipe_path_of
     from becalm.files.reading import read
     from becalm.files.text_file import make_folder, write_text
     from becalm.files.writing import write
@@ -33,7 +33,7 @@ def run(folder: Path) -> None:
     smoothed, causal = clean(recording), clean(recording, causal=True)
     for path, cleaned in ((calm, smoothed), (live, causal)):
         write(path, cleaned.signal, cleaned.sigma)
-        write_text(recipe_beside(path), cleaned.recipe.to_toml())
+        write_text(recipe_path_of(path), cleaned.recipe.to_toml())
     page = folder / "drive_clean.html"
     facts = Facts(raw.name)
     write_text(page, page_of(facts, smoothed.recipe, pictures_of(recording, smoothed.recipe)))

@@ -14,7 +14,7 @@ import typer
 
 from becalm.cleaning.recipe import Recipe
 from becalm.cli.messages import stderr
-from becalm.cli.opened_file import is_same, open_as, said_of
+from becalm.cli.opened_file import is_same, open_as, read_file_options
 from becalm.cli.options import split_names
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
@@ -24,7 +24,7 @@ from becalm.export.facts import cost_words
 from becalm.export.kind import Span
 from becalm.export.layouts import library_name
 from becalm.export.written import FOLDER
-from becalm.files.temporary_files import in_waiting
+from becalm.files.temporary_files import removed_afterwards
 from becalm.files.text_file import make_folder, refuse_unwritable, write_folder, write_text
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _library_in(output: Path, stem: str) -> set[str]:
 def _scratch() -> Iterator[Path]:
     """Provide an empty folder that is removed at the end, even if a signal stops the process."""
     place = Path(tempfile.mkdtemp(prefix="becalm-export-"))
-    with in_waiting(place):
+    with removed_afterwards(place):
         yield place
 
 
@@ -196,7 +196,7 @@ def _read_recording(recipe: Recipe, file: Path, channels: str | None) -> dict[st
     """Return the channels of a recording, in the recipe's units."""
     from becalm.cli.options import When
 
-    file_options = said_of(channels, When(None, None, None, None), None, None).or_as(recipe)
+    file_options = read_file_options(channels, When(None, None, None, None), None, None).or_as(recipe)
     with open_as(file, file_options) as source:
         read = source.recording()
         step_s = read.timebase.step_s

@@ -13,7 +13,7 @@ from becalm.cli.stopping import stop_cleanly
 from becalm.errors import NOT_DESCRIBED, UsageError
 from becalm.fleet.batch import BatchOptions, Fleet, clean, refuse_inside
 from becalm.fleet.job import STRETCH_ROWS
-from becalm.fleet.lake import told_apart
+from becalm.fleet.lake import find_sensor_layout
 from becalm.fleet.names import listed
 from becalm.fleet.recipes import open_book
 from becalm.fleet.session import session
@@ -87,7 +87,7 @@ def clean_lake(lake: Path, output: Path, asking: FleetOptions, where: SparkAddre
         raise UsageError(f"--stretch {asking.stretch_rows} is not a number of rows; give 1 or more, or leave it out.")
     book = open_book(asking.recipe, asking.recipes)
     refuse_inside(lake.resolve(), output.resolve())
-    told_apart(lake, asking.by)
+    find_sensor_layout(lake, asking.by)
     options = BatchOptions(asking.by, asking.causal or None, asking.stretch_rows or STRETCH_ROWS)
     with spark_at(where) as spark:
         fleet = clean(spark, lake, output, book, options)

@@ -12,7 +12,7 @@ import typer
 from becalm.cli.fleet import spark_at
 from becalm.errors import UsageError
 from becalm.files.text_file import make_folder
-from becalm.fleet.output_lock import alone_at
+from becalm.fleet.output_lock import lock_output
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan
 from becalm.live.address import Address, seconds_of
 
@@ -62,7 +62,7 @@ def _locked_output(plan: StreamPlan) -> Iterator[None]:
         return
     place = Path(plan.output)
     make_folder(place)
-    with alone_at(place, place / "_becalm.lock"):
+    with lock_output(place, place / "_becalm.lock"):
         yield
 
 

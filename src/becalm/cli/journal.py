@@ -18,7 +18,7 @@ from becalm.errors import UsageError
 from becalm.files.registry import format_to_write
 from becalm.files.writing import open_output
 from becalm.live.address import seconds_of
-from becalm.live.journal.checking import faults, told
+from becalm.live.journal.checking import faults, rows_text
 from becalm.live.journal.reading import JournalReader, JournalStretch, open_journal
 from becalm.live.journal.recording import prune
 from becalm.live.tables import table_schema
@@ -113,7 +113,7 @@ def _verify(folder: Path, as_json: bool) -> bool:
         summary = {"folder": str(folder), "whole": not damage, "rows": rows, "wrong": damage, "lost": lost}
         print(json.dumps(summary, indent=2))  # noqa: T201
     for hole in holes:
-        stderr.print(f"{told(hole).capitalize()} are known to be lost.")
+        stderr.print(f"{rows_text(hole).capitalize()} are known to be lost.")
     for sentence in damage:
         stderr.print(sentence)
     if rows is None:

@@ -13,7 +13,7 @@ from urllib.parse import urlencode
 import typer
 
 from becalm.cleaning.recipe import Recipe
-from becalm.cli.stopping import beside, stop_cleanly
+from becalm.cli.stopping import call_in_thread, stop_cleanly
 from becalm.errors import BecalmError, UsageError
 from becalm.live.address import Address, seconds_of
 from becalm.live.commit_thread import Outlets
@@ -193,8 +193,8 @@ def _print_message(text: str) -> None:
 
 def _handle_signals(runner: Runner, recipe: Path | None) -> None:
     """Handle signals: stop after a commit at the first one, at once at the second; reload the recipe at SIGHUP."""
-    end = beside(runner.stop)
-    retune = end if recipe is None else beside(partial(runner.retune, partial(Recipe.load, recipe)))
+    end = call_in_thread(runner.stop)
+    retune = end if recipe is None else call_in_thread(partial(runner.retune, partial(Recipe.load, recipe)))
 
     def stop(number: int, frame: FrameType | None) -> None:
         stop_cleanly()

@@ -19,7 +19,7 @@ from becalm.cli.export_command import export
 from becalm.cli.fleet_command import fleet
 from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
-from becalm.cli.opened_file import load, open_as, open_every, refuse_overwriting, said_of, tuned
+from becalm.cli.opened_file import load, open_as, open_every, read_file_options, refuse_overwriting, tuned
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import NOT_DESCRIBED, BecalmError, UsageError
 from becalm.installation import version
@@ -64,7 +64,7 @@ def inspect(  # noqa: PLR0913  (one argument for each option)
     from becalm.cli.layouts import show, summary
     from becalm.cli.messages import tell_bands
 
-    with open_every(file, said_of(channels, o.When(rate, time, group, stamps), unit, sensors)) as opened:
+    with open_every(file, read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)) as opened:
         if as_json:
             print(json.dumps({"file": str(file), **summary(opened)}, indent=2))  # noqa: T201
         else:
@@ -104,9 +104,11 @@ def clean(  # noqa: PLR0913  (one argument for each option)
     """Remove the noise from a recording; no option is required."""
     from becalm.cli.clean import CleanOptions, Outputs, run
 
-    wanted = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
+    wanted = o.filter_options(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(
+        fill=fill
+    )
     outputs = Outputs(output, split, verdicts, report, figures)
-    file_options = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    file_options = read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)
     if not run(file, file_options, CleanOptions(recipe, causal, o.lag_of(lag), wanted), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
@@ -142,11 +144,13 @@ def tune(  # noqa: PLR0913  (one argument for each option)
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    file_options = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
-    wanted = o.asked_of(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(fill=fill)
+    file_options = read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)
+    wanted = o.filter_options(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(
+        fill=fill
+    )
     with open_every(file, file_options) as opened:
         tell_notes(*opened.sources)
-        recipe = file_options.kept_in(
+        recipe = file_options.with_time_options(
             joined([tuned(source, causal, wanted, o.lag_of(lag)) for source in opened.sources])
         )
     write_text(output, recipe.to_toml())
@@ -179,7 +183,7 @@ def compare(  # noqa: PLR0913  (one argument for each option)
     from becalm.cli.compare import CompareOptions, run
 
     loaded = load(recipe)
-    file_options = said_of(channels, o.When(rate, time, group, stamps), unit, sensors)
+    file_options = read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)
     file_options = file_options if loaded is None else file_options.or_as(loaded)
     with open_as(file, file_options) as source:
         run(source, file_options, CompareOptions(truth, causal, output), as_json=as_json)
@@ -203,7 +207,7 @@ def noise(  # noqa: PLR0913  (one argument for each option)
     from becalm.cli.noise import run
 
     cutoff_hz = None if cutoff is None else o.frequency_of("--cutoff", cutoff)
-    with open_as(file, said_of(channels, o.When(rate, time, group, stamps), unit, sensors)) as source:
+    with open_as(file, read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)) as source:
         run(source, o.still_of(still), cutoff_hz, as_json)
 
 
@@ -223,7 +227,14 @@ def calibrate(  # noqa: PLR0913  (one argument for each option)
     """Calibrate a triaxial accelerometer from ten or more static poses; write its sensor file."""
     from becalm.cli.calibrate import run
 
-    run(file, said_of(channels, o.When(rate, time, group, stamps), None, None), output, unit, gravity, as_json=as_json)
+    run(
+        file,
+        read_file_options(channels, o.When(rate, time, group, stamps), None, None),
+        output,
+        unit,
+        gravity,
+        as_json=as_json,
+    )
 
 
 @app.command()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 AS_WRITTEN, MENDED = "as-written", "mended"
 
 
-class Said(NamedTuple):
+class FileOptions(NamedTuple):
     """The options for reading a file."""
 
     channels: str | None
@@ -35,7 +35,7 @@ class Said(NamedTuple):
     sensors: tuple[SensorRecord, ...] = ()
     stamps: str | None = None
 
-    def or_as(self, recipe: Recipe) -> Said:
+    def or_as(self, recipe: Recipe) -> FileOptions:
         """Return the options with the time of a recipe, unless there are time options."""
         if self.rate_hz is None and self.time is None:
             rate_hz = None if self.stamps == AS_WRITTEN else recipe.rate_hz
@@ -43,7 +43,7 @@ class Said(NamedTuple):
             return self._replace(rate_hz=rate_hz, time=recipe.time, stamps=stamps, recipe=recipe)
         return self._replace(recipe=recipe)
 
-    def kept_in(self, recipe: Recipe) -> Recipe:
+    def with_time_options(self, recipe: Recipe) -> Recipe:
         """Return the recipe with the time options, so that it repeats the same cleaning."""
         return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time, "stamps": self._kept_stamps})
 
@@ -62,7 +62,7 @@ class Said(NamedTuple):
         return names
 
 
-def said_of(channels: str | None, when: When, units: list[str] | None, sensors: Path | None) -> Said:
+def read_file_options(channels: str | None, when: When, units: list[str] | None, sensors: Path | None) -> FileOptions:
     """Return the options for reading a file; print a warning for sensors that are due for calibration.
 
     Raises
@@ -82,39 +82,39 @@ def said_of(channels: str | None, when: When, units: list[str] | None, sensors: 
         records = load_sensors(sensors)
         for sentence in due_warnings(records, datetime.now().astimezone().date()):
             stderr.print(sentence)
-    return Said(channels, when.rate_hz, when.time, None, when.group, units_of(units), records, when.stamps)
+    return FileOptions(channels, when.rate_hz, when.time, None, when.group, units_of(units), records, when.stamps)
 
 
-def open_as(file: Path, said: Said) -> OpenSource:
+def open_as(file: Path, said: FileOptions) -> OpenSource:
     """Open one time base of a file with these options."""
     from becalm.files.opening import open_source
 
     return open_source(file, _options(file, said))
 
 
-def open_every(file: Path, said: Said) -> AbstractContextManager[OpenFile]:
+def open_every(file: Path, said: FileOptions) -> AbstractContextManager[OpenFile]:
     """Open a file with these options and all its time bases."""
     from becalm.files.time_bases import open_file
 
     return open_file(file, _options(file, said))
 
 
-def _options(file: Path, said: Said) -> ReadOptions:
-    from becalm.files.read_options import COMMAND_LINE, Asker, Fitting, ReadOptions
+def _options(file: Path, said: FileOptions) -> ReadOptions:
+    from becalm.files.read_options import COMMAND_LINE, Fitting, ReadOptions, RequestOrigin
 
     asker = COMMAND_LINE
     if said.recipe is not None and said.channels is None:
         another = f"make another recipe with: becalm tune {file} -o R.toml"
-        asker = Asker("The recipe", f" Choose some of its channels with --channels, or {another}")
+        asker = RequestOrigin("The recipe", f" Choose some of its channels with --channels, or {another}")
     fitting = None
     if said.recipe is not None:
-        needs = Asker("The recipe", f" Make another recipe with: becalm tune {file} -o R.toml")
+        needs = RequestOrigin("The recipe", f" Make another recipe with: becalm tune {file} -o R.toml")
         fitting = Fitting(needs, {channel.name: channel.unit for channel in said.recipe.channel})
     kept = said.stamps == AS_WRITTEN
     return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group, fitting, said.units, said.sensors, kept)
 
 
-def recipe_beside(output: Path) -> Path:
+def recipe_path_of(output: Path) -> Path:
     """Return the path of the recipe of an output."""
     return Path(f"{output}.recipe.toml")
 

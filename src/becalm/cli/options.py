@@ -168,7 +168,7 @@ class Dials(NamedTuple):
     noise_gain: str | None
 
 
-def asked_of(
+def filter_options(
     dials: Dials, still: str | None, remove: str | None, robust: bool = False, jitter: str | None = None
 ) -> FilterOptions:
     """Return the filter options: --max-lag, --bandwidth, --noise-gain, --still, --remove, --robust, --time-jitter.

@@ -11,7 +11,7 @@ import typer
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.sensor_file import load_sensors
 from becalm.cli.messages import stderr
-from becalm.cli.opened_file import recipe_beside, refuse_overwriting
+from becalm.cli.opened_file import recipe_path_of, refuse_overwriting
 from becalm.cli.times import refuse_times
 from becalm.errors import UsageError
 from becalm.files.opening import close
@@ -38,7 +38,7 @@ def run(file: Path, output: Path, sensors: Calibrations) -> None:
     """
     format_to_write(output)
     refuse_overwriting(file, output)
-    recipe_path = recipe_beside(file)
+    recipe_path = recipe_path_of(file)
     if not recipe_path.exists():
         raise UsageError(f"{recipe_path} does not exist; {file} needs this recipe next to it. Keep the two together.")
     recipe, old, new = Recipe.load(recipe_path), load_sensors(sensors.old), load_sensors(sensors.new)

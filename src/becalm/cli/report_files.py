@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast, get_args
 
 import typer
 
-from becalm.cli.opened_file import is_same, recipe_beside, shown_name
+from becalm.cli.opened_file import is_same, recipe_path_of, shown_name
 from becalm.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Picturing:
             if page.suffix.lower() not in _PAGES:
                 better = page.with_suffix(".html")
                 raise UsageError(f"The report is an HTML page, but {page} is not; write --report {better}")
-            for other, what in ((output, "output"), (recipe_beside(output), "recipe")):
+            for other, what in ((output, "output"), (recipe_path_of(output), "recipe")):
                 if page.resolve() == other.resolve():
                     raise UsageError(f"{page} is the {what} too; give the report another name.")
             uplot()

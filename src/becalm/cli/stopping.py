@@ -25,7 +25,7 @@ def stop_cleanly(word: bytes = _MESSAGE) -> None:
             signal.signal(number, partial(_stop, word))
 
 
-def beside(act: Callable[[], None]) -> Callable[[], None]:
+def call_in_thread(act: Callable[[], None]) -> Callable[[], None]:
     """Return a function that calls `act` in a thread, for signal handlers.
 
     A handler may interrupt code that holds a lock, so that it must not take one itself.

@@ -20,13 +20,13 @@ from becalm.core.filter.gate import Gate
 from becalm.core.health.limits import Limits
 from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.covariances import covariance_ahead
-from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.model.model import Model
 from becalm.core.model.parts import Component
-from becalm.core.steady.opening_gains import Opening, open_at
+from becalm.core.steady.opening_gains import Opening, determine_state
 from becalm.core.steady.response import Response, describe
 from becalm.core.steady.steady_filter import SteadyFilter
-from becalm.core.steady.steady_gain import rows_until, steady
+from becalm.core.steady.steady_gain import rows_until_decayed, steady
 from becalm.errors import ModelError
 
 NOT_IN_C = (
@@ -112,12 +112,12 @@ class Design:
     @property
     def largest(self) -> float:
         """Magnitude beyond which a value is overrange, in unit."""
-        return min(self.limits.largest, largest_beside(self.noise_variance))
+        return min(self.limits.largest, largest_magnitude_for_noise(self.noise_variance))
 
     @cached_property
     def opening(self) -> Opening:
         """The opening: how the first readings determine the state."""
-        return open_at(self.model)
+        return determine_state(self.model)
 
     @cached_property
     def steady(self) -> SteadyFilter | None:
@@ -149,7 +149,7 @@ class Design:
     @cached_property
     def settled_rows(self) -> int:
         """Complete rows after which the gain is constant to the last digit; the largest number if it never is."""
-        rows = rows_until(_UNMOVED, self.model) if self.steady else np.inf
+        rows = rows_until_decayed(_UNMOVED, self.model) if self.steady else np.inf
         return int(min(np.ceil(1.1 * rows) + 32, _COUNTABLE)) if np.isfinite(rows) else _COUNTABLE
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.model.covariances import covariance_ahead, gain_before
-from becalm.core.steady.opening_gains import Leap, gains_after, leap_of
+from becalm.core.steady.opening_gains import CovarianceMap, covariance_map, gains_after
 from becalm.errors import RecipeError
 from becalm.export.design import Design, spread_of
 
@@ -84,7 +84,7 @@ def schedule_of(design: Design, near: float, most_numbers: int = MOST_NUMBERS) -
 def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> Schedule:
     """Return a schedule of gains that several rows share, each that of the middle of its rows."""
     K, counts, row = list(first), [1] * len(first), len(first)
-    one = leap_of(design.model)
+    one = covariance_map(design.model)
     P, leaps = _after(design, row), [one]
     while row < _MOST_ROWS:
         count = min(max(row // _ALIKE, 1), _MOST_ALIKE)
@@ -100,13 +100,13 @@ def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> 
 
 def _after(design: Design, rows: int) -> Floats:
     """Return the covariance before the reading that is `rows` rows after the opening."""
-    P, leap = covariance_ahead(design.opening.P, design.model), leap_of(design.model)
+    P, leap = covariance_ahead(design.opening.P, design.model), covariance_map(design.model)
     for _ in range(rows):
         P = leap.over(P)
     return P
 
 
-def _leap(leaps: list[Leap], P: Floats, steps: int) -> Floats:
+def _leap(leaps: list[CovarianceMap], P: Floats, steps: int) -> Floats:
     """Return the covariance a number of steps later."""
     bit = 0
     while steps >> bit:

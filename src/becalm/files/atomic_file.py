@@ -14,7 +14,7 @@ from typing import IO
 import pyarrow as pa
 
 from becalm.errors import OutputError
-from becalm.files.temporary_files import in_waiting
+from becalm.files.temporary_files import removed_afterwards
 
 UNNAMED = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
 """A pattern that matches the temporary names of files that are being written."""
@@ -30,7 +30,7 @@ def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
     OutputError
         If writing or renaming fails; the temporary file is removed.
     """
-    with replacing(path) as file, sentences(path):
+    with replacing(path) as file, explain_write_errors(path):
         fill(file)
 
 
@@ -45,19 +45,19 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
     """
     target = path.resolve()
     temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(4)}.part")
-    with in_waiting(temporary):
-        with sentences(path):
+    with removed_afterwards(temporary):
+        with explain_write_errors(path):
             file = temporary.open("x+b")
         try:
             yield file
-            with sentences(path):
+            with explain_write_errors(path):
                 file.flush()
                 os.fsync(file.fileno())
                 file.close()
         finally:
             with suppress(OSError):  # after a failure the file is removed, so an error on closing does not matter
                 file.close()
-        with sentences(path):
+        with explain_write_errors(path):
             temporary.replace(target)
             sync_folder(target.parent)
 
@@ -70,13 +70,13 @@ def refuse_folder(path: Path) -> None:
     OutputError
         If the path is a directory, or the system does not accept it.
     """
-    with sentences(path):
+    with explain_write_errors(path):
         if path.is_dir():
             raise OutputError(f"{path} is a directory; give the path of a file in it.")
 
 
 @contextmanager
-def sentences(path: Path) -> Iterator[None]:
+def explain_write_errors(path: Path) -> Iterator[None]:
     """Turn errors of the system and of pyarrow into an OutputError that explains why `path` cannot be written.
 
     Raises

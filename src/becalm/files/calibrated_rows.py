@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.files.roles import values_of
 from becalm.files.rows import TableRows
 from becalm.files.unit_conversion import Conversion
-from becalm.sensors.record import SensorRecord, applied
+from becalm.sensors.record import SensorRecord, convert_readings
 from becalm.sensors.tare import Tare
 
 
@@ -141,7 +141,7 @@ class SensedRows:
             name, size = one.thermometer
             values = converted[name] if name in converted else self._values(block, name)
             readings.append(values * size.factor + size.offset)
-        measured = applied(one.record, dict(zip(one.record.needed, readings, strict=True)))
+        measured = convert_readings(one.record, dict(zip(one.record.needed, readings, strict=True)))
         return dict(zip(one.names, measured.values(), strict=True))
 
     def _values(self, block: pa.Table, name: str) -> Floats:

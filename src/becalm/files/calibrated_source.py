@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from becalm.errors import UsageError
 from becalm.files.calibrated_rows import Sensed, SensedRows, Thermometer
-from becalm.files.read_options import Asker, ReadOptions
+from becalm.files.read_options import ReadOptions, RequestOrigin
 from becalm.files.roles import refuse_no_numbers, unit_of
 from becalm.files.source import RawTable
 from becalm.files.taring import with_tares
@@ -17,7 +17,7 @@ from becalm.files.unit_conversion import Conversion, conversion
 from becalm.files.unit_spelling import parse_header
 from becalm.sensors.record import Calibration, SensorRecord
 
-SENSORS_OPTION = Asker("--sensors")
+SENSORS_OPTION = RequestOrigin("--sensors")
 DEGC = "degC"
 
 

@@ -43,7 +43,7 @@ def unit_of_field(field: pa.Field) -> str:
     return unit.decode("utf-8", "replace")
 
 
-def told_of(schema: pa.Schema) -> Mapping[str, str]:
+def metadata_of(schema: pa.Schema) -> Mapping[str, str]:
     """Return a table's metadata as text."""
     return {key.decode("utf-8", "replace"): text.decode("utf-8", "replace") for key, text in _items(schema)}
 

@@ -74,7 +74,7 @@ class ColumnRows:
         schema = pa.schema([self.schema.field(name) for name in names], self.schema.metadata)
         for first in range(start, self.count, most_rows):
             last = min(first + most_rows, self.count)
-            with self._foreign.damage_told():
+            with self._foreign.explain_damage():
                 values = [self._columns[name].read(first, last) for name in names]
                 arrays = [pa.array(one, kind) for one, kind in zip(values, schema.types, strict=True)]
             yield pa.table(arrays, schema=schema)

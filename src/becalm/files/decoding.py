@@ -106,7 +106,7 @@ def read_bytes(path: Path, most: int | None = None) -> bytes:
     InputError
         If the file is missing, a directory, unreadable or empty.
     """
-    with told(path):
+    with explain_read_errors(path):
         if most is None:
             data = path.read_bytes()
         else:
@@ -118,7 +118,7 @@ def read_bytes(path: Path, most: int | None = None) -> bytes:
 
 
 @contextmanager
-def told(path: Path) -> Iterator[None]:
+def explain_read_errors(path: Path) -> Iterator[None]:
     """Turn errors of the system and of gzip into an InputError that explains why a file cannot be read.
 
     Raises
@@ -168,7 +168,7 @@ def decode(path: Path, data: bytes) -> Text:
 
 def _gunzip(path: Path, data: bytes) -> tuple[bytes, str]:
     plain = bytearray()
-    with told(path), Gunzip(fileobj=io.BytesIO(data)) as file:
+    with explain_read_errors(path), Gunzip(fileobj=io.BytesIO(data)) as file:
         while block := file.read(_BLOCK):
             plain += block
             refuse_claim(path, len(plain), len(data))

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from becalm.files.columns import Column, ColumnRows
 from becalm.files.library_reader import Foreign
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
 
@@ -33,7 +33,7 @@ class Group(NamedTuple):
         Columns in the order of the file; a time column is among them under the name `TIME`.
     rows : int
         Number of rows of each column.
-    time : ToldTime, optional
+    time : FormatTime, optional
         The time, if the format defines it; otherwise a time column is searched for among the columns.
     notes : tuple of str
         Sentences for the user.
@@ -42,7 +42,7 @@ class Group(NamedTuple):
     name: str
     columns: Mapping[str, Column]
     rows: int
-    time: ToldTime | None = None
+    time: FormatTime | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -97,7 +97,7 @@ def _timed(group: Group) -> Mapping[str, Column]:
     return {own: even, **dict(zip(names, group.columns.values(), strict=True))}
 
 
-def _time(group: Group) -> ToldTime | None:
+def _time(group: Group) -> FormatTime | None:
     return None if group.time is None else group.time._replace(column=TIME)
 
 

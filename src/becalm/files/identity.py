@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError
-from becalm.files.decoding import told
+from becalm.files.decoding import explain_read_errors
 
 
 class _Facts(NamedTuple):
@@ -48,7 +48,7 @@ class Original:
         InputError
             If the file cannot be read, or changed since reading began.
         """
-        with told(self._path), self._path.open("rb") as file:
+        with explain_read_errors(self._path), self._path.open("rb") as file:
             digest = hashlib.file_digest(file, "sha256")
         self.refuse_changed()
         return digest.hexdigest()

@@ -56,7 +56,7 @@ class Foreign:
             ) from cause
 
     @contextmanager
-    def damage_told(self) -> Iterator[None]:
+    def explain_damage(self) -> Iterator[None]:
         """Turn any error of a library into an InputError about a damaged file, and silence the library's output.
 
         Raises

@@ -20,7 +20,7 @@ from becalm.core.time.timebase import Timebase
 from becalm.errors import InputError, TimeError
 from becalm.files.calibrated_source import with_sensors
 from becalm.files.chunk import Chunk
-from becalm.files.other_units import in_units_asked
+from becalm.files.other_units import convert_units
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.roles import SIGMA, choose_channels, missing_in, refuse_uncertainties, unit_of, values_of
@@ -266,10 +266,10 @@ def open_source(path: str | os.PathLike[str], options: ReadOptions | None = None
     """
     file, options = Path(path), options or ReadOptions()
     refuse_impossible(options)
-    return understood(file, *as_asked(file, read_tables(file), options))
+    return open_table(file, *select_table(file, read_tables(file), options))
 
 
-def as_asked(file: Path, tables: tuple[RawTable, ...], options: ReadOptions) -> tuple[RawTable, ReadOptions]:
+def select_table(file: Path, tables: tuple[RawTable, ...], options: ReadOptions) -> tuple[RawTable, ReadOptions]:
     """Return the table of a file that the options select, in the requested units; close the other tables.
 
     Returns
@@ -287,7 +287,7 @@ def as_asked(file: Path, tables: tuple[RawTable, ...], options: ReadOptions) -> 
         If the options do not fit the file.
     """
     try:
-        tables, options = in_units_asked(*with_sensors(tables, options))
+        tables, options = convert_units(*with_sensors(tables, options))
         raw = chosen_table(file, tables, options)
     except BaseException:
         close(tables)
@@ -296,7 +296,7 @@ def as_asked(file: Path, tables: tuple[RawTable, ...], options: ReadOptions) -> 
     return raw, options
 
 
-def understood(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
+def open_table(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
     """Return an open source of one table of a file.
 
     Raises

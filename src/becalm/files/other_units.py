@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.errors import UsageError
-from becalm.files.read_options import Asker, Fitting, ReadOptions
+from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
 from becalm.files.roles import SIGMA, unit_of
 from becalm.files.rows import TableRows
 from becalm.files.source import RawTable
@@ -20,7 +20,7 @@ from becalm.files.unit_conversion import Conversion, conversion
 from becalm.files.unit_spelling import parse_header, tidy_unit
 from becalm.sensors.record import Calibration
 
-UNIT_OPTION = Asker("--unit")
+UNIT_OPTION = RequestOrigin("--unit")
 SAME = Conversion()
 
 
@@ -76,7 +76,7 @@ class ConvertedRows:
         self._rows.close()
 
 
-def in_units_asked(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
+def convert_units(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
     """Convert columns to the units that the user requests, then to those that a recipe needs.
 
     Parameters
@@ -152,7 +152,7 @@ def _is_wanted(name: str, needed: str, options: ReadOptions) -> bool:
     return options.channels is None or any(channel.strip() in names for channel in options.channels)
 
 
-def _converted(raw: RawTable, name: str, wanted: Converted, asker: Asker) -> Converted:
+def _converted(raw: RawTable, name: str, wanted: Converted, asker: RequestOrigin) -> Converted:
     """Return the wanted column with its conversion and a note for the user.
 
     Raises

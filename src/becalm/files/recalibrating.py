@@ -19,7 +19,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.recipe_parts import CalibrationRecipe
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
-from becalm.files.read_options import Asker
+from becalm.files.read_options import RequestOrigin
 from becalm.files.roles import SIGMA, unit_of, values_of
 from becalm.files.source import RawTable
 from becalm.files.time_base_choice import holds, listed
@@ -27,10 +27,10 @@ from becalm.files.timing.time_column import named_column
 from becalm.files.unit_spelling import parse_header
 from becalm.sensors.bridge import Bridge
 from becalm.sensors.curve import CalibrationCurve
-from becalm.sensors.record import SensorRecord, applied, tared
+from becalm.sensors.record import SensorRecord, convert_readings, tared
 from becalm.sensors.tare import Tare
 
-_FROM = Asker("--from")
+_FROM = RequestOrigin("--from")
 _AGAIN = "Clean the readings again, with the new sensors."
 _LINE = 2  # number of coefficients of a straight line
 
@@ -189,5 +189,5 @@ def _with_zero(record: SensorRecord, tare: Tare | None) -> SensorRecord:
 def _line(record: SensorRecord) -> tuple[float, float]:
     """Return the slope of a linear sensor, and its result at a reading of 0."""
     (name,) = record.channels
-    zero, one = applied(replace(record, full_scale=None), {name: np.array([0.0, 1.0])})[name]
+    zero, one = convert_readings(replace(record, full_scale=None), {name: np.array([0.0, 1.0])})[name]
     return float(one - zero), float(zero)

@@ -18,7 +18,7 @@ from becalm.files.arrays.npz import is_npz
 from becalm.files.csv.blocks import is_large
 from becalm.files.csv.reader import read_csv
 from becalm.files.csv.spool import spool_csv
-from becalm.files.decoding import PARQUET, read_bytes, told
+from becalm.files.decoding import PARQUET, explain_read_errors, read_bytes
 from becalm.files.identity import Original
 from becalm.files.lake.folder import read_folder
 from becalm.files.parquet import read_parquet
@@ -55,7 +55,7 @@ _ENDINGS = ".csv, .csv.gz, .h5, .mat, .mf4, .npz, .parquet or .tdms"
 _HEAD = 512  # bytes from which formats are recognised
 
 
-class Foreigner(NamedTuple):
+class LibraryFormat(NamedTuple):
     """A format that is recognised by its first bytes and read by a module of its own.
 
     Attributes
@@ -70,19 +70,23 @@ class Foreigner(NamedTuple):
     is_it: Callable[[bytes], bool]
 
 
-FOREIGNERS: tuple[Foreigner, ...] = (
-    Foreigner("arrays.hdf5", is_hdf5),
-    Foreigner("recorders.ide", lambda head: head.startswith(b"\x1a\x45\xdf\xa3") and b"mide" in head[:64]),
-    Foreigner("arrays.mat", is_mat),
-    Foreigner("arrays.mat73", is_mat73),
-    Foreigner("robots.mcap", lambda head: head.startswith(b"\x89MCAP0\r\n")),
-    Foreigner("recorders.mf4", lambda head: head.startswith((b"MDF     ", b"UnFinMF "))),
-    Foreigner("arrays.npz", is_npz),
-    Foreigner("robots.rosbag", lambda head: head.startswith((b"#ROSBAG V", b"SQLite format 3\0"))),
-    Foreigner("recorders.tdms", lambda head: head.startswith(b"TDSm")),
-    Foreigner("recorders.uff", lambda head: re.match(rb"\s{0,64}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None),
-    Foreigner("robots.ulog", lambda head: head.startswith(b"ULog\x01\x125")),
-    Foreigner("recorders.wav", lambda head: head[:4] in (b"RIFF", b"RIFX", b"RF64", b"BW64") and head[8:12] == b"WAVE"),
+LIBRARY_FORMATS: tuple[LibraryFormat, ...] = (
+    LibraryFormat("arrays.hdf5", is_hdf5),
+    LibraryFormat("recorders.ide", lambda head: head.startswith(b"\x1a\x45\xdf\xa3") and b"mide" in head[:64]),
+    LibraryFormat("arrays.mat", is_mat),
+    LibraryFormat("arrays.mat73", is_mat73),
+    LibraryFormat("robots.mcap", lambda head: head.startswith(b"\x89MCAP0\r\n")),
+    LibraryFormat("recorders.mf4", lambda head: head.startswith((b"MDF     ", b"UnFinMF "))),
+    LibraryFormat("arrays.npz", is_npz),
+    LibraryFormat("robots.rosbag", lambda head: head.startswith((b"#ROSBAG V", b"SQLite format 3\0"))),
+    LibraryFormat("recorders.tdms", lambda head: head.startswith(b"TDSm")),
+    LibraryFormat(
+        "recorders.uff", lambda head: re.match(rb"\s{0,64}-1 *\r?\n(?=[ \d]{6}) *\d+[bB]?\s", head) is not None
+    ),
+    LibraryFormat("robots.ulog", lambda head: head.startswith(b"ULog\x01\x125")),
+    LibraryFormat(
+        "recorders.wav", lambda head: head[:4] in (b"RIFF", b"RIFX", b"RF64", b"BW64") and head[8:12] == b"WAVE"
+    ),
 )
 """The formats, in the order in which they are tried."""
 
@@ -99,7 +103,7 @@ def read_tables(path: Path) -> tuple[RawTable, ...]:
     """
     if (path / BAG).is_file():
         return _foreign_tables("robots.rosbag", path)
-    with told(path):
+    with explain_read_errors(path):
         is_folder, is_pipe = path.is_dir(), not path.is_file()  # or the path does not exist: then reading it raises
     if is_folder:
         return (read_folder(path),)
@@ -129,11 +133,11 @@ def _foreign_tables(module: str, path: Path) -> tuple[RawTable, ...]:
     return read(path)
 
 
-def _foreigner(head: bytes) -> Foreigner | None:
-    return next((one for one in FOREIGNERS if one.is_it(head)), None)
+def _foreigner(head: bytes) -> LibraryFormat | None:
+    return next((one for one in LIBRARY_FORMATS if one.is_it(head)), None)
 
 
-def endings_here() -> list[str]:
+def writable_endings() -> list[str]:
     """Return the endings of the formats that can be written with the libraries that are installed."""
     return [ending for ending, form in ENDINGS.items() if form not in _WRITTEN_BY or find_spec(_WRITTEN_BY[form])]
 

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files.numbers import Signal
-from becalm.files.read_options import COMMAND_LINE, Asker
+from becalm.files.read_options import COMMAND_LINE, RequestOrigin
 from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
 from becalm.files.text.bad_cells import bad_cell, find_bad_cells, is_text
@@ -29,7 +29,7 @@ def choose_channels(
     time: Sequence[str],
     other_times: Sequence[str],
     asked: Sequence[str] | None,
-    asker: Asker = COMMAND_LINE,
+    asker: RequestOrigin = COMMAND_LINE,
 ) -> tuple[tuple[str, ...], tuple[ColumnLayout, ...]]:
     """Decide the role of each column.
 
@@ -43,7 +43,7 @@ def choose_channels(
         Columns that look like a time but are not used as the time.
     asked : sequence of str, optional
         The requested channels; by default all columns that look like signals.
-    asker : Asker
+    asker : RequestOrigin
         The origin of the request, for messages.
 
     Returns
@@ -107,7 +107,9 @@ def missing_in(raw: RawTable) -> list[int]:
     return counts
 
 
-def _requested_columns(raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: Asker) -> tuple[str, ...]:
+def _requested_columns(
+    raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: RequestOrigin
+) -> tuple[str, ...]:
     wanted = tuple(dict.fromkeys(named_column(raw, name, asker) for name in asked))
     if not wanted:
         raise UsageError(f"--channels is empty; name some of {', '.join(map(repr, raw.names[:20]))}.")

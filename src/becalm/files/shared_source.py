@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats
 from becalm.core.time.clock import Clock
-from becalm.files.atomic_file import sentences
+from becalm.files.atomic_file import explain_write_errors
 from becalm.files.chunk import Chunk
 from becalm.files.opening import OpenSource
 from becalm.files.rows import rebatched
@@ -46,7 +46,7 @@ def known_of(source: OpenSource, stamps: Path) -> ParsedSource:
     """
     if source.clock.even:
         return ParsedSource(source.names, source.clock, source.rows, "")
-    with sentences(stamps), stamps.open("wb") as file:
+    with explain_write_errors(stamps), stamps.open("wb") as file:
         for first in range(0, source.rows, _AT_ONCE):
             file.write(source.seconds(first, min(_AT_ONCE, source.rows - first)).tobytes())
     return ParsedSource(source.names, source.clock, source.rows, str(stamps))

@@ -52,7 +52,7 @@ class TextLayout:
     first_line: int
 
 
-class ToldTime(NamedTuple):
+class FormatTime(NamedTuple):
     """The time of rows as the format defines it.
 
     Attributes
@@ -90,7 +90,7 @@ class RawTable:
         The state of the file when reading began, if it can be read again.
     group : str
         The name of the time base in the file; "" if all columns of the file share one time.
-    time : ToldTime, optional
+    time : FormatTime, optional
         The time, if the format defines it.
     notes : tuple of str
         Sentences for the user, such as that the file is incomplete or was repaired.
@@ -107,7 +107,7 @@ class RawTable:
     text: TextLayout | None = None
     original: Original | None = None
     group: str = ""
-    time: ToldTime | None = None
+    time: FormatTime | None = None
     notes: tuple[str, ...] = ()
     calibrations: dict[str, Calibration] = field(default_factory=dict)
     joined: str = ""

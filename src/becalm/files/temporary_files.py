@@ -11,7 +11,7 @@ _waiting: set[Path] = set()
 
 
 @contextmanager
-def in_waiting(path: Path) -> Iterator[None]:
+def removed_afterwards(path: Path) -> Iterator[None]:
     """Register a temporary file or folder; at the end, remove it if it still has this name."""
     _waiting.add(path)
     try:

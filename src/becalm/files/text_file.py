@@ -9,8 +9,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from becalm.errors import OutputError
-from becalm.files.atomic_file import refuse_folder, replacing, sentences
-from becalm.files.temporary_files import in_waiting
+from becalm.files.atomic_file import explain_write_errors, refuse_folder, replacing
+from becalm.files.temporary_files import removed_afterwards
 
 
 def make_folder(path: Path) -> None:
@@ -35,7 +35,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     OutputError
         If the file cannot be written; the temporary file is removed.
     """
-    with text_in_waiting(path, text):
+    with staged_text(path, text):
         pass
 
 
@@ -47,12 +47,12 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     OutputError
         If the file cannot be written; the temporary file is removed.
     """
-    with replacing(Path(path)) as file, sentences(Path(path)):
+    with replacing(Path(path)) as file, explain_write_errors(Path(path)):
         file.write(content)
 
 
 @contextmanager
-def text_in_waiting(path: str | os.PathLike[str], text: str) -> Iterator[None]:
+def staged_text(path: str | os.PathLike[str], text: str) -> Iterator[None]:
     """Write text as UTF-8 under a temporary name; at the end of the block, rename it unless an exception was raised.
 
     Parameters
@@ -70,7 +70,7 @@ def text_in_waiting(path: str | os.PathLike[str], text: str) -> Iterator[None]:
     target = Path(path)
     refuse_folder(target)
     with replacing(target) as file:
-        with sentences(target):
+        with explain_write_errors(target):
             file.write(text.encode("utf-8"))
             file.flush()
             os.fsync(file.fileno())
@@ -90,7 +90,7 @@ def refuse_unwritable(*paths: str | os.PathLike[str]) -> None:
         refuse_folder(target)
     for target in {target.parent: target for target in reversed(targets)}.values():
         probe = target.parent / f".becalm.{secrets.token_hex(4)}.probe"
-        with in_waiting(probe), sentences(target):
+        with removed_afterwards(probe), explain_write_errors(target):
             probe.touch(exist_ok=False)
 
 
@@ -115,4 +115,4 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
         make_folder(parent)
     with ExitStack() as waiting:
         for path, text in paths.items():
-            waiting.enter_context(text_in_waiting(path, text))
+            waiting.enter_context(staged_text(path, text))

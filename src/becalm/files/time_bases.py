@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
 from becalm.files.calibrated_source import with_sensors
-from becalm.files.opening import OpenSource, close, understood
-from becalm.files.other_units import in_units_asked
+from becalm.files.opening import OpenSource, close, open_table
+from becalm.files.other_units import convert_units
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.source import RawTable
@@ -72,7 +72,7 @@ def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) 
     tables = read_tables(file)
     opened: list[OpenSource] = []
     try:
-        tables, options = in_units_asked(*with_sensors(tables, options))
+        tables, options = convert_units(*with_sensors(tables, options))
         passed = list(_open_each(file, tables, options, opened))
         if not opened:
             raise InputError(f"Nothing in {file} can be cleaned: {'; '.join(one.why for one in passed[:10])}")
@@ -89,7 +89,7 @@ def _open_each(
     """Append a source to `opened` for each selected table, and yield the other tables."""
     if len(tables) == 1 or options.group is not None:
         chosen = chosen_table(file, tables, options)
-        opened.append(understood(file, chosen, options))
+        opened.append(open_table(file, chosen, options))
         yield from (PassedThroughTable(table, "not asked for") for table in tables if table is not chosen)
         return
     if options.rate_hz is not None or options.time is not None:
@@ -103,7 +103,7 @@ def _open_each(
             yield PassedThroughTable(table, "not asked for")
             continue
         try:
-            opened.append(understood(file, table, replace(options, channels=channels)))
+            opened.append(open_table(file, table, replace(options, channels=channels)))
         except InputError as cause:
             if channels is not None:
                 raise

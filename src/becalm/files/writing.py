@@ -16,7 +16,7 @@ import pyarrow as pa
 from becalm.core.recording import Recording
 from becalm.files.arrays.array_writer import MatRows, NpzRows
 from becalm.files.arrays.hdf5_writer import Hdf5Rows
-from becalm.files.atomic_file import refuse_folder, replace_file, replacing, sentences
+from becalm.files.atomic_file import explain_write_errors, refuse_folder, replace_file, replacing
 from becalm.files.csv.writer import CsvRows
 from becalm.files.parquet_writer import ParquetTableWriter
 from becalm.files.recorders.mf4_writer import Mf4Rows
@@ -121,7 +121,7 @@ def refuse_columns(path: str | os.PathLike[str], schema: pa.Schema) -> None:
         If the format cannot store one of them.
     """
     target = Path(path)
-    with sentences(target):
+    with explain_write_errors(target):
         writer = _WRITERS[format_to_write(target)](io.BytesIO())
         writer.write(schema.empty_table())
         writer.close()
@@ -202,7 +202,7 @@ class TableOutput:
         if self._failure is not None or self._abandoned:
             return
         try:
-            with sentences(self._path):
+            with explain_write_errors(self._path):
                 step()
         except BaseException as cause:  # the next call of write or finish raises it in the caller's thread
             self._failure = cause

@@ -20,15 +20,15 @@ from becalm.files.text_file import make_folder, write_text
 from becalm.fleet.class_outliers import marked
 from becalm.fleet.grouped.cleaning import clean_grouped
 from becalm.fleet.job import STRETCH_ROWS, Job, Sensor
-from becalm.fleet.lake import FILE, FOLDER, MultiSensorLake, SensorPlace, told_apart
+from becalm.fleet.lake import FILE, FOLDER, MultiSensorLake, SensorPlace, find_sensor_layout
 from becalm.fleet.marks import CompletionMark
 from becalm.fleet.outcome import Outcome, refused
-from becalm.fleet.output_lock import alone_at
+from becalm.fleet.output_lock import lock_output
 from becalm.fleet.recipes import RecipeBook
 from becalm.fleet.sensor_cleaning import all_died, clean_whole
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.cleaning import clean_long
-from becalm.fleet.sweeping import swept
+from becalm.fleet.sweeping import remove_leftovers
 from becalm.report.fleet_order import summary
 from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import FleetRow
@@ -112,15 +112,15 @@ def clean(
     began, started = datetime.now(UTC), monotonic()
     lake, output = lake.resolve(), output.resolve()
     refuse_inside(lake, output)
-    layout = told_apart(lake, asked.by)
+    layout = find_sensor_layout(lake, asked.by)
     make_folder(output / ABOUT)
     by = FILE if asked.by == FILE else FOLDER  # the output has a folder for each sensor even if a column names it
     tune = "tune FILE -o R.toml" if isinstance(layout, MultiSensorLake) else f"fleet tune {quote(str(lake))} -o DIR"
     job = Job(str(lake), str(output), book.by_hash, by, asked.causal, asked.stretch_rows, f"becalm {tune}")
-    with alone_at(output, output / ABOUT / "lock"):
+    with lock_output(output, output / ABOUT / "lock"):
         by_name = sorted(_cleaned(spark, job, layout, book), key=lambda outcome: outcome.sensor)
         outcomes = marked([_with_older(job, outcome) for outcome in by_name])
-        swept(output)
+        remove_leftovers(output)
         rows = sum(outcome.rows for outcome in outcomes)
         facts = FleetFacts(lake.name, output.name, began.isoformat(), monotonic() - started, rows, book.names)
         unused = book.unused(outcome.sensor for outcome in outcomes)

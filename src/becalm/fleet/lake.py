@@ -11,7 +11,7 @@ from typing import NamedTuple
 from becalm.errors import InputError, UsageError
 from becalm.files.identity import Original
 from becalm.files.lake.listing import is_partition, parquet_files
-from becalm.files.lake.partitions import sensor_of, tells_time
+from becalm.files.lake.partitions import is_time_partition, sensor_of
 from becalm.files.parquet import read_parquet
 from becalm.fleet.names import folder_name, keys_of, values_in
 
@@ -37,7 +37,7 @@ class MultiSensorLake(NamedTuple):
     files: tuple[str, ...]  # their paths within the lake, in order
 
 
-def told_apart(lake: Path, by: str = FOLDER) -> list[SensorPlace] | MultiSensorLake:
+def find_sensor_layout(lake: Path, by: str = FOLDER) -> list[SensorPlace] | MultiSensorLake:
     """Find out how the sensors of a lake are laid out. If folders or files identify them, list them by name.
 
     Parameters
@@ -123,9 +123,9 @@ def _files_in(lake: Path) -> tuple[Path, ...]:
 def _sensor_folder(lake: Path, folder: Path) -> Path:
     """Return a folder without the folders of times at its end."""
     parts = list(folder.parts)
-    while parts and is_partition(parts[-1]) and tells_time(parts[-1]):
+    while parts and is_partition(parts[-1]) and is_time_partition(parts[-1]):
         parts.pop()
-    if above := [part for part in parts if is_partition(part) and tells_time(part)]:
+    if above := [part for part in parts if is_partition(part) and is_time_partition(part)]:
         keys = ",".join(values_in(Path(*sensor_of(Path(*parts)))))
         way = f"becalm fleet clean {quote(str(lake))} -o OUT --recipe R.toml --by {quote(keys)}" if keys else ""
         raise UsageError(

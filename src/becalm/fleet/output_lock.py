@@ -12,7 +12,7 @@ from becalm.live.locking import locked
 
 
 @contextmanager
-def alone_at(folder: Path, lock: Path) -> Iterator[None]:
+def lock_output(folder: Path, lock: Path) -> Iterator[None]:
     """Lock a folder for one job, in a `with`.
 
     Parameters

@@ -11,9 +11,9 @@ from typing import NamedTuple, Self
 
 import pyarrow as pa
 
-from becalm.files.atomic_file import sentences, sync_folder
+from becalm.files.atomic_file import explain_write_errors, sync_folder
 from becalm.files.registry import PARQUET_FORMAT
-from becalm.files.temporary_files import in_waiting
+from becalm.files.temporary_files import removed_afterwards
 from becalm.files.text_file import make_folder
 from becalm.files.writing import TableOutput, open_output
 
@@ -38,7 +38,7 @@ def staging(folder: Path) -> Iterator[Path]:
         If it cannot be made.
     """
     staged = open_staging(folder)
-    with in_waiting(staged):
+    with removed_afterwards(staged):
         yield staged
 
 
@@ -66,10 +66,10 @@ def put_in_place(staged: Path, folder: Path, names: Sequence[str]) -> None:
     for name in names:
         target = folder / name
         make_folder(target.parent)
-        with sentences(target):
+        with explain_write_errors(target):
             (staged / name).replace(target)
     for place in {(folder / name).parent for name in names}:
-        with sentences(place):
+        with explain_write_errors(place):
             sync_folder(place)
 
 

@@ -14,10 +14,10 @@ from becalm.cleaning.pipeline import fitted
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.errors import BecalmError, InputError, OutputError
-from becalm.files.atomic_file import sentences
+from becalm.files.atomic_file import explain_write_errors
 from becalm.files.chunked_cleaning import clean_chunks
 from becalm.files.lake.folder import FolderRows
-from becalm.files.opening import OpenSource, as_asked, understood
+from becalm.files.opening import OpenSource, open_table, select_table
 from becalm.files.read_options import asked_by
 from becalm.files.tables import VERDICT
 from becalm.fleet.job import Job, Sensor
@@ -49,10 +49,10 @@ def clean_whole(job: Job, sensor: Sensor) -> Outcome:
     sensor : Sensor
         One sensor of the lake.
     """
-    return told_by(sensor, lambda: _cleaned(job, sensor))
+    return refuse_on_error(sensor, lambda: _cleaned(job, sensor))
 
 
-def told_by(sensor: Sensor, work: Callable[[], Done]) -> Done | Outcome:
+def refuse_on_error(sensor: Sensor, work: Callable[[], Done]) -> Done | Outcome:
     """Run a function on a sensor; return a refusal with the reason if it fails, so that the other sensors go on."""
     began = monotonic()
     try:
@@ -107,8 +107,8 @@ def opened(job: Job, sensor: Sensor) -> OpenedSensor:
     rows = tables[0].rows
     files = tuple(rows.pieces) if isinstance(rows, FolderRows) else ((place, rows.count),)
     pieces = tuple(OutputFile(job.name_of(sensor, path), count) for path, count in files)
-    raw, options = as_asked(place, tables, options)
-    source = understood(place, raw, options)
+    raw, options = select_table(place, tables, options)
+    source = open_table(place, raw, options)
     try:
         for name in options.channels or ():
             if name + VERDICT in source.schema.names:
@@ -200,12 +200,12 @@ def commit(job: Job, sensor: Sensor, staged: Path, mark: CompletionMark) -> None
     path, folder = job.mark_of(sensor), job.output_folder(sensor)
     older = CompletionMark.of(path)
     own = {*mark.files, *(() if older is None else older.own)}
-    with sentences(staged):
+    with explain_write_errors(staged):
         sizes = tuple((staged / name).stat().st_size for name in mark.files)
     unfinished = replace(mark, came_of="", files=(), held=tuple(sorted(own)))  # until all files are in place
     unfinished.write(path)
     put_in_place(staged, folder, mark.files)
     for name in own - set(mark.files):
-        with sentences(folder / name):
+        with explain_write_errors(folder / name):
             (folder / name).unlink(missing_ok=True)
     replace(mark, sizes=sizes).write(path)

@@ -12,7 +12,7 @@ from becalm.files.atomic_file import UNNAMED
 from becalm.fleet.pieces import STAGED
 
 
-def swept(output: Path) -> None:
+def remove_leftovers(output: Path) -> None:
     """Remove temporary files and staging folders.
 
     Parameters

@@ -17,7 +17,7 @@ from becalm.core.model.components import ORDERS
 from becalm.identification.coloured import NoiseModel
 from becalm.identification.cross_validation import simplest, tune_smoother
 from becalm.identification.damping import damped
-from becalm.identification.known_noise import tune_beside
+from becalm.identification.known_noise import tune_with_known_noise
 from becalm.identification.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning, tune_motion
 from becalm.identification.lines import add_lines
 from becalm.identification.risk import less_risky, retune
@@ -113,7 +113,7 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: PriorK
 def _choose_in_own_step(evidence: Evidence, causal: bool, known: PriorKnowledge) -> Choice:
     """Choose a motion model in the time step in which most readings are one step apart."""
     if known.noise is not None:
-        tuning = tune_beside(evidence, known.noise.white_variance, known.noise.coloured, causal=causal)
+        tuning = tune_with_known_noise(evidence, known.noise.white_variance, known.noise.coloured, causal=causal)
         return Choice("motion", damped(tuning, evidence), replace(tuning, coloured=None))
     smoothers = () if causal else tune_smoother(evidence)
     if smoothers:

@@ -25,7 +25,7 @@ from becalm.identification.coloured_likelihood import HIGHEST_ORDER, Misfit, Sha
 FEWEST_AT_REST = 64
 """Least number of readings in a row that form a stretch, and least number of readings in all."""
 
-FORGETS = 0.1
+LONGEST_CORRELATION = 0.1
 """Longest correlation time of coloured noise, as a share of a stretch's length; slower noise looks like a drift."""
 
 LEAST_WHITE = 1e-3
@@ -196,8 +196,8 @@ def _pieces(parts: Sequence[Floats]) -> list[Floats]:
 
 
 def _memory_limit(parts: Sequence[Floats]) -> float:
-    """Return the largest pole allowed: its correlation falls to 1/e within a tenth (`FORGETS`) of a stretch."""
-    return float(np.exp(-1 / (FORGETS * np.median([len(part) for part in parts]))))
+    """Return the largest pole allowed: its correlation falls to 1/e within `LONGEST_CORRELATION` of a stretch."""
+    return float(np.exp(-1 / (LONGEST_CORRELATION * np.median([len(part) for part in parts]))))
 
 
 def _bridged(piece: Floats) -> Floats:

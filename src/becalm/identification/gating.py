@@ -116,12 +116,12 @@ def choose_gated(
             break
         choice = choose(imputed(tuning, readings, elapsed, rejected), elapsed, causal, known)
         before, variance = rejected, tuning.noise_variance
-    if choice.tuning is None or (choice is not plain and not foretells_better(choice.tuning, readings, elapsed, gate)):
+    if choice.tuning is None or (choice is not plain and not predicts_better(choice.tuning, readings, elapsed, gate)):
         return GatedChoice(plain, False)
     return GatedChoice(choice, True)
 
 
-def foretells_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
+def predicts_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
     """Return whether a filter with a gate predicts the readings that it uses better than a filter without."""
     gated, free = (forecasts(tuning, readings, elapsed, how) for how in (gate, None))
     if not _are_exceptions(gated.rejected, readings) or has_shoulders(gated, gate.threshold):

@@ -34,7 +34,7 @@ from becalm.identification.search import find_ratio
 _ALIKE = 0.1  # difference of the logarithm of the residuals that a few stretches cannot resolve
 
 
-def tune_beside(
+def tune_with_known_noise(
     evidence: Evidence, noise_variance: float, coloured: ColouredNoise | None = None, *, causal: bool
 ) -> Tuning:
     """Tune the order and the density of a motion model; the noise is known.

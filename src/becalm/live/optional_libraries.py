@@ -8,7 +8,7 @@ from typing import Any
 from becalm.errors import UsageError
 
 
-def wanted(whose: str, module: str, package: str = "", extra: str = "live") -> Any:
+def import_optional(whose: str, module: str, package: str = "", extra: str = "live") -> Any:
     """Return an optional module.
 
     Parameters

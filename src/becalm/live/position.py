@@ -8,7 +8,7 @@ from typing import Any
 from becalm.errors import InputError
 
 
-def told_by(kind: str, position: str, needed: str) -> dict[str, Any]:
+def parse_position(kind: str, position: str, needed: str) -> dict[str, Any]:
     """Return the fields of a position; {} for "", the start of a stream.
 
     Parameters

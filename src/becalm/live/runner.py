@@ -19,7 +19,7 @@ from becalm.live.reader import Reader
 from becalm.live.retuning import Heard, Retuning
 from becalm.live.settings import Settings
 from becalm.live.stream import Stream
-from becalm.live.stream_start import Beginning, Begun, insist, open_keeper
+from becalm.live.stream_start import Beginning, Begun, open_keeper, retry_until_reachable
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25
@@ -89,7 +89,7 @@ class Runner:
             If the source or a sink can never be reached, or rows could not be committed; all other rows are committed.
         """
         keeper = self.outlets.keeper
-        last = None if keeper is None else insist(keeper.last, self.watch, self._stop)
+        last = None if keeper is None else retry_until_reachable(keeper.last, self.watch, self._stop)
         begun = None if last is None else self._resume(last)
         reader = self._reader = Reader(self.source, self._queue, self.watch, self._position)
         reader.start()
@@ -136,7 +136,7 @@ class Runner:
     def _open(self, begun: Begun) -> Keeping:
         head = begun.head
         if self.outlets.keeper is not None:
-            insist(partial(open_keeper, self.outlets.keeper, head), self.watch, self._stop)
+            retry_until_reachable(partial(open_keeper, self.outlets.keeper, head), self.watch, self._stop)
         for outlet in self.outlets.others:
             outlet.open(head)
         self.watch.meter.begin(head.names, begun.stream.recipe.to_toml())

@@ -161,7 +161,7 @@ def open_keeper(keeper: Keeper, head: Head) -> None:
         keeper.open(head)
 
 
-def insist(do: Callable[[], Result], watch: Watch, stop: threading.Event) -> Result:
+def retry_until_reachable(do: Callable[[], Result], watch: Watch, stop: threading.Event) -> Result:
     """Call `do` until its server can be reached, with back-off between the attempts; return its result.
 
     Raises

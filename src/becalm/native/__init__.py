@@ -49,7 +49,7 @@ def start(settings: NDArray[np.void]) -> NDArray[np.void]:
     return state
 
 
-def begin_after(  # noqa: PLR0913  (keyword arguments)
+def set_history(  # noqa: PLR0913  (keyword arguments)
     settings: NDArray[np.void],
     coefficients: NDArray[np.void],
     state: NDArray[np.void],
@@ -72,7 +72,7 @@ def reduced(settings: NDArray[np.void], state: NDArray[np.void], *, alive: bool)
     return own
 
 
-def forget_counts(state: NDArray[np.void]) -> None:
+def reset_counts(state: NDArray[np.void]) -> None:
     """Reset the counts of verdicts and faults."""
     kernel.channel_forget_counts(state.ctypes.data)
 

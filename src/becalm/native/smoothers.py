@@ -51,7 +51,7 @@ class _Forward:
         self.state, self._nothing = np.zeros((), _FORWARD), np.zeros((), _FUTURE)
         kernel.smoother_start(self.state.ctypes.data, self._nothing.ctypes.data)
 
-    def begin_after(self, first: float, rows: int, steps: float) -> None:
+    def set_history(self, first: float, rows: int, steps: float) -> None:
         """Set the history before the first row: the record's first measurement, the number of rows, and of steps."""
         kernel.smoother_begin_after(*self._channel, self.state.ctypes.data, first, rows, steps)
 

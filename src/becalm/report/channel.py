@@ -8,7 +8,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.table_cells import amount
 from becalm.core.steady.response import decibels
-from becalm.identification.wishes.front import Front
+from becalm.identification.wishes.front import TradeOffCurve
 from becalm.report.description import Figure
 from becalm.report.gathering import Gathering
 from becalm.report.innovation_figures import innovation_figures
@@ -66,7 +66,9 @@ class Pictures:
 
     def __init__(self, *times: CleanedChannels) -> None:
         self.times = times
-        self._fronts: dict[float, Front] = {step_s: front_of(step_s) for step_s in {time.step_s for time in times}}
+        self._fronts: dict[float, TradeOffCurve] = {
+            step_s: front_of(step_s) for step_s in {time.step_s for time in times}
+        }
         self._places = [(time, number) for time in times for number in range(len(time.reports))]
 
     def __len__(self) -> int:

@@ -11,14 +11,14 @@ from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.verdict import judge
 from becalm.report.description import Axis, Curve, Figure, Layer, Role
-from becalm.report.page import Beside, Cells
+from becalm.report.page import Addition, Cells
 from becalm.report.pictures import TIME, Title, slug_of
 
 _ROWS = 600
 _RIVALS = 2  # classic filters that are drawn with becalm
 
 
-def beside(found: Comparison, recording: Recording, truth: Recording | None = None) -> tuple[Beside, ...]:
+def comparison_figures(found: Comparison, recording: Recording, truth: Recording | None = None) -> tuple[Addition, ...]:
     """Return the tables and figures of a comparison, one set for each channel.
 
     Parameters
@@ -33,13 +33,13 @@ def beside(found: Comparison, recording: Recording, truth: Recording | None = No
     return tuple(_channel(found, number, recording, truth) for number in range(len(found.channels)))
 
 
-def _channel(found: Comparison, number: int, recording: Recording, truth: Recording | None) -> Beside:
+def _channel(found: Comparison, number: int, recording: Recording, truth: Recording | None) -> Addition:
     channel = found.channels[number]
     title = Title(slug_of(number, channel.name), channel.name, channel.unit)
     rows = tuple(cells(one, channel.unit, truth is not None) for one in channel.contenders)
     table = Cells("Compared with common filters", headings(truth is not None), rows)
     outputs, removed = _outputs(title, channel, found, recording, truth), _noise_and_lag(title, channel, found.causal)
-    return Beside((table,), outputs, removed)
+    return Addition((table,), outputs, removed)
 
 
 def _noise_and_lag(title: Title, channel: ChannelComparison, causal: bool) -> tuple[Figure, ...]:

@@ -14,7 +14,7 @@ from becalm.report.fleet_rows import FleetRow, counted, spaced
 DOUBTFUL = 2.0
 """Factor by which a mean NIS may differ from 1. Beyond it, sigma is more than 1.4 times too small or too large."""
 
-_LOST = re.compile(r"\b(?:clipped|stuck|dead|drifting)\b")  # words of `faults_told` for `LOSSES`
+_LOST = re.compile(r"\b(?:clipped|stuck|dead|drifting)\b")  # words of `faults_text` for `LOSSES`
 _DIGITS = re.compile(r"([0-9]+)")
 
 

@@ -52,7 +52,7 @@ class FleetRow:
     usable_share : float or None
         Share of the readings, 0 to 1, that show the signal.
     faults : str
-        Faults of the sensor, as `faults_told` writes them; empty if there are none.
+        Faults of the sensor, as `faults_text` writes them; empty if there are none.
     says : str
         The judgement as a sentence, with advice.
     recipe : str
@@ -105,7 +105,7 @@ def row_of(sensor: str, report: ChannelReport, *, recipe: str, rate_hz: float | 
         health=report.nis_mean,
         noise_std=report.noise_std,
         usable_share=usable_share(report.verdicts),
-        faults=faults_told(report.faults),
+        faults=faults_text(report.faults),
         says=report.says,
         recipe=recipe,
         rows=rows,
@@ -119,7 +119,7 @@ def usable_share(verdicts: Mapping[str, int]) -> float | None:
     return sum(verdicts.get(name, 0) for name in _USABLE) / readings if readings else None
 
 
-def faults_told(faults: Sequence[Fault]) -> str:
+def faults_text(faults: Sequence[Fault]) -> str:
     """Return a short list of faults, those of `LOSSES` first: "1 203 clipped, 2 gaps"."""
     ordered = sorted(faults, key=lambda fault: fault.what not in LOSSES)
     return ", ".join(counted(fault.readings, *_WORDS.get(fault.what, (fault.what, fault.what))) for fault in ordered)

@@ -53,7 +53,7 @@ class Cells(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
 
 
-class Beside(NamedTuple):
+class Addition(NamedTuple):
     """Additional tables and figures in the section of a channel."""
 
     tables: tuple[Cells, ...] = ()
@@ -84,7 +84,7 @@ def page_of(
     facts: Facts,
     recipe: Recipe,
     pictures: Pictures,
-    beside: Sequence[Beside] = (),
+    beside: Sequence[Addition] = (),
 ) -> str:
     """Return the report on a cleaned recording, as HTML.
 
@@ -96,7 +96,7 @@ def page_of(
         Recipe that the recording was cleaned with.
     pictures : Pictures
         Figures of its channels.
-    beside : sequence of Beside
+    beside : sequence of Addition
         Additional tables and figures, one entry for each channel; none by default.
 
     Raises
@@ -107,7 +107,7 @@ def page_of(
     reports = pictures.reports
     numbers = _pictured(reports)
     drawn = {number: pictures.channel(number) for number in numbers}
-    sections = [_section(drawn[number], number, beside[number] if beside else Beside()) for number in numbers]
+    sections = [_section(drawn[number], number, beside[number] if beside else Addition()) for number in numbers]
     uplot_js, uplot_css = uplot()
     template = Environment(autoescape=True).from_string(asset("page.html"))
     return template.render(
@@ -190,7 +190,7 @@ def _left_out(count: int) -> str:
     return f"Only the {MOST_PICTURED} channels that most need a look are drawn; the table lists {count} more."
 
 
-def _section(drawn: Pictured, number: int, extra: Beside) -> _Section:
+def _section(drawn: Pictured, number: int, extra: Addition) -> _Section:
     report = drawn.report
     together = f"{_anchor(number)}-time"
     placed = [
@@ -239,7 +239,7 @@ def _percent(share: float | None) -> float | None:
     return None if share is None else 100 * share
 
 
-def _printed(drawn: Pictured, extra: Beside) -> tuple[str, ...]:
+def _printed(drawn: Pictured, extra: Addition) -> tuple[str, ...]:
     """Draw the same figures for print, if matplotlib is installed."""
     if not can_print():
         return ()

@@ -16,7 +16,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.recording import Recording
 from becalm.core.steady.response import Response
-from becalm.identification.wishes.front import Front, noise_lag_front
+from becalm.identification.wishes.front import TradeOffCurve, noise_lag_front
 from becalm.identification.wishes.waiting import Wait, waiting_curve
 from becalm.report.description import Axis, Curve, Figure, Layer
 from becalm.report.pictures import Title
@@ -52,16 +52,16 @@ class Behaviour(NamedTuple):
         return float(np.interp(wait_s, waits, [one.noise_std for one in self.waits[:-1]])) if waits else None
 
 
-def front_of(step_s: float) -> Front:
+def front_of(step_s: float) -> TradeOffCurve:
     """Return the trade-off curve (noise against lag) of all causal filters, for readings with noise 1."""
     points = [
         noise_lag_front(1.0, step_s, (order,), [cutoff_to_ratio(order, float(cutoff)) for cutoff in _CUTOFFS]).points
         for order in _ORDERS
     ]
-    return Front(1.0, step_s, tuple(chain.from_iterable(points)))
+    return TradeOffCurve(1.0, step_s, tuple(chain.from_iterable(points)))
 
 
-def front_figure(title: Title, found: Behaviour, front: Front, mode: str) -> Figure | None:
+def front_figure(title: Title, found: Behaviour, front: TradeOffCurve, mode: str) -> Figure | None:
     """Draw the trade-off curve of remaining noise against delay, and mark this filter on it."""
     noise_std = found.report.noise_std
     if noise_std is None or found.response is None:

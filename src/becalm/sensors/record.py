@@ -185,7 +185,7 @@ class SensorRecord:
         return self.zero_uncertainty / COVERAGE
 
 
-def applied(record: SensorRecord, columns: Mapping[str, Floats]) -> dict[str, Floats]:
+def convert_readings(record: SensorRecord, columns: Mapping[str, Floats]) -> dict[str, Floats]:
     """Return the measured quantities of a sensor from its readings.
 
     Parameters
@@ -261,7 +261,7 @@ def tared(record: SensorRecord, tare: Tare) -> SensorRecord:
     columns = {name: np.array([value, value + std])}
     if temperature is not None and temperature.channel is not None:
         columns[temperature.channel] = np.full(2, tare.temperature_degc)
-    at_zero, beyond = applied(replace(zeroed, full_scale=None), columns)[name]
+    at_zero, beyond = convert_readings(replace(zeroed, full_scale=None), columns)[name]
     expanded = COVERAGE * abs(float(beyond - at_zero))
     return replace(zeroed, zero_uncertainty=float(np.hypot(expanded, record.zero_uncertainty)))
 

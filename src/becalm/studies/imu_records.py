@@ -17,7 +17,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.core.recording import Recording
-from becalm.identification.rest.detection import find_still
+from becalm.identification.rest.detection import detect_rests
 from becalm.identification.several.step_spectrum import Sensor
 
 RATE_HZ = 1e4
@@ -169,7 +169,7 @@ def find_rests(data: Path) -> tuple[tuple[Rest, ...], tuple[str, ...]]:
 
 
 def _rest_of(source: str, recording: Recording) -> Rest | None:
-    still = find_still(recording).stretches
+    still = detect_rests(recording).stretches
     if not still:
         return None
     start, stop = max(still, key=lambda each: each.stop - each.start)

@@ -13,7 +13,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
 from becalm.files.reading import read
-from becalm.identification.rest.detection import find_still
+from becalm.identification.rest.detection import detect_rests
 from becalm.identification.rest.rest_noise import split_at_cutoff
 from becalm.studies.strain_methods import TRIED
 from becalm.studies.strain_model import Noise, likeliest, strain_model
@@ -92,7 +92,7 @@ def measure_gauge(recordings: Path) -> Gauge:
 def measure_rest(recording: Recording) -> QuietStretch:
     """Measure the noise of a recording's first channel in its longest quiet stretch."""
     alone = recording.select(recording.names[:1])
-    begin, end = max(find_still(alone).stretches, key=lambda stretch: stretch.stop - stretch.start)
+    begin, end = max(detect_rests(alone).stretches, key=lambda stretch: stretch.stop - stretch.start)
     quiet = alone.channel(alone.names[0])[begin:end]
     above, below = split_at_cutoff(quiet, alone.rate_hz, CUTOFF_HZ)
     step_s = alone.timebase.step_s

@@ -27,7 +27,7 @@ class Numbered(BaseModel):
     number: Number
 
 
-def heard(frame: Mapping[str, Any]) -> dict[str, Any]:
+def parse_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
     """Parse a frame that a WebSocket received.
 
     Parameters
@@ -63,7 +63,7 @@ def number_of(said: Mapping[str, Any]) -> int | None:
     return number if type(number) is int else None  # in Python, true is an int too
 
 
-def understood(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
+def checked_message(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
     """Check a message and return it as an object of its type.
 
     Parameters
@@ -71,7 +71,7 @@ def understood(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
     messages : TypeAdapter
         Types of the messages that are allowed.
     said : mapping
-        JSON object from `heard`.
+        JSON object from `parse_frame`.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from becalm.web.sockets import HurriedProtocol, HurriedWebSocket
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
-MOST_SAID_BYTES = 1 << 20  # size limit of a message from a page
+MAX_MESSAGE_BYTES = 1 << 20  # size limit of a message from a page
 PING_S = 20.0  # time between two pings, and time that a page has to answer one
 _PORTS = 1 << 16
 _HEADERS_BYTES = 1 << 16  # browsers send the cookies of all ports
@@ -94,7 +94,7 @@ class Server:
             backlog=128,
             timeout_graceful_shutdown=_ENDING_S,
             h11_max_incomplete_event_size=_HEADERS_BYTES,
-            ws_max_size=MOST_SAID_BYTES,
+            ws_max_size=MAX_MESSAGE_BYTES,
             ws_ping_interval=PING_S,
             ws_ping_timeout=PING_S,
             ws_per_message_deflate=False,  # arrays of numbers hardly compress

@@ -18,7 +18,7 @@ from becalm.core.health.monitor import HOPS
 from becalm.core.model.components import Component
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
-from becalm.native import begin_after, forget_counts, loaded, process, reduced, saved, start
+from becalm.native import loaded, process, reduced, reset_counts, saved, set_history, start
 
 
 class History(NamedTuple):
@@ -184,9 +184,9 @@ class Channel:
         """Whether the last window of innovations was as quiet as that of a dead sensor."""
         return bool(self._state["silent"])
 
-    def begin_after(self, before: History) -> None:
+    def set_history(self, before: History) -> None:
         """Set the history before the first row, for a run that starts in the middle of a record."""
-        begin_after(
+        set_history(
             self._settings,
             self._coefficients,
             self._state,
@@ -197,9 +197,9 @@ class Channel:
             most=before.most,
         )
 
-    def forget_counts(self) -> None:
+    def reset_counts(self) -> None:
         """Reset the counts of verdicts and faults, and the row at which the gain settles."""
-        forget_counts(self._state)
+        reset_counts(self._state)
 
     def comparable_state(self) -> dict[str, Codes]:
         """Return the part of the state that determines all later estimates, bit for bit.

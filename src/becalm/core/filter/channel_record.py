@@ -15,7 +15,7 @@ from becalm.core.filter.channel import Estimates
 from becalm.core.filter.channel_settings import packed_coefficients
 from becalm.core.filter.likelihood_sums import Sums
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.native import score
 from becalm.native.rows import SETTINGS
 from becalm.native.smoothers import Smoother
@@ -56,7 +56,7 @@ class ChannelRecord:
         self._settings = np.zeros((), SETTINGS)
         self._settings["states"] = len(component.drift)
         self._settings["longest_gap"] = self._settings["gap_spans"] = np.inf
-        self._settings["largest_accepted"] = largest_beside(noise_variance)
+        self._settings["largest_accepted"] = largest_magnitude_for_noise(noise_variance)
 
     @property
     def process_noise(self) -> Floats:

@@ -13,9 +13,9 @@ from becalm.core.filter.gate import Gate, level_of
 from becalm.core.health.limits import Limits
 from becalm.core.health.monitor import NEVER, NO_ALARMS, Alarms
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.model.model import Model
-from becalm.core.model.prior import known_before, refuse_singular, root_of
+from becalm.core.model.prior import flat_prior, refuse_singular, root_of
 from becalm.core.model.step_matrices import StepMatrices
 from becalm.core.model.timeline import model_system
 from becalm.errors import ModelError
@@ -134,7 +134,7 @@ def model_settings(model: Model, gate: Gate | None) -> NDArray[np.void]:
 def _fill_in_gate(packed: NDArray[np.void], gate: Gate | None, model: Model) -> None:
     values = {
         "states": model.states,
-        "largest_accepted": largest_beside(float(model.R[0, 0])),
+        "largest_accepted": largest_magnitude_for_noise(float(model.R[0, 0])),
         "gated": gate is not None,
         "gate_threshold": gate.threshold if gate else np.inf,
         "gate_agree": gate.agree if gate else 0,
@@ -185,5 +185,5 @@ def model_coefficients(model: Model) -> NDArray[np.void]:
     coefficients = np.zeros((), COEFFICIENTS)
     coefficients["h"][:n] = coefficients["c"][:n] = model.H[0]
     coefficients["R"], coefficients["widest"] = model.R[0, 0], np.inf
-    coefficients["prior"][: n * n] = root_of(known_before(model).Y).ravel()
+    coefficients["prior"][: n * n] = root_of(flat_prior(model).Y).ravel()
     return coefficients

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from becalm.core.arrays import Floats, real
 from becalm.core.filter.likelihood_sums import Sums
 from becalm.core.model.model import Model
-from becalm.core.model.prior import known_before, refuse_singular, root_of, wide_prior
+from becalm.core.model.prior import flat_prior, refuse_singular, root_of, wide_prior
 from becalm.core.model.timeline import Timeline, even_timeline
 from becalm.errors import ModelError
 from becalm.native.multivariate import (
@@ -192,7 +192,7 @@ def new_kernel(model: Model, timeline: Timeline, wanted: WantedResults) -> Multi
         kernel.start(x0, P0)
         return kernel
     refuse_singular(timeline.system)
-    root = root_of((prior or known_before(model)).Y)
+    root = root_of((prior or flat_prior(model)).Y)
     if x0 is None:
         return Multivariate(H, R, root, np.zeros(n), enough=enough)
     return Multivariate(H, R, root, root @ x0, foretells=True, enough=enough)

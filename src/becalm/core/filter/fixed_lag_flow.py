@@ -19,7 +19,7 @@ from becalm.core.filter.channel_settings import ChannelSettings, StepTable, pack
 from becalm.core.filter.gate import Gate
 from becalm.core.filter.lag import checked_lag
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.rows import EstimatedRows, Judge, Rows
 from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.verdict import judge as judge_readings
@@ -82,9 +82,9 @@ class LateRows:
         """Number of waiting rows."""
         return len(self._waiting.z)
 
-    def begin_after(self, reading: float, readings: int, steps: float) -> None:
+    def set_history(self, reading: float, readings: int, steps: float) -> None:
         """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
-        self._smoother.begin_after(reading, readings, steps)
+        self._smoother.set_history(reading, readings, steps)
 
     def take(self, rows: Rows) -> Iterator[tuple[Estimates, Estimates]]:
         """Take the next rows in parts; for each part yield the due rows, smoothed, and the new ones, filtered."""
@@ -190,7 +190,7 @@ class FixedLagFlow:
         steps = StepTable(component, nearest=False)
         self._late = LateRows(packed_settings(settings), coefficients, steps, checked_lag(lag), split=split)
         self._component, self._judge, self._split = component, judge, split
-        self._largest, self._has_rows = largest_beside(noise_variance), False
+        self._largest, self._has_rows = largest_magnitude_for_noise(noise_variance), False
         self.log_likelihood = 0.0
 
     @property
@@ -220,9 +220,9 @@ class FixedLagFlow:
         """Return estimates of the waiting rows from the rows so far; the state does not change, rows may follow."""
         return [self._estimated(self._late.rest())]
 
-    def begin_after(self, reading: float, readings: int, steps: float) -> None:
+    def set_history(self, reading: float, readings: int, steps: float) -> None:
         """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
-        self._late.begin_after(reading, readings, steps)
+        self._late.set_history(reading, readings, steps)
         self._has_rows = readings > 0
 
     def saved(self) -> dict[str, Any]:

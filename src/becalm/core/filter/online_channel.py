@@ -13,7 +13,7 @@ from becalm.core.filter.channel import Estimates
 from becalm.core.filter.channel_settings import model_coefficients, model_settings
 from becalm.core.filter.fixed_lag_flow import LateRows
 from becalm.core.filter.gate import Gate
-from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.model.model import Model
 from becalm.core.model.prior import WIDE, refuse_singular, root_of, wide_prior
 from becalm.core.model.timeline import model_system
@@ -56,7 +56,7 @@ class OnlineChannel:
     def __init__(self, model: Model, lag: int, gate: Gate | None) -> None:
         self.model, self.gate, self.lag = model, gate, lag
         self._settings, self._coefficients = model_settings(model, gate), model_coefficients(model)
-        self._largest = BEYOND_ANY_SENSOR if gate is None else largest_beside(float(model.R[0, 0]))
+        self._largest = BEYOND_ANY_SENSOR if gate is None else largest_magnitude_for_noise(float(model.R[0, 0]))
         self._steps = _ModelSteps(*(np.require(A[:1], np.float64, ["C", "A"]) for A in model_system(model)[:2]))
         self._has_rows, self._rows_to_skip = False, lag
         self.verdicts: Codes = np.empty(0, np.int8)

@@ -46,7 +46,7 @@ class PartialFlow(Protocol):
         """Restore the result of `saved`."""
         ...
 
-    def tell_from(self, reading: float) -> None:
+    def set_level(self, reading: float) -> None:
         """Set the level that readings count from to the first reading of the record, before any push."""
         ...
 
@@ -122,13 +122,13 @@ class RestartingFlow:
         self._gaps.restore(arrays["parted_gaps"])
         self._flow.restore(arrays)
 
-    def tell_from(self, reading: float) -> None:
+    def set_level(self, reading: float) -> None:
         """Set the level that readings count from to the first reading of the record, before any push."""
-        self._flow.tell_from(reading)
+        self._flow.set_level(reading)
 
-    def begin_after(self, reading: float, readings: int, steps: float) -> None:
+    def set_history(self, reading: float, readings: int, steps: float) -> None:
         """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
-        self.tell_from(reading)
+        self.set_level(reading)
         self._gaps.restore(np.array([steps, steps, float(readings)]))
 
     @property

@@ -20,9 +20,9 @@ from becalm.core.filter.channel import Estimates, log_densities, parts_of
 from becalm.core.filter.channel_settings import ChannelSettings, StepTable, packed_coefficients, packed_settings
 from becalm.core.filter.gate import Gate
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_beside
+from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.rows import EstimatedRows, Judge, Rows
-from becalm.core.steady.steady_gain import FORGOTTEN, rows_until
+from becalm.core.steady.steady_gain import NEGLIGIBLE_SHARE, rows_until_decayed
 from becalm.core.verdict import Verdict
 from becalm.core.verdict import judge as judge_readings
 from becalm.native import DETERMINED
@@ -31,7 +31,7 @@ from becalm.native.smoothers import ForwardPass, Smoother
 _LONGEST = 1 << 14  # rows of a stretch
 _MOST_NUMBERS = 1 << 21  # largest size of a stretch's step matrices, if each row has its own
 _DIFFERENT = 1e14  # two futures start this far apart ...
-_SAME = 1e-12  # ... and must come this close; the ratio is the square of `FORGOTTEN`
+_SAME = 1e-12  # ... and must come this close; the ratio is the square of `NEGLIGIBLE_SHARE`
 _STRETCHES = 4  # stretches that are smoothed at once, if memory allows
 _FAR = 1 << 40  # rows
 
@@ -81,7 +81,7 @@ class SmoothedFlow:
         self._model = component.to_model(1.0, noise_variance)
         coefficients = packed_coefficients(component, noise_variance, disturbed=settings.disturbed)
         self._smoother = Smoother(packed_settings(settings), coefficients)
-        self._steps, self._largest = StepTable(component, nearest=False), largest_beside(noise_variance)
+        self._steps, self._largest = StepTable(component, nearest=False), largest_magnitude_for_noise(noise_variance)
         states = self._model.states
         self._length = max(BLOCK, min(_LONGEST, _MOST_NUMBERS // states**2 // BLOCK * BLOCK))
         self._incomplete, self._count = list[Rows](), 0  # rows of an incomplete stretch, and their number
@@ -133,9 +133,9 @@ class SmoothedFlow:
         self._incomplete, self._count = [], 0
         return self._smoothed(len(self._held), self._smoother.nothing())
 
-    def begin_after(self, reading: float, readings: int, steps: float) -> None:
+    def set_history(self, reading: float, readings: int, steps: float) -> None:
         """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
-        self._smoother.begin_after(reading, readings, steps)
+        self._smoother.set_history(reading, readings, steps)
         self._has_rows = readings > 0
 
     def _filter(self, rows: Rows, *, ends: bool) -> Rows:
@@ -216,4 +216,4 @@ class SmoothedFlow:
     @cached_property
     def _usual_reach(self) -> int:
         """Rows after which the steady-state filter no longer depends on its start, in whole blocks."""
-        return BLOCK * (1 + int(min(rows_until(FORGOTTEN, self._model), _FAR) // BLOCK))
+        return BLOCK * (1 + int(min(rows_until_decayed(NEGLIGIBLE_SHARE, self._model), _FAR) // BLOCK))

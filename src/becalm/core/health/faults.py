@@ -97,7 +97,7 @@ class Faults:
         self._count(codes if fault_count else codes[:0], np.broadcast_to(ticks, z.shape))
         return codes
 
-    def begin_after(self, rows: int, steps: float, least: float, most: float) -> None:
+    def set_history(self, rows: int, steps: float, least: float, most: float) -> None:
         """Set how many rows and steps went before, and the least and greatest of their readings, in unit."""
         self._rows, self._ticks = rows, round(steps * _TIME)
         self._state["least"], self._state["most"] = least, most
@@ -145,7 +145,7 @@ def require_steps(elapsed: Floats, rows: int) -> None:
         )
 
 
-def said(found: Mapping[Verdict, FaultCount], limits: Limits, step_s: float) -> list[str]:
+def fault_messages(found: Mapping[Verdict, FaultCount], limits: Limits, step_s: float) -> list[str]:
     """Return a sentence or two for each detected fault: what, how often, where first, and what to do.
 
     Parameters

@@ -225,7 +225,7 @@ class InnovationMonitor:
         """Whether the last window was that of a dead sensor."""
         return self._silent
 
-    def begin_after(self, innovations: int, rows: int, steps: float) -> None:
+    def set_history(self, innovations: int, rows: int, steps: float) -> None:
         """Set how many innovations, rows and steps went before, so that hops and rows count as in the whole record."""
         state = self._watch.state
         self._rows = state["rows"] = rows

@@ -76,7 +76,7 @@ class NoiseHistory:
         return bool(means.var(ddof=1) <= _UNEVEN * 2 / (self._size * HOP) * means.mean() ** 2)
 
 
-def said_of_change(change: NoiseChanged | None, step_s: float) -> list[str]:
+def noise_change_message(change: NoiseChanged | None, step_s: float) -> list[str]:
     """Return a sentence with the time and size of the change, and what to do; an empty list without a change."""
     if change is None:
         return []

@@ -176,10 +176,10 @@ def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distan
 
 def is_outlier(z: Floats, rule: Outliers) -> Booleans:
     """Return which readings (N,), NaN where missing, are gross outliers, from neighbours on both sides."""
-    return np.asarray((beside_others(z, rule) == Verdict.OUTLIER) | (z == rule.blank))
+    return np.asarray((verdicts_from_neighbours(z, rule) == Verdict.OUTLIER) | (z == rule.blank))
 
 
-def beside_others(z: Floats, rule: Outliers, stuck: int = 0) -> Codes:
+def verdicts_from_neighbours(z: Floats, rule: Outliers, stuck: int = 0) -> Codes:
     """Return a verdict for each reading from its neighbours on both sides: `OUTLIER`, `STUCK` or `USED`.
 
     Parameters

@@ -80,7 +80,7 @@ class WaitingRows:
         self._notes, self._turn = notes[due:].copy(), last + self.every - due
         return due
 
-    def tell_all(self, bank: Bank, state: State, steps: Steps, room: Trace) -> None:
+    def estimate_all(self, bank: Bank, state: State, steps: Steps, room: Trace) -> None:
         """Write estimates of all waiting rows from the rows so far; they go on waiting."""
         count = len(self._notes)
         if count:
@@ -153,7 +153,7 @@ class FixedLagImmFlow(ByModes):
         """Return estimates of the waiting rows from the rows so far."""
         lengths, steps = numbered_steps(self._elapsed)
         room = self._filter.room(len(self._waiting))
-        self._waiting.tell_all(self.switching.bank(lengths), self._filter.state, steps, room)
+        self._waiting.estimate_all(self.switching.bank(lengths), self._filter.state, steps, room)
         return [self._filter.told(room, self._verdicts)]
 
     def saved(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from becalm.core.arrays import Codes, Floats
 from becalm.core.imm.forward import ByModes, ForwardImm, with_spikes
 from becalm.core.imm.modes import InteractingModels, numbered_steps
 from becalm.core.rows import EstimatedRows, Judge, Rows
-from becalm.core.steady.steady_gain import FORGOTTEN, rows_until
+from becalm.core.steady.steady_gain import NEGLIGIBLE_SHARE, rows_until_decayed
 from becalm.native.imm import (
     BLOCK,
     NOTHING_WANTED,
@@ -122,5 +122,5 @@ class ImmFlow(ByModes):
 def _group_rows(switching: InteractingModels) -> int:
     """Return the number of rows after which even the calmest mode has no memory, in whole blocks."""
     models = [mode.component.to_model(1.0, mode.noise_variance) for mode in switching.modes]
-    longest = max(rows_until(FORGOTTEN, model) for model in models)
+    longest = max(rows_until_decayed(NEGLIGIBLE_SHARE, model) for model in models)
     return max(_LEAST_GROUP, int(min(longest, _MOST_GROUP)) // BLOCK * BLOCK)

@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.imm.modes import InteractingModels
-from becalm.core.model.magnitudes import largest_beside, level_by
+from becalm.core.model.magnitudes import largest_magnitude_for_noise, level_from_first_reading
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Judged, Verdict, judge
 from becalm.errors import ModelError
@@ -63,13 +63,13 @@ class ForwardImm:
 
     def judged(self, z: Floats) -> Judged:
         """Return readings (B,) with NaN in place of impossible ones, and their verdicts."""
-        return judge(z, largest_beside(self.switching.least_noise_variance))
+        return judge(z, largest_magnitude_for_noise(self.switching.least_noise_variance))
 
-    def tell_from(self, reading: float) -> None:
+    def set_level(self, reading: float) -> None:
         """Set the level that readings count from to the first reading of the record, before any push."""
         if not self.state["has_level"]:
             self.state["has_level"] = 1
-            self.state["level"] = level_by(reading, self.switching.least_noise_variance)
+            self.state["level"] = level_from_first_reading(reading, self.switching.least_noise_variance)
 
     def run(
         self,
@@ -152,9 +152,9 @@ class ByModes:
         """Restore the result of `saved`; raise a ModelError if it does not fit these modes."""
         self._filter.restore(arrays)
 
-    def tell_from(self, reading: float) -> None:
+    def set_level(self, reading: float) -> None:
         """Set the level that readings count from to the first reading of the record, before any push."""
-        self._filter.tell_from(reading)
+        self._filter.set_level(reading)
 
 
 def with_spikes(verdicts: Codes, trace: Trace) -> Codes:

@@ -47,7 +47,7 @@ class LiveFixedLagImm(LiveImm):
     def finish(self) -> tuple[Floats, Floats]:
         """Return signal and sigma, (rows, 1) each, of the waiting readings, from the readings so far."""
         room = self._room(len(self._waiting))
-        self._waiting.tell_all(self._bank, self._state, np.zeros(len(self._waiting), np.int32), room)
+        self._waiting.estimate_all(self._bank, self._state, np.zeros(len(self._waiting), np.int32), room)
         signal, sigma = np.hstack([self._due, [room.signal, room.sigma]])
         return signal[:, np.newaxis], sigma[:, np.newaxis]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_beside, largest_level
+from becalm.core.model.magnitudes import largest_level, largest_magnitude_for_noise
 from becalm.core.steady.steady_gain import steady
 from becalm.errors import ModelError
 from becalm.native.imm import MOST_MODES, Bank, Steps
@@ -159,7 +159,9 @@ class InteractingModels:
             np.array([mode.wild_share if self.wild_variance > 0 else 0.0 for mode in self.modes]),
             np.array([self.wild_variance, float(self.rejects)]),
             self.start,
-            np.array([largest_beside(self.least_noise_variance), largest_level(self.least_noise_variance)]),
+            np.array(
+                [largest_magnitude_for_noise(self.least_noise_variance), largest_level(self.least_noise_variance)]
+            ),
         )
 
     def _over(self, mode: Mode, lengths: Floats) -> tuple[Floats, Floats]:

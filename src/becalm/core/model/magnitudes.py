@@ -34,7 +34,7 @@ def find_largest(z: Floats) -> float:
     return largest if np.abs(usable).max() > largest else BEYOND_ANY_SENSOR
 
 
-def largest_beside(noise_variance: float) -> float:
+def largest_magnitude_for_noise(noise_variance: float) -> float:
     """Return the magnitude beyond which float64 rounds a value more coarsely than the noise of the sensor.
 
     A filter that used such a reading could not recover: later corrections would be lost in the rounding of its
@@ -52,9 +52,9 @@ def largest_beside(noise_variance: float) -> float:
 
 def largest_level(noise_variance: float) -> float:
     """Return the largest level that can be subtracted from readings of this noise, in unit^2, without rounding them."""
-    return largest_beside(noise_variance) / _ROUNDING
+    return largest_magnitude_for_noise(noise_variance) / _ROUNDING
 
 
-def level_by(reading: float, noise_variance: float) -> float:
+def level_from_first_reading(reading: float, noise_variance: float) -> float:
     """Return the first reading as the level to subtract from all others; 0 if the rounding would hide their noise."""
     return reading if abs(reading) <= largest_level(noise_variance) else 0.0

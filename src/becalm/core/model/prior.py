@@ -36,7 +36,7 @@ def arrived(readings: Floats) -> Booleans:
     return usable
 
 
-def known_before(model: Model) -> PriorInformation:
+def flat_prior(model: Model) -> PriorInformation:
     """Return the flat prior plus `model.known`; unobservable directions have the mean 0 and unit variance."""
     Y = model.unobservable @ model.unobservable.T
     return PriorInformation(Y if model.known is None else Y + model.known, np.zeros(len(Y)))

@@ -31,7 +31,7 @@ class Beliefs(NamedTuple):
     mu: Floats  # (M,)
 
 
-class Outlook(NamedTuple):
+class BackwardLikelihood(NamedTuple):
     """Likelihood of the readings from a row on, as a function of the state in each mode; see the module."""
 
     c: Floats  # (M, n)
@@ -44,7 +44,7 @@ class Row(NamedTuple):
     """The posterior after a reading, and what the reading contributed."""
 
     beliefs: Beliefs
-    said: Outlook  # likelihood of this reading alone, about the posterior mean
+    said: BackwardLikelihood  # likelihood of this reading alone, about the posterior mean
     log_likelihood: float  # 0 for a missing reading and for the first one
     wild: float  # probability that the reading is wild; NaN if there was no update
     innovation: float  # of the mixture: normal score times innovation_sigma; NaN if there was no update
@@ -114,7 +114,7 @@ def update(before: Beliefs, bank: Bank, z: float) -> Row:
     expected = before.mu @ (before.x @ H)
     spread = before.mu @ (S + (before.x @ H - expected) ** 2)
     after = Beliefs(np.array([x for x, _ in parts]), np.array([P for _, P in parts]), mu)
-    outlook = reading_says(after, bank, z, w / R)
+    outlook = reading_likelihood(after, bank, z, w / R)
     fit = np.array([evidence(before.x[j], before.P[j], outlook, j) for j in range(len(R))])
     outlook = outlook._replace(g=np.log(likelihood) - fit)  # makes its evidence equal to the likelihood of the reading
     below, above = (float(before.mu @ foretold(side * nu, S, V, tail)) for side in (1, -1))
@@ -171,16 +171,16 @@ def _without_update(beliefs: Beliefs) -> Row:
     return Row(beliefs, _no_information(beliefs), 0.0, np.nan, np.nan, np.nan)
 
 
-def _no_information(now: Beliefs) -> Outlook:
-    return Outlook(now.x, np.zeros_like(now.x), np.zeros_like(now.P), np.zeros_like(now.mu))
+def _no_information(now: Beliefs) -> BackwardLikelihood:
+    return BackwardLikelihood(now.x, np.zeros_like(now.x), np.zeros_like(now.P), np.zeros_like(now.mu))
 
 
-def reading_says(after: Beliefs, bank: Bank, z: float, W: Floats) -> Outlook:
+def reading_likelihood(after: Beliefs, bank: Bank, z: float, W: Floats) -> BackwardLikelihood:
     """Return the likelihood of a reading with weights W (M,), 1 / R if it is used, about the posterior mean."""
     H = bank.H[0]
     r = np.array([H * own * (z - H @ x) for own, x in zip(W, after.x, strict=True)])
     Y = np.array([np.outer(H, H) * own for own in W])
-    return Outlook(after.x, r, Y, np.zeros_like(W))  # (9)
+    return BackwardLikelihood(after.x, r, Y, np.zeros_like(W))  # (9)
 
 
 def solve(A: Floats, B: Floats) -> tuple[Floats, Any]:
@@ -196,7 +196,7 @@ def solve(A: Floats, B: Floats) -> tuple[Floats, Any]:
     return rows[:, n:], logarithm
 
 
-def evidence(x: Floats, P: Floats, ahead: Outlook, i: int) -> Any:
+def evidence(x: Floats, P: Floats, ahead: BackwardLikelihood, i: int) -> Any:
     """Return the log-likelihood of the later readings for a state x, P in mode i."""
     c, r, Y, g = (part[i] for part in ahead)
     d = x - c
@@ -205,18 +205,18 @@ def evidence(x: Floats, P: Floats, ahead: Outlook, i: int) -> Any:
     return g + r @ d - d @ Y @ d / 2 + q @ moved[:, 0] / 2 - determinant / 2  # (12)
 
 
-def before_step(F: Floats, Q: Floats, x: Floats, ahead: Outlook, i: int) -> Outlook:
+def before_step(F: Floats, Q: Floats, x: Floats, ahead: BackwardLikelihood, i: int) -> BackwardLikelihood:
     """Return the likelihood, about x, of the state before a step into mode i; without an axis for modes."""
     c, r, Y, _ = (part[i] for part in ahead)
     A, _ = solve(np.eye(len(x)) + Y @ Q, np.eye(len(x)))
     own = evidence(F @ x, Q, ahead, i)  # of a step that starts exactly at x
-    return Outlook(x, F.T @ A @ (r - Y @ (F @ x - c)), F.T @ A @ Y @ F, np.array(own))  # (10), (11)
+    return BackwardLikelihood(x, F.T @ A @ (r - Y @ (F @ x - c)), F.T @ A @ Y @ F, np.array(own))  # (10), (11)
 
 
 def smooth(bank: Bank, rows: list[Row], steps: Steps) -> list[Beliefs]:
     """Smooth a filtered record: return the state of each row given all readings."""
     smoothed: list[Beliefs] = []
-    ahead: Outlook | None = None
+    ahead: BackwardLikelihood | None = None
     for k in range(len(rows) - 1, -1, -1):
         now, outlook = rows[k].beliefs, rows[k].said
         if ahead is None or steps[k + 1] < 0 or np.isnan(now.mu[0]):
@@ -224,25 +224,29 @@ def smooth(bank: Bank, rows: list[Row], steps: Steps) -> list[Beliefs]:
         else:
             own, pooled = smooth_row(now, modes_over(bank, steps[k + 1]), ahead)
         smoothed.append(own)
-        ahead = Outlook(now.x, pooled.r + outlook.r, pooled.Y + outlook.Y, pooled.g + outlook.g)  # (9)
+        ahead = BackwardLikelihood(now.x, pooled.r + outlook.r, pooled.Y + outlook.Y, pooled.g + outlook.g)  # (9)
     return smoothed[::-1]
 
 
-def smooth_row(now: Beliefs, modes: Modes, ahead: Outlook) -> tuple[Beliefs, Outlook]:
+def smooth_row(now: Beliefs, modes: Modes, ahead: BackwardLikelihood) -> tuple[Beliefs, BackwardLikelihood]:
     """Return the smoothed state of a row, and the likelihood of the later readings in each mode."""
     parts = [smooth_mode(now, modes, ahead, j) for j in range(len(now.mu))]
     fit = np.array([own for *_, own in parts]) + np.log(now.mu)
     mu = np.exp(fit - fit.max())
     x, P = (np.array(arrays) for arrays in list(zip(*parts, strict=True))[:2])
-    pooled = Outlook(*(np.array(arrays) for arrays in zip(*(outlook for _, _, outlook, _ in parts), strict=True)))
+    pooled = BackwardLikelihood(
+        *(np.array(arrays) for arrays in zip(*(outlook for _, _, outlook, _ in parts), strict=True))
+    )
     return Beliefs(x, P, np.maximum(mu / mu.sum(), _UNLIKELY)), pooled
 
 
-def smooth_mode(now: Beliefs, modes: Modes, ahead: Outlook, j: int) -> tuple[Floats, Floats, Outlook, Any]:
+def smooth_mode(
+    now: Beliefs, modes: Modes, ahead: BackwardLikelihood, j: int
+) -> tuple[Floats, Floats, BackwardLikelihood, Any]:
     """Return mean and covariance of mode j, and the likelihood of later readings: as a function, and its value."""
     x, P, n, count = now.x[j], now.P[j], now.x.shape[1], len(now.mu)
     outlooks = [before_step(modes.F[i], modes.Q[i], x, ahead, i) for i in range(count)]
-    every = Outlook(*(np.array(arrays) for arrays in zip(*outlooks, strict=True)))
+    every = BackwardLikelihood(*(np.array(arrays) for arrays in zip(*outlooks, strict=True)))
     fit = np.array([evidence(x, P, every, i) for i in range(count)])
     fit += np.log(np.maximum(now.mu[j] * modes.T[j], _UNLIKELY**2)) - np.log(now.mu[j])
     weight = np.exp(fit - fit.max())
@@ -250,6 +254,6 @@ def smooth_mode(now: Beliefs, modes: Modes, ahead: Outlook, j: int) -> tuple[Flo
     reduced = np.array([solve(np.eye(n) + P @ Y, P)[0] for Y in every.Y])
     mean, cov = collapse(weight, x + np.einsum("iab,ib->ia", reduced, every.r), reduced)  # (13)
     r, Y = weight @ every.r, np.einsum("i,iab->ab", weight, every.Y)
-    alone = Outlook(x[np.newaxis], r[np.newaxis], Y[np.newaxis], np.zeros(1))
+    alone = BackwardLikelihood(x[np.newaxis], r[np.newaxis], Y[np.newaxis], np.zeros(1))
     g = np.array(log_likelihood - evidence(x, P, alone, 0))
-    return mean, cov, Outlook(x, r, Y, g), log_likelihood  # (14)
+    return mean, cov, BackwardLikelihood(x, r, Y, g), log_likelihood  # (14)

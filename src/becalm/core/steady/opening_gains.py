@@ -13,7 +13,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.model.covariances import covariance_after, covariance_ahead
 from becalm.core.model.model import Model
-from becalm.core.model.prior import known_before, refuse_singular, root_of
+from becalm.core.model.prior import flat_prior, refuse_singular, root_of
 from becalm.core.model.timeline import model_system
 from becalm.errors import ModelError
 
@@ -30,7 +30,7 @@ class Opening(NamedTuple):
     P: Floats  # (n, n) its covariance, in unit^2
 
 
-def open_at(model: Model) -> Opening:
+def determine_state(model: Model) -> Opening:
     """Return the state of a model of one channel as a function of its first readings.
 
     Parameters
@@ -50,7 +50,7 @@ def open_at(model: Model) -> Opening:
     """
     refuse_singular(model_system(model))
     n = model.states
-    prior = np.pad(root_of(known_before(model).Y), ((0, 0), (0, 1)))
+    prior = np.pad(root_of(flat_prior(model).Y), ((0, 0), (0, 1)))
     noise, reading = root_of(model.process_covariance).T, np.append(model.H[0], 1.0) / np.sqrt(model.R[0, 0])
     equations = _triangular(np.vstack([prior, reading]), n)
     while not _is_determined(equations[:, :n]):
@@ -122,7 +122,7 @@ def gains_after(opening: Opening, model: Model, most: int) -> Gains:
     return Gains(np.array(gains).reshape(len(gains), model.states), unchanged_rows > model.states)
 
 
-class Leap(NamedTuple):
+class CovarianceMap(NamedTuple):
     """The map of the prior covariance over L steps: P becomes Q + A (P^-1 + G)^-1 A'."""
 
     A: Floats
@@ -134,13 +134,13 @@ class Leap(NamedTuple):
         after = self.Q + self.A @ np.linalg.solve(np.eye(len(P)) + P @ self.G, P) @ self.A.T
         return (after + after.T) / 2
 
-    def twice(self) -> Leap:
+    def twice(self) -> CovarianceMap:
         """Return the map over twice as many steps (Anderson, Int. J. Control 28 (1978) 295)."""
         A, G, Q = self
         W = np.linalg.inv(np.eye(len(A)) + Q @ G)
-        return Leap(A @ W @ A, G + A.T @ G @ W @ A, Q + A @ W @ Q @ A.T)
+        return CovarianceMap(A @ W @ A, G + A.T @ G @ W @ A, Q + A @ W @ Q @ A.T)
 
 
-def leap_of(model: Model) -> Leap:
+def covariance_map(model: Model) -> CovarianceMap:
     """Return the covariance map over one step of a model of one channel."""
-    return Leap(model.F, model.H.T @ model.H / model.R[0, 0], model.process_covariance)
+    return CovarianceMap(model.F, model.H.T @ model.H / model.R[0, 0], model.process_covariance)

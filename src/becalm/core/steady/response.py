@@ -18,7 +18,7 @@ from becalm.core.model.model import Model
 from becalm.core.model.parts import checked_step
 from becalm.core.steady.steady_filter import SteadyFilter
 from becalm.core.steady.steady_gain import steady
-from becalm.core.steady.step_response import StepResponse, lag_steps, tell_step
+from becalm.core.steady.step_response import StepResponse, describe_step, lag_steps
 from becalm.errors import ModelError
 
 _PASSES_DC = 0.1  # of the largest gain: a filter with less gain at 0 Hz is a band-pass
@@ -153,7 +153,7 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
         peak_db=decibels(passing.peak / passing.reference) if has_peak else 0.0,
         peak_hz=passing.peak_at / step_s if has_peak else 0.0,
         poles=steady_filter.poles,
-        step=tell_step(steady_filter, step_s) if delayed else None,
+        step=describe_step(steady_filter, step_s) if delayed else None,
         butterworth=_match_butterworth(steady_filter, edge, step_s) if low_pass else None,
     )
 

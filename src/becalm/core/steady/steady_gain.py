@@ -47,11 +47,11 @@ def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
     return SteadyFilter(model, P, K, (np.eye(model.states) - K @ model.H) @ model.F, S, row)
 
 
-FORGOTTEN = 1e-13
+NEGLIGIBLE_SHARE = 1e-13
 """Largest relative influence of rows that have not arrived yet on later estimates."""
 
 
-def rows_until(share: float, model: Model) -> float:
+def rows_until_decayed(share: float, model: Model) -> float:
     """Return the number of readings after which the influence of the initial state has fallen to a share.
 
     Parameters

@@ -88,7 +88,7 @@ def _orbit(A: Floats, x: Floats, count: int) -> Floats:
     return x[:, :count]
 
 
-def tell_step(found: SteadyFilter, step_s: float) -> StepResponse:
+def describe_step(found: SteadyFilter, step_s: float) -> StepResponse:
     """Return the step response of a filter that passes 0 Hz, for readings every `step_s` seconds."""
     transient = _transient(found)
     outside = int(np.flatnonzero(np.abs(transient.remaining) > _WITHIN)[-1])

@@ -17,7 +17,7 @@ from becalm.files.arrays.array_titles import is_alone, take_titles
 from becalm.files.arrays.arrays import FileArrays, Leaf, Path
 from becalm.files.columns import Column
 from becalm.files.groups import GROUP, START, TIME, Group
-from becalm.files.source import ToldTime
+from becalm.files.source import FormatTime
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.unit_spelling import parse_header
@@ -160,9 +160,9 @@ class Grouping:
         names = unique_names([name for name, _ in columns])
         time = None
         if home.rate_hz is not None and not any(is_time_name(name) for name in names):
-            time = ToldTime("", home.rate_hz, self._rates.start(home.folder))
+            time = FormatTime("", home.rate_hz, self._rates.start(home.folder))
         elif TIME in names and (start := self._found.word((*home.folder, START))):
-            time = ToldTime(TIME, None, start)
+            time = FormatTime(TIME, None, start)
         named = dict(zip(names, (column for _, column in columns), strict=True))
         return Group(self._title(home, leaves), named, home.rows, time, notes)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import NAMES, OF_TABLE, UNITS, VARIABLES, folder_name, variables
-from becalm.files.column_arrays import refuse_strange_types, told_of, unit_of_field, whole_column
+from becalm.files.column_arrays import metadata_of, refuse_strange_types, unit_of_field, whole_column
 from becalm.files.groups import GROUP
 
 _HEAD = b"MATLAB 5.0 MAT-file, written by becalm".ljust(116)  # without a date, so that equal data give equal bytes
@@ -51,7 +51,7 @@ class _ArrayRows(ABC):
 
     def write(self, table: pa.Table) -> None:
         """Collect rows of a group."""
-        group = told_of(table.schema).get(GROUP, "")
+        group = metadata_of(table.schema).get(GROUP, "")
         if group not in self._held:
             refuse_strange_types(table.schema, self.form)
         self._held.setdefault(group, []).append(table)
@@ -66,7 +66,7 @@ class _ArrayRows(ABC):
         folders: dict[str, _Folder] = {}
         for group in list(self._held):
             table = pa.concat_tables(self._held.pop(group))
-            metadata = told_of(table.schema)
+            metadata = metadata_of(table.schema)
             root.texts.update(_texts({key: text for key, text in metadata.items() if key not in OF_TABLE}))
             folder = _folder(table, {key: text for key, text in metadata.items() if key in OF_TABLE})
             if group:

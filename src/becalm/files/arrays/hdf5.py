@@ -8,7 +8,7 @@ from types import ModuleType
 
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
-from becalm.files.arrays.hdf5_customs import follow_customs
+from becalm.files.arrays.hdf5_customs import apply_conventions
 from becalm.files.arrays.hdf5_opening import SIGNATURE, Hdf5File
 from becalm.files.arrays.hdf5_tree import Tree
 from becalm.files.groups import tables
@@ -34,7 +34,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 def _grouping(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
     contents = Tree(foreign, opened, h5py).walk(opened.file)
-    follow_customs(contents)
+    apply_conventions(contents)
     return Grouping(contents, "/", apart=True)
 
 
@@ -60,11 +60,11 @@ def read_tree(
         If nothing in it can be read.
     """
     h5py = foreign.library("h5py")
-    with foreign.damage_told():
+    with foreign.explain_damage():
         opened = Hdf5File(h5py, foreign.path, base)
         foreign.cut = opened.size is not None
     try:
-        with foreign.damage_told():
+        with foreign.explain_damage():
             grouping = understood(foreign, opened, h5py)
             groups = grouping.groups()
         if not groups and grouping.notes:

@@ -28,7 +28,7 @@ _STEPS = {
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 
 
-def follow_customs(found: FileArrays) -> None:
+def apply_conventions(found: FileArrays) -> None:
     """Give arrays the names, types and values that their writer's conventions define."""
     found.leaves = [
         _pandas(found, _netcdf(found, leaf))

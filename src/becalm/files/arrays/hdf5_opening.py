@@ -12,7 +12,7 @@ import numpy as np
 
 from becalm.files.arrays.hdf5_gaps import WrittenChunks, is_there
 from becalm.files.arrays.hdf5_heaps import damaged_heap
-from becalm.files.arrays.hdf5_packing import refuse_swollen
+from becalm.files.arrays.hdf5_packing import check_unpacked_size
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _CACHE_BYTES = 8 << 20
@@ -73,7 +73,7 @@ class Hdf5File:
         ValueError
             If a chunk would unpack to more bytes than its rows need.
         """
-        refuse_swollen(dataset)
+        check_unpacked_size(dataset)
         rows = dataset.shape[0] if dataset.shape else 1
         if self.size is None:
             return self._written_rows(dataset, int(rows))

@@ -11,7 +11,7 @@ _SPARE = 1 << 16  # bytes that packing and checksums may add to incompressible d
 _LARGE = 1 << 20  # packed size in bytes from which a chunk is checked; smaller ones unpack to at most a gigabyte
 
 
-def refuse_swollen(dataset: Any) -> None:
+def check_unpacked_size(dataset: Any) -> None:
     """Raise an error if a chunk of a dataset (an h5py.Dataset) unpacks to more bytes than its rows need.
 
     Raises

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import FLAG, NAME, OF_TABLE, folder_name, variables
-from becalm.files.column_arrays import is_text, numbers_of, refuse_strange_types, texts_of, told_of, unit_of_field
+from becalm.files.column_arrays import is_text, metadata_of, numbers_of, refuse_strange_types, texts_of, unit_of_field
 from becalm.files.groups import GROUP
 
 _CHUNK_ROWS = 1 << 15
@@ -84,7 +84,7 @@ class Hdf5Rows:
         """Append rows to a group."""
         if self._out is None:
             self._out = _h5py().File(self._file, "w", libver="v108", track_order=True)
-        metadata = told_of(table.schema)
+        metadata = metadata_of(table.schema)
         group = metadata.get(GROUP, "")
         if group not in self._tables:
             refuse_strange_types(table.schema, "HDF5")

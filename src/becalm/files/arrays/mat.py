@@ -66,7 +66,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "MAT")
     contents = FileArrays()
-    with foreign.damage_told():
+    with foreign.explain_damage():
         data = memoryview(path.read_bytes())
         for variable in variables5(foreign, data) if is_mat5(bytes(data[:128])) else variables4(data):
             _add(contents, variable)

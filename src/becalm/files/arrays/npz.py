@@ -42,7 +42,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "NPZ")
     contents = FileArrays()
-    with foreign.damage_told():
+    with foreign.explain_damage():
         with path.open("rb") as file:
             alone = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
         if alone:

@@ -17,12 +17,12 @@ from becalm.files.decoding import (
     GZIP,
     Gunzip,
     damaged_text,
+    explain_read_errors,
     read_bytes,
     refuse_binary,
     refuse_nothing,
     refuse_nul,
     refuse_other_formats,
-    told,
     without_open_line,
 )
 from becalm.files.library_reader import refuse_claim
@@ -41,7 +41,7 @@ class OtherEncodingError(Exception):
 
 def is_large(path: Path, head: bytes) -> bool:
     """Return whether a text file is larger than `WHOLE_BYTES`, unpacked, and must be read in blocks."""
-    with told(path):
+    with explain_read_errors(path):
         size = path.stat().st_size
         if not head.startswith(GZIP):
             return size > WHOLE_BYTES
@@ -81,7 +81,7 @@ class TextFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.compression = "gzip" if read_bytes(path, 2) == GZIP else ""
-        with told(path), self._open() as file:
+        with explain_read_errors(path), self._open() as file:
             head = file.read(4096)
         if self.compression:
             refuse_nothing(path, head)
@@ -130,7 +130,7 @@ class TextFile:
         lines = count = 0
         certain, rest = self._mark != b"", b""
         size = self._path.stat().st_size
-        with told(self._path), self._open() as file:
+        with explain_read_errors(self._path), self._open() as file:
             file.read(len(self._mark))
             for data in _blocks(file):
                 count += len(data)

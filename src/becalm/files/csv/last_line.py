@@ -114,7 +114,7 @@ def _shape(cell: str, kind: str) -> tuple[str, int]:
     return re.sub(r"[0-9]+", "0", plain), len(plain) - len(plain.rstrip("0123456789"))
 
 
-def with_end_told(table: RawTable, cut: str, last: LastLine) -> RawTable:
+def with_truncation_notes(table: RawTable, cut: str, last: LastLine) -> RawTable:
     """Add notes to a table if its text is incomplete.
 
     Parameters

@@ -14,7 +14,7 @@ from becalm.files.arrays.array_rates import hertz_of
 from becalm.files.groups import TIME
 from becalm.files.numbers import Numbers
 from becalm.files.rows import TableRows
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.cells import split
 from becalm.files.timing.time_column import NUMBERS, find_time, kind_of_column, numbers
 from becalm.files.unit_spelling import parse_header
@@ -50,7 +50,7 @@ def with_rate(raw: RawTable, rate_hz: float | None) -> RawTable:
         return raw
     own = next(name for number in range(len(raw.names) + 1) if (name := TIME + "_" * number) not in raw.names)
     rows = _CountedRows(raw.rows, own, rate_hz)
-    return replace(raw, rows=rows, units={own: "s", **raw.units}, time=ToldTime(own, rate_hz))
+    return replace(raw, rows=rows, units={own: "s", **raw.units}, time=FormatTime(own, rate_hz))
 
 
 def _rates_in(row: Sequence[str]) -> Iterator[float]:

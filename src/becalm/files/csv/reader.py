@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from becalm.files.csv.blocks import rows_of_text
 from becalm.files.csv.broken_rows import ragged, refuse_strays, spans_lines
-from becalm.files.csv.last_line import LastLine, with_end_told
+from becalm.files.csv.last_line import LastLine, with_truncation_notes
 from becalm.files.csv.rates import with_rate
 from becalm.files.csv.sniffing import Dialect, sniff
 from becalm.files.decoding import decode
@@ -42,7 +42,7 @@ def read_csv(path: Path, data: bytes) -> RawTable:
     table = table.select(without_padding(dialect, names, [column.null_count == len(table) for column in table.columns]))
     layout = text_layout(text.encoding, text.compression, dialect, decimal)
     raw = RawTable(HeldRows(table), table.num_rows, "csv", units_of(dialect, names), layout)
-    return with_rate(with_end_told(raw, text.cut, last), dialect.header.rate_hz)
+    return with_rate(with_truncation_notes(raw, text.cut, last), dialect.header.rate_hz)
 
 
 def text_layout(encoding: str, compression: str, dialect: Dialect, decimal: str) -> TextLayout:

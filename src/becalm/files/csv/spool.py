@@ -13,7 +13,7 @@ import pyarrow as pa
 from becalm.errors import InputError
 from becalm.files.csv.blocks import OtherEncodingError, TextFile, rows_of_text
 from becalm.files.csv.broken_rows import ragged, refuse_strays, spans_lines
-from becalm.files.csv.last_line import LastLine, with_end_told
+from becalm.files.csv.last_line import LastLine, with_truncation_notes
 from becalm.files.csv.rates import with_rate
 from becalm.files.csv.reader import (
     TextNumbers,
@@ -84,7 +84,7 @@ class _Spooling:
         rows.keep(without_padding(self._dialect, self._names, empty))
         layout = text_layout(self._text.encoding, self._text.compression, self._dialect, decimal)
         raw = RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
-        return with_rate(with_end_told(raw, self._text.cut, self._last), self._dialect.header.rate_hz)
+        return with_rate(with_truncation_notes(raw, self._text.cut, self._last), self._dialect.header.rate_hz)
 
     def _body(self) -> Iterator[bytes]:
         return rows_of_text(self._last.whole_rows(self._text.lines()), self._dialect.separator)

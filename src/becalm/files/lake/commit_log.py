@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from becalm.files.decoding import told
+from becalm.files.decoding import explain_read_errors
 from becalm.files.lake import delta_log, marks, spark_log
 
 Parts = tuple[str, ...]
@@ -78,6 +78,6 @@ def log_of(folder: Path) -> CommitLog | None:
     InputError
         If the log cannot be read.
     """
-    with told(folder):
+    with explain_read_errors(folder):
         names = [name for name in _READERS if (folder / name).exists()]
     return CommitLog(folder, _READERS[names[0]](folder), whole=names[0] in _WHOLE) if names else None

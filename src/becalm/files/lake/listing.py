@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError
-from becalm.files.decoding import PARQUET, told
+from becalm.files.decoding import PARQUET, explain_read_errors
 from becalm.files.lake.commit_log import CommitLog, Parts, log_of
 
 ENDINGS = (".parquet", ".pq")
@@ -142,7 +142,7 @@ def _walk(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Parque
         if (real := place.path.resolve()) in seen:
             continue
         seen.add(real)
-        with told(place.path):
+        with explain_read_errors(place.path):
             paths = sorted(place.path.iterdir())
         for path in (path for path in paths if not is_hidden(path.name)):
             deeper = (*place.below, path.name)
@@ -165,7 +165,7 @@ def _walk(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Parque
 def _is_parquet(path: Path) -> bool:
     """Return whether a file is Parquet by the ending of its name or, as Hive writes names without one, its content."""
     named = path.name.lower().endswith(ENDINGS)
-    with told(path):
+    with explain_read_errors(path):
         if named:
             return path.is_file() or not path.exists()  # the reader reports a link to a missing file
         if not path.is_file():

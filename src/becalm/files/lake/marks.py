@@ -6,7 +6,7 @@ import json
 from pathlib import Path, PurePosixPath
 
 from becalm.errors import InputError
-from becalm.files.decoding import told
+from becalm.files.decoding import explain_read_errors
 
 MARK = "becalm.json"
 """The end of a mark's name: `_becalm.json` in the folder of a sensor, `_NAME.becalm.json` next to a single file."""
@@ -32,7 +32,7 @@ def marked_files(root: Path) -> set[tuple[str, ...]]:
         If the mark is damaged.
     """
     mark = root / NAME
-    with told(mark):
+    with explain_read_errors(mark):
         text = mark.read_bytes()
     try:
         return {PurePosixPath(name).parts for name in json.loads(text)[FILES]}

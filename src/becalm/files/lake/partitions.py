@@ -51,10 +51,10 @@ def refuse_several(folder: Path, files: Iterable[Path]) -> None:
 
 def sensor_of(place: Path) -> tuple[str, ...]:
     """Return the parts of a path that identify the sensor of its files: its partitions except those by time."""
-    return tuple(part for part in place.parts if is_partition(part) and not tells_time(part))
+    return tuple(part for part in place.parts if is_partition(part) and not is_time_partition(part))
 
 
-def tells_time(part: str) -> bool:
+def is_time_partition(part: str) -> bool:
     """Return whether a partition is by time: `date=2026-01-02`, and not `sensor=17`."""
     return _TIME.fullmatch(_HUMP.sub("_", part.partition("=")[0]).lower()) is not None
 

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 
 from becalm.errors import InputError
-from becalm.files.decoding import told
+from becalm.files.decoding import explain_read_errors
 
 NAME = "_spark_metadata"
 """The folder of the log, in the folder that the stream writes to."""
@@ -43,7 +43,7 @@ def committed_files(root: Path) -> set[tuple[str, ...]]:
 
 def _batches(log: Path) -> list[Path]:
     """Return the batches to read, in order: the last compacted batch, which includes all before it, and later ones."""
-    with told(log):
+    with explain_read_errors(log):
         names = [path.name for path in log.iterdir()]
     batches = [(int(match[1]), bool(match[2])) for match in map(_BATCH.fullmatch, names) if match]
     start = max((number for number, compact in batches if compact), default=None)
@@ -57,7 +57,7 @@ def _batches(log: Path) -> list[Path]:
 
 
 def _entries(batch: Path) -> Iterator[tuple[tuple[str, ...], str]]:
-    with told(batch):
+    with explain_read_errors(batch):
         lines = batch.read_text(encoding="utf-8").splitlines()
     if lines[:1] != [_VERSION]:
         problem = f"begins with {lines[0][:20]!r}" if lines else "is empty"

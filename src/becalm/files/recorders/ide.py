@@ -18,7 +18,7 @@ from becalm.files.bounded_file import WatchedFile
 from becalm.files.columns import NO_UNIT, Column
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 from becalm.files.stamps import instant
 from becalm.files.text.csv_header import unique_names
 
@@ -35,7 +35,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "IDE")
     library = foreign.library("idelib.importer")
-    with foreign.damage_told(), path.open("rb") as file, _without_logging():
+    with foreign.explain_damage(), path.open("rb") as file, _without_logging():
         opened = WatchedFile(file)
         recording = library.openFile(opened, quiet=True)
         notes = _cut_off(recording.ebmldoc, opened)
@@ -86,7 +86,7 @@ def _group(channel: Any, which: str, events: Any, notes: tuple[str, ...]) -> Gro
     columns = {TIME: Column(pa.float64(), samples.seconds, "s")}
     for place, (title, part) in enumerate(zip(titles[1:], channel.subchannels, strict=True), start=1):
         columns[title] = Column(pa.float64(), samples.row(place), part.units[1] or NO_UNIT)
-    return Group(channel.name + which, columns, len(events), ToldTime(TIME, start=_start(events, samples)), notes)
+    return Group(channel.name + which, columns, len(events), FormatTime(TIME, start=_start(events, samples)), notes)
 
 
 def _start(events: Any, samples: _Samples) -> str:

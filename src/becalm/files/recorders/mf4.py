@@ -20,9 +20,9 @@ from becalm.errors import InputError
 from becalm.files.columns import Column, least_bytes
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
-from becalm.files.recorders.mf4_blocks import looked_through
+from becalm.files.recorders.mf4_blocks import check_blocks
 from becalm.files.recorders.mf4_columns import NO_START, MasterTime, Mf4Channel, columns_of
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 
 _VARIABLE_LENGTH, _BUS_EVENT = 1, 2  # flags of a channel group
@@ -41,8 +41,8 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "MDF")
     library = foreign.library("asammdf")
-    with ExitStack() as stack, foreign.damage_told():
-        mending = looked_through(foreign)
+    with ExitStack() as stack, foreign.explain_damage():
+        mending = check_blocks(foreign)
         file = stack.enter_context(mending.opened(path))
         log = _opened(library, file)
         stack.callback(log.close)
@@ -144,7 +144,7 @@ def _rows(group: Any) -> int:
     return int(sum(block.original_size for block in blocks) // width)
 
 
-def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
+def _master(log: Any, index: int) -> tuple[dict[str, Column], FormatTime | None]:
     number = log.masters_db.get(index)
     if number is None:
         return {}, None
@@ -159,10 +159,10 @@ def _master(log: Any, index: int) -> tuple[dict[str, Column], ToldTime | None]:
     time = MasterTime(Mf4Channel(log, index, number))
     start = ""
     if str(getattr(log.groups[index].channel_group, "comment", "")) == NO_START:
-        return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME)
+        return {TIME: Column(pa.float64(), time.read, "s")}, FormatTime(TIME)
     with suppress(Exception):  # an invalid date is not a reason to reject the file
         start = _instant(log, time.first_s)
-    return {TIME: Column(pa.float64(), time.read, "s")}, ToldTime(TIME, None, start)
+    return {TIME: Column(pa.float64(), time.read, "s")}, FormatTime(TIME, None, start)
 
 
 def _instant(log: Any, after_s: float) -> str:

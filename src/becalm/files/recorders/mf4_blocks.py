@@ -51,7 +51,7 @@ class _Link(NamedTuple):
     channels: int = 0  # offset of its channel group
 
 
-class Mending(NamedTuple):
+class Repairs(NamedTuple):
     """The repairs that a copy of a file needs before it can be read.
 
     Attributes
@@ -79,7 +79,7 @@ class Mending(NamedTuple):
         return copy
 
 
-def looked_through(foreign: Foreign) -> Mending:
+def check_blocks(foreign: Foreign) -> Repairs:
     """Follow the blocks of a file of version 4 and return the repairs that it needs.
 
     Raises
@@ -91,7 +91,7 @@ def looked_through(foreign: Foreign) -> Mending:
     """
     with foreign.path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
         if data[_VERSION : _VERSION + 1] != b"4":  # other versions do not have these blocks
-            return Mending({}, False)
+            return Repairs({}, False)
         if len(data) < _HEADER_LINKS + 48 or data[64:68] != b"##HD":
             raise ValueError("it has no header block")
         (flags,) = struct.unpack_from("<H", data, _FLAGS)
@@ -102,7 +102,7 @@ def looked_through(foreign: Foreign) -> Mending:
             left, cut = left & ~_LAST_LIST, True
         if patches or flags:
             patches |= {0: b"UnFinMF " if left else b"MDF     ", _FLAGS: struct.pack("<H", left)}
-        return Mending(patches, cut)
+        return Repairs(patches, cut)
 
 
 def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:

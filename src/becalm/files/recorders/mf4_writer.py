@@ -14,10 +14,10 @@ import pyarrow as pa
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import OF_TABLE
-from becalm.files.column_arrays import refuse_strange_types, told_of
+from becalm.files.column_arrays import metadata_of, refuse_strange_types
 from becalm.files.groups import GROUP, START
 from becalm.files.recorders.mf4_tables import MdfTable
-from becalm.files.temporary_files import in_waiting
+from becalm.files.temporary_files import removed_afterwards
 from becalm.installation import version
 
 _UTC, _LOCAL = 2, 1  # flags of the time in a header
@@ -46,7 +46,7 @@ class Mf4Rows:
 
     def write(self, table: pa.Table) -> None:
         """Append rows to a group."""
-        metadata = told_of(table.schema)
+        metadata = metadata_of(table.schema)
         group = metadata.get(GROUP, "")
         if group not in self._tables:
             refuse_strange_types(table.schema, "MF4")
@@ -84,7 +84,7 @@ class Mf4Rows:
         folder = None
         if isinstance(getattr(self._file, "name", None), str):
             folder = Path(f"{self._file.name}.rows")
-            self._stack.enter_context(in_waiting(folder))
+            self._stack.enter_context(removed_afterwards(folder))
             folder.mkdir()
         log = self._library.MDF(version="4.10", temporary_folder=folder)
         self._stack.callback(log.close)

@@ -18,7 +18,7 @@ from becalm.files.groups import GROUP, START, TIME, Group, tables
 from becalm.files.library_reader import Foreign
 from becalm.files.recorders.tdms_pieces import in_pieces
 from becalm.files.recorders.tdms_writer import FILL
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.unit_spelling import tidy_unit
 
@@ -33,7 +33,7 @@ class _Base(NamedTuple):
     """The properties that channels with the same time share."""
 
     rows: int  # number of rows that should have been written
-    time: ToldTime | None
+    time: FormatTime | None
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
@@ -48,7 +48,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     library = foreign.library("nptdms")
     file = _File(path)  # an open file, so that npTDMS does not use an index file, which may be outdated
     try:
-        with foreign.damage_told():
+        with foreign.explain_damage():
             held = library.TdmsFile.open(file, raw_timestamps=True)
             status = held.file_status
             missing = {
@@ -107,7 +107,7 @@ def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[G
     empty = [channel.name for channel in group.channels() if not len(channel)]
     clocks = {len(channel) for channel in group.channels() if is_time_name(channel.name)}
     name, start = (str(group.properties.get(key, other)) for key, other in ((GROUP, group.name), (START, "")))
-    dated = ToldTime(TIME, None, start) if start and TIME in {channel.name for channel in group.channels()} else None
+    dated = FormatTime(TIME, None, start) if start and TIME in {channel.name for channel in group.channels()} else None
     for channel in group.channels():
         if len(channel):
             preset = len(channel) in clocks and channel.properties.get("wf_increment") == _PRESET_S
@@ -132,7 +132,7 @@ def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[G
         yield Group(name, columns, rows, base.time, tuple(notes))
 
 
-def _waveform_time(properties: dict[str, Any]) -> ToldTime | None:
+def _waveform_time(properties: dict[str, Any]) -> FormatTime | None:
     """Return rate and start of a waveform, or None if its properties do not contain them."""
     step_s = properties.get("wf_increment")
     if not isinstance(step_s, float | int) or not 0.0 < step_s < np.inf:
@@ -141,9 +141,9 @@ def _waveform_time(properties: dict[str, Any]) -> ToldTime | None:
         return None
     start, offset = properties.get("wf_start_time"), properties.get("wf_start_offset", 0.0)
     if start is None or not hasattr(start, "as_datetime64"):
-        return ToldTime(rate_hz=1.0 / step_s)
+        return FormatTime(rate_hz=1.0 / step_s)
     first = start.as_datetime64("us") + np.timedelta64(round(float(offset) * 1e6), "us")
-    return ToldTime(rate_hz=1.0 / step_s, start="" if first < _NOT_SET_BEFORE else f"{first}Z")
+    return FormatTime(rate_hz=1.0 / step_s, start="" if first < _NOT_SET_BEFORE else f"{first}Z")
 
 
 def _columns(channel: Any) -> Iterator[tuple[str, Column]]:

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import OF_TABLE
-from becalm.files.column_arrays import is_text, numbers_of, refuse_strange_types, texts_of, told_of, unit_of_field
+from becalm.files.column_arrays import is_text, metadata_of, numbers_of, refuse_strange_types, texts_of, unit_of_field
 from becalm.files.groups import GROUP
 
 FILL = "_FillValue"
@@ -41,7 +41,7 @@ class TdmsRows:
 
     def write(self, table: pa.Table) -> None:
         """Append rows to a group."""
-        metadata = told_of(table.schema)
+        metadata = metadata_of(table.schema)
         group = metadata.get(GROUP, "")
         if group not in self._groups:
             refuse_strange_types(table.schema, "TDMS")

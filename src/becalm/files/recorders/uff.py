@@ -19,7 +19,7 @@ from becalm.files.columns import Column
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
 from becalm.files.recorders.uff_blocks import UffBlock, Values, blocks_of
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.unit_spelling import tidy_unit
 
@@ -67,7 +67,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "UFF")
     library = foreign.library("pyuff")
-    with foreign.damage_told():
+    with foreign.explain_damage():
         blocks, cut = blocks_of(path)
         if not blocks:
             raise InputError(f"{path} is UFF without a complete set 58; becalm needs a function of time.")
@@ -128,12 +128,12 @@ def _groups(sets: Sequence[_Set], notes: tuple[str, ...]) -> Iterator[Group]:
             f"{name} {_place(one.header)}" if plain.count(name) > 1 else name
             for name, one in zip(names, members, strict=True)
         ]
-        columns, time = {}, ToldTime(rate_hz=None, start=_start(first.header))
+        columns, time = {}, FormatTime(rate_hz=None, start=_start(first.header))
         if first.even:
-            time = ToldTime("", 1.0 / (first.header["abscissa_inc"] * first.second), time.start)
+            time = FormatTime("", 1.0 / (first.header["abscissa_inc"] * first.second), time.start)
         else:
             columns[TIME] = Column(pa.float64(), _seconds(first), "s")
-            time = ToldTime(TIME, None, time.start)
+            time = FormatTime(TIME, None, time.start)
         for name, one in zip(unique_names(full), members, strict=True):
             columns[name] = Column(pa.float64(), one.values.ordinate, _label(one.header, "ordinate"))
         short = [one.rows for one in members if not one.values.complete]

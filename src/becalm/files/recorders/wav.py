@@ -16,7 +16,7 @@ from becalm.errors import InputError
 from becalm.files.columns import Column
 from becalm.files.groups import Group, tables
 from becalm.files.library_reader import Foreign
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
 _UNKNOWN = (0, 0xFFFFFFFF)  # lengths written by a recorder that was not stopped, or that writes to a pipe
@@ -52,7 +52,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "WAV")
     decoder = foreign.library("scipy.io.wavfile")
-    with foreign.damage_told():
+    with foreign.explain_damage():
         sound = _header(foreign)
         channels, rate_hz, width = sound.field("H", 2), sound.field("I", 4), sound.field("H", 12)
         if sound.coding not in (_PCM, _FLOAT):
@@ -84,7 +84,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         notes = (
             () if sound.complete else (f"The file ends before its samples do; {rows} rows are whole and were read.",)
         )
-        group = Group("", columns, rows, ToldTime(rate_hz=float(rate_hz)), (_SCALE,) * whole + notes)
+        group = Group("", columns, rows, FormatTime(rate_hz=float(rate_hz)), (_SCALE,) * whole + notes)
         return tables(foreign, "wav", (group,))
 
 

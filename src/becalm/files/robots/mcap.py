@@ -30,7 +30,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "MCAP")
     foreign.library("mcap.stream_reader")
-    with foreign.damage_told(), path.open("rb") as file:
+    with foreign.explain_damage(), path.open("rb") as file:
         log = McapLog(foreign, WatchedFile(file))
         groups = gathered(foreign, log.messages(), log.notes)
     return tables(foreign, "mcap", groups)

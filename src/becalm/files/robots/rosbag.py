@@ -31,7 +31,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "ROS bag")
     foreign.library("rosbags.typesys")
-    with foreign.damage_told(), ExitStack() as held:
+    with foreign.explain_damage(), ExitStack() as held:
         parts = _parts(foreign, path, held) if path.is_dir() else [path]
         logs = [_log(foreign, part, held) for part in parts]
         groups = gathered(foreign, _all(logs), lambda: _notes(parts, logs))

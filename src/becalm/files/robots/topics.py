@@ -15,7 +15,7 @@ from becalm.files.groups import TIME, Group
 from becalm.files.library_reader import Foreign
 from becalm.files.robots import json_messages, ros_messages
 from becalm.files.robots.series import Series
-from becalm.files.source import ToldTime
+from becalm.files.source import FormatTime
 from becalm.files.stamps import Ordered, in_order, instant, seconds_of
 from becalm.files.text.csv_header import unique_names
 
@@ -149,7 +149,7 @@ def _group(name: str, topic: _Topic, notes: tuple[str, ...]) -> Group:
         unit = next((unit for begin, unit in topic.decode.units.items() if field.startswith(begin)), NO_UNIT)
         columns[title] = Column.of(column if ordered.order is None else column[ordered.order], unit)
     all_notes = (*notes, *ordered.notes, *_omissions(topic))
-    return Group(name, columns, topic.series.count, ToldTime(TIME, start=start), all_notes)
+    return Group(name, columns, topic.series.count, FormatTime(TIME, start=start), all_notes)
 
 
 def _omissions(topic: _Topic) -> Iterator[str]:

@@ -19,7 +19,7 @@ from becalm.files.columns import NO_UNIT, Column
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
 from becalm.files.robots.topics import few
-from becalm.files.source import RawTable, ToldTime
+from becalm.files.source import FormatTime, RawTable
 from becalm.files.stamps import in_order, seconds_of
 from becalm.files.text.csv_header import unique_names
 
@@ -40,7 +40,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "ULog")
     library = foreign.library("pyulog")
-    with foreign.damage_told(), path.open("rb") as file, _without_printing():
+    with foreign.explain_damage(), path.open("rb") as file, _without_printing():
         opened = WatchedFile(file)
         heading = library.ULog(_KeptOpen(opened), parse_header_only=True)
         sizes = _sizes(foreign, heading.message_formats)
@@ -139,7 +139,7 @@ def _group(topic: Any, start: int, notes: tuple[str, ...]) -> Group:
     columns = {TIME: Column.of(time, "s")}
     for title, values in zip(titles[1:], fields.values(), strict=True):
         columns[title] = _column(values if ordered.order is None else values[ordered.order])
-    return Group(name, columns, rows, ToldTime(TIME), (*notes, *ordered.notes))
+    return Group(name, columns, rows, FormatTime(TIME), (*notes, *ordered.notes))
 
 
 def _signed(stamps: NDArray[Any]) -> Integers:

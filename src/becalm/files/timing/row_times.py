@@ -12,7 +12,7 @@ from becalm.errors import SensorError
 from becalm.files.read_options import ReadOptions
 from becalm.files.source import RawTable, TimeLayout
 from becalm.files.text.blank_rows import without_blank_end
-from becalm.files.timing.time_column import TIME_OPTION, choose_time, find_time, named_column, spoilt_times
+from becalm.files.timing.time_column import TIME_OPTION, choose_time, find_time, named_column, times_with_bad_cells
 from becalm.files.timing.times import Stamps, read_time
 
 
@@ -60,7 +60,7 @@ def row_times(raw: RawTable, options: ReadOptions) -> RowTimes:
     if (count := without_blank_end(raw, times)) < raw.count:
         raw = replace(raw, count=count)
         times = find_time(raw)
-    candidates = [column for columns in times for column in columns] + spoilt_times(raw)
+    candidates = [column for columns in times for column in columns] + times_with_bad_cells(raw)
     if options.rate_hz is None:
         stamps, layout = read_time(raw, choose_time(raw, times, options.time), options.as_written)
         return RowTimes(raw, layout, stamps, None, tuple(candidates))

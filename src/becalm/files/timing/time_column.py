@@ -10,7 +10,7 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files.numbers import Numbers
-from becalm.files.read_options import Asker
+from becalm.files.read_options import RequestOrigin
 from becalm.files.source import RawTable
 from becalm.files.text.bad_cells import bad_cell, find_bad_cells, meant_as_numbers
 from becalm.files.timing import clock
@@ -30,7 +30,7 @@ _NEARLY_EVEN = 0.5
 COUNT = "or give --rate HZ to count rows at a known rate"
 """The end of every message about a time that cannot be used."""
 
-TIME_OPTION = Asker("--time")
+TIME_OPTION = RequestOrigin("--time")
 
 NUMBERS, TEMPORAL, NO_TIME = "numbers", "temporal", ""
 
@@ -80,7 +80,7 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     candidates: list[tuple[str, ...]] = [(name,) for name in named if kinds[name] != clock.DATE] or [
         (name,) for name in named
     ]
-    candidates = candidates or ([] if spoilt_times(raw) else _first_column(raw, kinds))
+    candidates = candidates or ([] if times_with_bad_cells(raw) else _first_column(raw, kinds))
     return candidates + [(name,) for name in _namesakes(raw, candidates, kinds)]
 
 
@@ -104,7 +104,7 @@ def _same(raw: RawTable, one: str, other: str) -> bool:
     return all(np.array_equal(numbers(first), numbers(second), equal_nan=True) for first, second in pairs)
 
 
-def spoilt_times(raw: RawTable) -> list[str]:
+def times_with_bad_cells(raw: RawTable) -> list[str]:
     """Return columns whose names mean time but that have a few cells that are not numbers."""
     return [name for name in raw.names if is_time_name(name) and _is_spoilt(raw, name)]
 
@@ -113,7 +113,7 @@ def _is_spoilt(raw: RawTable, name: str) -> bool:
     return not kind_of_column(raw.head.column(name)) and meant_as_numbers(raw, name)
 
 
-def spoilt(raw: RawTable, name: str) -> InputError:
+def bad_time_error(raw: RawTable, name: str) -> InputError:
     """Return the error that names the first cell of a time column that is not a number."""
     return bad_cell(raw, name, find_bad_cells(raw, name), f", name another time column with --time, {COUNT}")
 
@@ -157,8 +157,8 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
     if asked is not None:
         return (named_column(raw, asked, TIME_OPTION),)
     if not found:
-        for name in spoilt_times(raw):
-            raise spoilt(raw, name)
+        for name in times_with_bad_cells(raw):
+            raise bad_time_error(raw, name)
         raise InputError(
             "There is no time column (no name means time, and the first column does not rise evenly)."
             " Name it with --time COLUMN, " + COUNT + "."
@@ -169,7 +169,7 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
     return found[0]
 
 
-def named_column(raw: RawTable, asked: str, asker: Asker) -> str:
+def named_column(raw: RawTable, asked: str, asker: RequestOrigin) -> str:
     """Return the name of a column, given with or without its unit.
 
     Raises

@@ -16,7 +16,7 @@ from becalm.files.rows import Spool
 from becalm.files.source import RawTable, TimeLayout
 from becalm.files.text.bad_cells import meant_as_numbers
 from becalm.files.timing import clock
-from becalm.files.timing.time_column import COUNT, NUMBERS, TEMPORAL, kind_of_column, numbers, spoilt
+from becalm.files.timing.time_column import COUNT, NUMBERS, TEMPORAL, bad_time_error, kind_of_column, numbers
 from becalm.files.timing.time_mending import on_one_clock, without_wraps
 from becalm.files.unit_spelling import parse_header
 
@@ -85,7 +85,7 @@ def _read_stamps(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeL
         return _temporal(raw, name)
     if not kind:
         if meant_as_numbers(raw, name):
-            raise spoilt(raw, name)
+            raise bad_time_error(raw, name)
         raise TimeError(f"The column {name!r} does not hold times; name another with --time, {COUNT}.")
     return _from_text(raw, columns, kind, _reader(raw, name, kind).blocks())
 

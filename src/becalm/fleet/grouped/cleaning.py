@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from becalm.errors import InputError, UsageError
 from becalm.files.identity import Original
 from becalm.files.parquet import read_parquet
-from becalm.files.temporary_files import in_waiting
+from becalm.files.temporary_files import removed_afterwards
 from becalm.files.text_file import make_folder
 from becalm.files.writing import open_output
 from becalm.fleet.grouped.counting import Count, count_rows, not_counted
@@ -28,7 +28,7 @@ from becalm.fleet.names import listed
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.pieces import open_staging, staging
 from becalm.fleet.recipes import RecipeBook
-from becalm.fleet.sensor_cleaning import all_died, clean_whole, finished, told_by
+from becalm.fleet.sensor_cleaning import all_died, clean_whole, finished, refuse_on_error
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.cleaning import clean_long
 
@@ -95,7 +95,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: MultiSensorLake, book: 
     outcomes += [one for one in kept.values() if one is not None]
     unfinished = [sensor for sensor in sensors if kept[sensor.name] is None]
     staged = open_staging(Path(job.output))
-    with in_waiting(staged):
+    with removed_afterwards(staged):
         lake = Lake(job.lake, shared.keys, _times(job, unfinished))
         _refuse_times(job, shared, set(lake.wanted.values()))
         strips = _strips(spark, lake, staged, counts)
@@ -180,7 +180,7 @@ def merge_and_clean(lake: str, job: Job, gathered: Gathered) -> Outcome | None:
     gathered : Gathered
         The sensor.
     """
-    outcome = told_by(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
+    outcome = refuse_on_error(gathered.sensor, lambda: _merged_and_cleaned(lake, job, gathered))
     return None if outcome is None else _with_lake_names(lake, job.lake, outcome)
 
 

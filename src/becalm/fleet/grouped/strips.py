@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from becalm.core.arrays import Integers
 from becalm.errors import BecalmError, InputError
-from becalm.files.atomic_file import replacing, sentences
+from becalm.files.atomic_file import explain_write_errors, replacing
 from becalm.files.identity import Original
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
@@ -154,7 +154,7 @@ def _split(lake: Lake, part: StripPart) -> dict[str, list[Strip]]:
             for name, rows, ranks in _in_order(block, wanted, rows_of):
                 first = None if ranks is None else ranks[0].item()
                 strips[name].append(Strip(part.strips, file.tell(), len(rows), first, part.file))
-                with sentences(target):
+                with explain_write_errors(target):
                     _write(file, block.take(rows), ranks)
     if came_of([(part.file, path)], "", {}) != part.hashed:
         raise InputError(f"{path} changed while it was read; wait until it is complete, and repeat.")

@@ -73,7 +73,7 @@ class SensorProcessor(StatefulProcessor):
             self._state.update((step.state.packed(),))
         if step.wake_ms is not None:
             self._handle.registerTimer(step.wake_ms)
-        return iter(_answers(self._walk.told_under(sensor), step, now_ms))
+        return iter(_answers(self._walk.output_name(sensor), step, now_ms))
 
 
 def _answers(sensor: str, step: SensorStep, now_ms: int) -> Sequence[Row]:

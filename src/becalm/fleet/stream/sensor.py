@@ -56,7 +56,7 @@ class SensorWalk:
         self._plan, self._channels = plan, channels
         self._rate_hz = None if plan.messages is None else MessageStream(plan.messages).rate_hz
 
-    def told_under(self, sensor: str) -> str:
+    def output_name(self, sensor: str) -> str:
         """Return the name of a sensor in the output, or "" if it is too long for a folder's name."""
         return sensor if len(folder_name(self._plan.key, sensor).encode(errors="replace")) <= _LONGEST_NAME else ""
 
@@ -149,7 +149,7 @@ class SensorWalk:
         """Return a sensor's filters, or None while it has too few rows to begin."""
         if not sensor:
             raise RecipeError(f"The rows have no sensor name in {self._plan.key!r}.")
-        if not self.told_under(sensor):
+        if not self.output_name(sensor):
             raise RecipeError(
                 f"The sensor name that begins with {sensor[:_SHOWN]!r} is too long for the name of a folder."
             )

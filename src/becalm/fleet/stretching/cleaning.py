@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.marks import CompletionMark
 from becalm.fleet.outcome import Outcome
-from becalm.fleet.sensor_cleaning import all_died, clean_whole, commit, told_by
+from becalm.fleet.sensor_cleaning import all_died, clean_whole, commit, refuse_on_error
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.joining import joined_outcome
 from becalm.fleet.stretching.long import Long, TaskStretch
@@ -121,12 +121,12 @@ def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list
     uncut = [course.long.sensor for course in courses if course.whole]
     outcomes = [one for one in surveys if isinstance(one, Outcome)]
     outcomes += run_tasks(spark, partial(clean_whole, job), uncut, lost=all_died)
-    return outcomes + [told_by(course.long.sensor, course.finish) for course in courses if not course.whole]
+    return outcomes + [refuse_on_error(course.long.sensor, course.finish) for course in courses if not course.whole]
 
 
 def _run(longs: Sequence[Long], task: Task) -> StretchEstimates | Outcome:
     long = longs[task.sensor]
-    return told_by(long.sensor, lambda: run_stretch(long, task.stretch))
+    return refuse_on_error(long.sensor, lambda: run_stretch(long, task.stretch))
 
 
 def _died(longs: Sequence[Long], task: Task, why: str) -> Outcome:

@@ -12,7 +12,7 @@ from becalm.core.verdict import Verdict
 from becalm.fleet.outcome import SHOWN, Outcome, noted
 from becalm.fleet.stretching.long import Long
 from becalm.fleet.stretching.run import StretchEstimates
-from becalm.report.fleet_rows import FleetRow, faults_told, usable_share
+from becalm.report.fleet_rows import FleetRow, faults_text, usable_share
 
 _WORST_FIRST = ("does not fit", "fits except", "fits", "constant", "untold")
 _NO_FAULT = (Verdict.USED, Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
@@ -73,7 +73,7 @@ def _row(long: Long, parts: Sequence[_Part]) -> FleetRow:
         health=_mean_nis(parts),
         noise_std=first.noise_std,
         usable_share=usable_share({verdict.name.lower(): count for verdict, count in counts.items()}),
-        faults=faults_told(_faults(counts)),
+        faults=faults_text(_faults(counts)),
         says=_says(worst),
         recipe=long.sensor.recipe[:SHOWN],
         rows=long.known.rows,

@@ -50,7 +50,7 @@ def margin_of(recipe: Recipe, step_s: float) -> Margin:
     return Margin(readings, aligned)
 
 
-def begun(source: KnownSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
+def warm_up_start(source: KnownSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
     """Return the row at which to begin, so that each channel has enough readings before `first`.
 
     Return None if that takes more than `most` rows.

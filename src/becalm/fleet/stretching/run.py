@@ -19,13 +19,13 @@ from becalm.core.filter.channel import History
 from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.core.verdict import Verdict, counted
 from becalm.files.chunked_cleaning import CleanChunk, answered, rows_of_chunks
-from becalm.files.opening import as_asked
+from becalm.files.opening import select_table
 from becalm.files.read_options import asked_by
 from becalm.files.shared_source import KnownSource
 from becalm.fleet.pieces import OutputFile, Pieces
 from becalm.fleet.sensor_cleaning import metadata_of
 from becalm.fleet.stretching.long import Long, State, TaskStretch
-from becalm.fleet.stretching.margins import begun, ended, margin_of
+from becalm.fleet.stretching.margins import ended, margin_of, warm_up_start
 
 OVERLAP = 64
 """Rows that are compared where two smoothed stretches meet."""
@@ -124,7 +124,7 @@ def pieces_of(files: tuple[OutputFile, ...], stretch: TaskStretch) -> list[Outpu
 def _reopened(long: Long, recipe: Recipe) -> KnownSource:
     job, sensor = long.job, long.sensor
     options = asked_by(recipe, job.another)
-    raw, _ = as_asked(job.input_of(sensor), job.tables_of(sensor), options)
+    raw, _ = select_table(job.input_of(sensor), job.tables_of(sensor), options)
     return KnownSource(raw, long.known)
 
 
@@ -153,11 +153,11 @@ def _warmed_up(work: _Work, cleaner: Cleaner) -> bool:
         cleaner.restore([unpacked(blob) for blob in work.stretch.state])
         return True
     margin, first = margin_of(work.recipe, work.source.clock.step_s), work.stretch.first
-    begin = begun(work.source, work.recipe, margin, first, first)
+    begin = warm_up_start(work.source, work.recipe, margin, first, first)
     if begin is None:
         return False
     if begin:
-        cleaner.begin_after(_histories(work, begin))
+        cleaner.set_history(_histories(work, begin))
     for _ in answered(cleaner, work.recipe, work.source.chunks(begin, first, work.rows), ends=False):
         pass
     return True
@@ -166,14 +166,14 @@ def _warmed_up(work: _Work, cleaner: Cleaner) -> bool:
 def _smoothed(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelReport, ...]]:
     margin, (_, first, stop, _) = margin_of(work.recipe, work.source.clock.step_s), work.stretch
     most = 2 * (stop - first)
-    begin = begun(work.source, work.recipe, margin, first, most)
+    begin = warm_up_start(work.source, work.recipe, margin, first, most)
     end = ended(work.source, work.recipe, margin, (stop, work.long.known.rows), most)
     if begin is None or end is None:
         return None, ()
     heads, tails = list[CleanChunk](), list[CleanChunk]()
     with Cleaner(work.recipe, work.source.clock.step_s) as own:
         if begin:
-            own.begin_after(_histories(work, begin))
+            own.set_history(_histories(work, begin))
         spans = (begin, first), (first, stop), (stop, end)
         chunks = chain.from_iterable(work.source.chunks(*span, work.rows) for span in spans if span[0] < span[1])
         for answer in answered(own, work.recipe, chunks):

@@ -27,7 +27,7 @@ from becalm.fleet.sensor_cleaning import (
     notes_of,
     opened,
     refuse_foreign,
-    told_by,
+    refuse_on_error,
 )
 from becalm.fleet.stretching.long import Extremes, Long
 from becalm.fleet.stretching.margins import margin_of
@@ -46,7 +46,7 @@ def survey(job: Job, sensor: Sensor) -> Long | Outcome:
     sensor : Sensor
         A sensor that may be long.
     """
-    return told_by(sensor, lambda: _surveyed(job, sensor))
+    return refuse_on_error(sensor, lambda: _surveyed(job, sensor))
 
 
 def _surveyed(job: Job, sensor: Sensor) -> Long | Outcome:

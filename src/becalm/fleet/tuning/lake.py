@@ -16,7 +16,7 @@ from becalm.fleet.batch import refuse_inside
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, places_in
 from becalm.fleet.outcome import Outcome
-from becalm.fleet.output_lock import alone_at
+from becalm.fleet.output_lock import lock_output
 from becalm.fleet.sensor_cleaning import all_died
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.tuning.classes import MOST_SENSORS, Chosen, TunedClass, chosen_of
@@ -117,7 +117,7 @@ def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTH
     chosen = chosen_in(lake, recipes, asked)
     make_folder(recipes)
     refuse_unwritable(recipes / REPORT)
-    with alone_at(recipes, recipes / _LOCK):
+    with lock_output(recipes, recipes / _LOCK):
         classes = _judged(run, lake, asked.by, chosen, _tuned(run, lake, asked.causal, chosen))
         if not any(klass.found for klass in classes):
             first = classes[0].failed[0]

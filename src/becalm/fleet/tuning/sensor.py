@@ -16,7 +16,7 @@ from becalm.files.opening import OpenSource, open_source
 from becalm.files.portions import rows_to_tune_on
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import SHOWN, Outcome
-from becalm.fleet.sensor_cleaning import opened, told_by
+from becalm.fleet.sensor_cleaning import opened, refuse_on_error
 from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.report.fleet_rows import FleetRow, row_of
 
@@ -38,7 +38,7 @@ def tune_sensor(lake: str, causal: bool, sensor: Sensor) -> SensorTuning | Outco
     SensorTuning or Outcome
         The outcome, with the reason, if the sensor could not be tuned.
     """
-    return told_by(sensor, lambda: _tuned(Path(lake) / sensor.name, causal, sensor.name))
+    return refuse_on_error(sensor, lambda: _tuned(Path(lake) / sensor.name, causal, sensor.name))
 
 
 def judge_sensor(job: Job, sensor: Sensor) -> Outcome:
@@ -51,7 +51,7 @@ def judge_sensor(job: Job, sensor: Sensor) -> Outcome:
     sensor : Sensor
         One sensor of the lake.
     """
-    return told_by(sensor, lambda: _judged(job, sensor))
+    return refuse_on_error(sensor, lambda: _judged(job, sensor))
 
 
 def _tuned(place: Path, causal: bool, name: str) -> SensorTuning:

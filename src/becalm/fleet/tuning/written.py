@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import RecipeError, UsageError
-from becalm.files.atomic_file import sentences
+from becalm.files.atomic_file import explain_write_errors
 from becalm.files.text_file import write_folder
 from becalm.fleet.outcome import SHOWN
 from becalm.fleet.recipes import ENDING, RecipeBook, recipes_in
@@ -98,7 +98,7 @@ def write_found(
     older = [path for path in recipes_in(folder) if named and _is_recipe(path)]
     write_folder(folder, {**texts, SENSORS: "".join(lines), REPORT: fleet_page(rows, facts)})
     for path in set(older) - {folder / name for name in texts}:
-        with sentences(path):
+        with explain_write_errors(path):
             path.unlink(missing_ok=True)
     return rows
 

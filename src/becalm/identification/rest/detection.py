@@ -20,7 +20,7 @@ from becalm.identification.rest.windows import FEWEST, MOST_MISSING, Windows, ru
 SHORTEST_S = 1.0
 """Shortest rest, in seconds; a shorter calm, such as between two movements of a hand, does not count."""
 
-MOST_FORETOLD = 1 / 3
+MOST_PREDICTABLE = 1 / 3
 """Largest predictable share of the power of block means at rest; see `Windows.foretold`."""
 
 MOST_UNEVEN = 3.0
@@ -59,7 +59,7 @@ class Stillness:
         return still
 
 
-def find_still(recording: Recording, shortest_s: float = SHORTEST_S) -> Stillness:
+def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Stillness:
     """Find where all channels of a record are at rest together.
 
     Parameters
@@ -108,7 +108,7 @@ def find_still(recording: Recording, shortest_s: float = SHORTEST_S) -> Stillnes
     return Stillness(stretches, _summary(stretches, recording))
 
 
-def said_still(recording: Recording, spans_s: Iterable[tuple[float, float]]) -> Stillness:
+def named_rests(recording: Recording, spans_s: Iterable[tuple[float, float]]) -> Stillness:
     """Return the stretches that a person named.
 
     Parameters
@@ -163,10 +163,10 @@ def _rows(run: tuple[int, int], windows: Windows, count: int) -> Stretch:
 def _doubt(unevenness: Floats, predictable: Floats, names: Sequence[str]) -> str:
     """Return why the quietest parts may not be at rest; "" if they have the marks of noise."""
     worst, smooth = int(np.argmax(unevenness)), int(np.argmax(predictable))
-    if predictable[smooth] > MOST_FORETOLD:
+    if predictable[smooth] > MOST_PREDICTABLE:
         return (
             f"The quietest parts still move: {predictable[smooth]:.0%} of the power of {names[smooth]!r} there "
-            f"can be predicted, apart from drift; for noise at rest it is under {MOST_FORETOLD:.0%}."
+            f"can be predicted, apart from drift; for noise at rest it is under {MOST_PREDICTABLE:.0%}."
         )
     if unevenness[worst] > MOST_UNEVEN:
         return (

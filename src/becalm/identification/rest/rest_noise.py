@@ -72,7 +72,7 @@ def noise_at_rest(recording: Recording, stretches: Sequence[Stretch]) -> tuple[R
     recording : Recording
         The record, with any channels.
     stretches : sequence of Stretch
-        The rests, from `find_still` or `said_still`.
+        The rests, from `detect_rests` or `named_rests`.
 
     Raises
     ------

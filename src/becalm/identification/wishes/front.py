@@ -58,7 +58,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Front:
+class TradeOffCurve:
     """The filters of a trade-off curve.
 
     Attributes
@@ -111,7 +111,7 @@ class Pick:
 
 def noise_lag_front(
     noise_variance: float, step_s: float, orders: Sequence[int] = ORDERS, ratios: Sequence[float] | None = None
-) -> Front:
+) -> TradeOffCurve:
     """Predict the remaining noise and the lag of filters of several orders.
 
     Parameters
@@ -141,11 +141,11 @@ def noise_lag_front(
         for order in orders
         for ratio in sorted(ratios or (cutoff_to_ratio(order, float(cutoff)) for cutoff in _CUTOFFS))
     ]
-    return Front(noise_variance, step_s, tuple(points))
+    return TradeOffCurve(noise_variance, step_s, tuple(points))
 
 
 def pick(
-    front: Front,
+    front: TradeOffCurve,
     *,
     max_lag_s: float | None = None,
     bandwidth_hz: float | None = None,
@@ -155,7 +155,7 @@ def pick(
 
     Parameters
     ----------
-    front : Front
+    front : TradeOffCurve
         The curve whose orders are compared; give a curve of one order to keep that order.
     max_lag_s : float, optional
         Largest lag of the output behind a ramp, and behind a step at 50 % of its height; the quietest filter wins.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.live.brokers.mqtt_session import VERSIONS, Session
 from becalm.live.brokers.remote import Login, Remote, variable
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage
@@ -168,7 +168,7 @@ class MqttLink:
         return self._client
 
     def _new_client(self) -> Client:
-        wanted(f"{self._remote.address.kind}:", "paho.mqtt.client", "paho-mqtt")
+        import_optional(f"{self._remote.address.kind}:", "paho.mqtt.client", "paho-mqtt")
         from paho.mqtt.client import Client, MQTTv5, MQTTv311
         from paho.mqtt.enums import CallbackAPIVersion
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.live.brokers.remote import Remote, variable
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 
 if TYPE_CHECKING:
     import ssl
@@ -117,7 +117,7 @@ class NatsLink:
         BecalmError
             If the server refuses the connection.
         """
-        wanted("nats:", "nats.aio.client", "nats-py")
+        import_optional("nats:", "nats.aio.client", "nats-py")
         from nats.aio.client import Client
 
         options = self._connect_options()

@@ -63,7 +63,7 @@ def faults(folder: Path) -> Iterator[str]:
         checkpoint = journal.checkpoint()
         kept = 0 if checkpoint is None else checkpoint.rows
         if mark is not None and mark.checkpoint.rows > kept:
-            yield f"{told((kept, mark.checkpoint.rows)).capitalize()} were committed, but are missing in {NAME}."
+            yield f"{rows_text((kept, mark.checkpoint.rows)).capitalize()} were committed, but are missing in {NAME}."
         yield from file_faults(folder, journal.rolls())
 
 
@@ -74,17 +74,17 @@ def _damaged(fault: str) -> str:
 def file_faults(folder: Path, rolls: Iterable[RollRow]) -> Iterator[str]:
     """Yield a sentence for each file that is missing or differs from what was written; all files are read."""
     for roll in rolls:
-        path = folder / roll.path
+        path, held = folder / roll.path, f"{roll.path}, which holds {rows_text((roll.first_row, roll.end_row))},"
         if roll.pruned_s is not None:
             continue
         try:
             with path.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as cause:
-            yield f"{roll.path}, which holds {told((roll.first_row, roll.end_row))}, cannot be read: {cause.strerror}."
+            yield f"{held} cannot be read: {cause.strerror}."
             continue
         if digest != roll.sha256:
-            yield f"{roll.path}, which holds {told((roll.first_row, roll.end_row))}, differs from what was written."
+            yield f"{held} differs from what was written."
 
 
 def uncovered(gap: Span, spans: Iterable[Span]) -> list[Span]:
@@ -100,7 +100,7 @@ def uncovered(gap: Span, spans: Iterable[Span]) -> list[Span]:
     return [*left, (first, end)] if first < end else left
 
 
-def told(rows: Span) -> str:
+def rows_text(rows: Span) -> str:
     """Return a span of rows in words, for example "rows 3 to 7" with the last row included."""
     first, end = rows
     return f"row {first}" if end == first + 1 else f"rows {first} to {end - 1}"
@@ -138,6 +138,6 @@ def _row_faults(connection: sqlite3.Connection) -> Iterator[str]:
 
 def _discontinuity(expected: int, first_row: int, holes: list[Span], where: str) -> Iterator[str]:
     if first_row < expected:
-        yield f"{told((first_row, expected)).capitalize()} occur twice, before and in {where}."
+        yield f"{rows_text((first_row, expected)).capitalize()} occur twice, before and in {where}."
     for gap in uncovered((expected, first_row), holes) if first_row > expected else []:
-        yield f"{told(gap).capitalize()} are missing before {where}."
+        yield f"{rows_text(gap).capitalize()} are missing before {where}."

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from becalm.errors import UsageError
-from becalm.files.atomic_file import sentences
+from becalm.files.atomic_file import explain_write_errors
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, Output
 from becalm.live.journal.database import NAME, connect, get, put, reading, transaction, writing
@@ -211,7 +211,7 @@ class Journal:
     def _open_database(self) -> Checkpoint | None:
         """Lock the folder, repair and open the database; return the last checkpoint."""
         if self._connection is None:
-            with sentences(self.folder):
+            with explain_write_errors(self.folder):
                 self.folder.mkdir(parents=True, exist_ok=True)
             lock = locked(self.folder)
             try:

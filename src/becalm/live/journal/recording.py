@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 from becalm.live.block import Loss, LossKind
-from becalm.live.journal.checking import told
+from becalm.live.journal.checking import rows_text
 from becalm.live.journal.database import NAME, connect, get, put, rolled_blocks, transaction, writing
 from becalm.live.journal.records import LossRow, RollRow
 from becalm.live.journal.rolling import Rolled
@@ -25,7 +25,9 @@ def record(connection: sqlite3.Connection, done: Iterable[Rolled]) -> None:
         put(connection, rolled.row._replace(number=(last or 0) + 1))
         for hole in rolled.holes:
             put(connection, hole)
-            text = f"{told((hole.first_row, hole.end_row)).capitalize()} were committed and could not be read again."
+            text = (
+                f"{rows_text((hole.first_row, hole.end_row)).capitalize()} were committed and could not be read again."
+            )
             put(connection, LossRow.of(hole.first_row, Loss(LossKind.STORAGE, hole.end_row - hole.first_row, text)))
 
 

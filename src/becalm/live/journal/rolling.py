@@ -16,7 +16,7 @@ from typing import NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from becalm.files.atomic_file import replacing, sentences
+from becalm.files.atomic_file import explain_write_errors, replacing
 from becalm.files.roles import SIGMA
 from becalm.files.tables import VERDICT
 from becalm.live.block import Head, Output
@@ -100,13 +100,13 @@ def roll(connection: sqlite3.Connection, folder: Path, piece: Piece, stop: Event
     head = _head(connection, piece.head)
     path = _free_path(connection, folder, piece)
     holes: list[HoleRow] = []
-    with sentences(path):
+    with explain_write_errors(path):
         path.parent.mkdir(exist_ok=True)
     row_span = {FIRST_ROW: str(piece.first_row).encode(), END_ROW: str(piece.end_row).encode()}
     schema = table_schema(head)
     schema = schema.with_metadata({**(schema.metadata or {}), **row_span})
     repeating = [name for name in schema.names if name.endswith((SIGMA, VERDICT))]
-    with replacing(path) as file, sentences(path):
+    with replacing(path) as file, explain_write_errors(path):
         with pq.ParquetWriter(file, schema, use_dictionary=repeating, compression="zstd") as writer:
             for outputs in _groups(connection, piece, holes, stop):
                 table = output_table(head, outputs).replace_schema_metadata(schema.metadata)

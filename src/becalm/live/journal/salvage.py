@@ -8,7 +8,7 @@ from pathlib import Path
 
 from becalm.files.atomic_file import sync_folder
 from becalm.live.block import Loss, LossKind
-from becalm.live.journal.checking import Span, database_faults, told
+from becalm.live.journal.checking import Span, database_faults, rows_text
 from becalm.live.journal.database import NAME, JournalError, connect, connect_reading, put, transaction, writing
 from becalm.live.journal.mark import Mark
 from becalm.live.journal.records import LossRow
@@ -113,7 +113,7 @@ def _salvage(folder: Path, mark: Mark | None, why: str) -> tuple[Loss, ...]:
 def _losses(plan: Plan, mark: Mark | None, why: str) -> list[LossRow]:
     """Return the losses of a repair; without a mark it is unknown whether the last rows are lost."""
     losses = [
-        LossRow.of(gap[0], Loss(LossKind.STORAGE, gap[1] - gap[0], f"{told(gap).capitalize()} are lost: {why}."))
+        LossRow.of(gap[0], Loss(LossKind.STORAGE, gap[1] - gap[0], f"{rows_text(gap).capitalize()} are lost: {why}."))
         for gap in plan.gaps
     ]
     if mark is None:
@@ -128,7 +128,9 @@ def _losses(plan: Plan, mark: Mark | None, why: str) -> list[LossRow]:
 
 def _end_lost(rows: Span, why: str) -> Loss:
     first, end = rows
-    text = f"{told(rows).capitalize()} were committed and are lost: {why}. A source that can replay sends them again."
+    text = (
+        f"{rows_text(rows).capitalize()} were committed and are lost: {why}. A source that can replay sends them again."
+    )
     return Loss(LossKind.STORAGE, end - first, text)
 
 

@@ -18,7 +18,7 @@ from pyarrow import fs
 from becalm.files.atomic_file import sync_folder
 from becalm.files.parquet_writer import ParquetTableWriter
 from becalm.live.locking import locked
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 
 BESIDE = "_becalm"
 """Folder of the checkpoints; programs that read or clean Delta tables ignore names with a leading underscore."""
@@ -133,7 +133,7 @@ def library(part: str = "") -> Any:
     UsageError
         If it is not installed.
     """
-    return wanted("delta:", f"deltalake.{part}" if part else "deltalake", "deltalake", "delta")
+    return import_optional("delta:", f"deltalake.{part}" if part else "deltalake", "deltalake", "delta")
 
 
 class _PlainBytes:

@@ -16,7 +16,7 @@ from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
 from becalm.live.locking import locked
-from becalm.live.sinks.parquet_part import PART, PartFile, told
+from becalm.live.sinks.parquet_part import PART, PartFile, translate_write_errors
 from becalm.live.tables import EPOCH_S, table_schema
 
 _HOUR_S = 3600.0
@@ -70,7 +70,7 @@ class ParquetSink:
         self.close()
         table_schema(head)
         self._head = head
-        with told(self._folder):
+        with translate_write_errors(self._folder):
             self._folder.mkdir(parents=True, exist_ok=True)
             self._lock_file = locked(
                 self._folder / _LOCK, f"Another process writes to {self._folder}; choose another folder."

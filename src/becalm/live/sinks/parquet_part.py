@@ -67,7 +67,7 @@ class PartFile:
         size = self._packed.tell()
         if not size:
             return
-        with told(self._target):
+        with translate_write_errors(self._target):
             self._target.parent.mkdir(parents=True, exist_ok=True)
             with self._path.open("r+b" if self._made else "xb", buffering=0) as file:
                 self._made = True
@@ -88,7 +88,7 @@ class PartFile:
             self._rows.close()
             self._ended = True
         self.drain()
-        with told(self._target):
+        with translate_write_errors(self._target):
             target = self._free_path()
             self._path.rename(target)
             sync_folder(target.parent)
@@ -109,7 +109,7 @@ class PartFile:
 
 
 @contextmanager
-def told(path: Path) -> Iterator[None]:
+def translate_write_errors(path: Path) -> Iterator[None]:
     """Turn errors while writing a file into messages for the user."""
     try:
         yield

@@ -11,7 +11,7 @@ from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Output
 from becalm.live.protocols import AwayError
-from becalm.live.sinks.postgres_reaching import connected, driver, meant, place_of
+from becalm.live.sinks.postgres_reaching import connect_to, driver, error_of, place_of
 from becalm.live.sinks.postgres_rows import BEGINS, ENDS, BinaryRows
 from becalm.live.sinks.postgres_tables import Tables
 
@@ -146,7 +146,7 @@ class PostgresSink:
         """Return the connection, which holds the lock."""
         if self._connection is not None:
             return self._connection
-        connection = connected(self._place)
+        connection = connect_to(self._place)
         self._tables = Tables(self._place.table)
         self._connection = connection
         try:
@@ -179,4 +179,4 @@ class PostgresSink:
         broken = connection.broken or connection.closed
         if broken:
             self.close()
-        return meant(self._place, cause, broken=broken)
+        return error_of(self._place, cause, broken=broken)

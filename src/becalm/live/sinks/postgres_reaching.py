@@ -9,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 from becalm.errors import BecalmError, InputError, OutputError, UsageError
 from becalm.live.address import Address
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 from becalm.live.protocols import AwayError, StorageFullError
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def refuse_long(name: str, end: str = "") -> None:
         )
 
 
-def connected(place: TablePlace) -> psycopg.Connection:
+def connect_to(place: TablePlace) -> psycopg.Connection:
     """Return a new connection, whose commits wait for the server's disk.
 
     Raises
@@ -144,10 +144,10 @@ def driver() -> Any:
     UsageError
         If it is not installed.
     """
-    return wanted("postgres:", "psycopg", extra="postgres")
+    return import_optional("postgres:", "psycopg", extra="postgres")
 
 
-def meant(place: TablePlace, cause: psycopg.Error, *, broken: bool) -> BecalmError:
+def error_of(place: TablePlace, cause: psycopg.Error, *, broken: bool) -> BecalmError:
     """Return the error to raise for an error of an open connection.
 
     Parameters

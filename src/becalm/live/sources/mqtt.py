@@ -16,7 +16,7 @@ from becalm.live.brokers.mqtt_link import MqttLink
 from becalm.live.brokers.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
 from becalm.live.brokers.remote import OPTIONS, Remote
 from becalm.live.messages.stream import MessageStream
-from becalm.live.position import told_by
+from becalm.live.position import parse_position
 
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessage
@@ -89,7 +89,7 @@ class MqttSource:
     def open(self, position: str) -> None:
         """Connect and continue the session; unacknowledged messages arrive again. Raises errors as `Source.open`."""
         self.close()
-        fields = told_by("mqtt", position, "blocks")
+        fields = parse_position("mqtt", position, "blocks")
         if self._blocks is None:
             self._blocks = self._kept = fields.get("blocks", 0)
         self._stream.resume(fields.get("rows", {}))
@@ -136,7 +136,7 @@ class MqttSource:
 
     def committed(self, position: str) -> None:
         """Acknowledge the messages of all blocks up to `position`."""
-        self._kept = max(self._kept, told_by("mqtt", position, "blocks").get("blocks", 0))
+        self._kept = max(self._kept, parse_position("mqtt", position, "blocks").get("blocks", 0))
         self._acknowledge()
 
     def close(self) -> None:

@@ -14,7 +14,7 @@ from becalm.live.brokers.nats_link import PORT, NatsLink, check_subject, stream_
 from becalm.live.brokers.nats_pull import NatsPull
 from becalm.live.brokers.remote import OPTIONS, Remote
 from becalm.live.messages.stream import MessageStream
-from becalm.live.position import told_by
+from becalm.live.position import parse_position
 
 if TYPE_CHECKING:
     from nats.js.api import StreamInfo
@@ -68,7 +68,7 @@ class NatsSource:
     def open(self, position: str) -> None:
         """Connect and continue with the message after `position`; raises errors as `Source.open`."""
         self.close()
-        fields = told_by("nats", position, "message")
+        fields = parse_position("nats", position, "message")
         self._link = link = NatsLink(self._remote)
         link.connect(reached=self._reached)
         info = link.stream_info(self._name, reached=self._reached)

@@ -15,7 +15,7 @@ from becalm.files.unit_conversion import conversion
 from becalm.files.unit_spelling import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 from becalm.live.protocols import AwayError
 
 _OPTIONS = ("rate", "range", "wiring", "columns", "rows")
@@ -86,7 +86,7 @@ class NiSource:
             If the driver is not installed, or the device does not support the settings.
         """
         self.close()
-        nidaqmx = wanted("ni:", "nidaqmx")
+        nidaqmx = import_optional("ni:", "nidaqmx")
         from nidaqmx import constants, errors
         from nidaqmx.stream_readers import AnalogMultiChannelReader
 

@@ -16,7 +16,7 @@ from becalm.files.read_options import ReadOptions
 from becalm.files.registry import BAG
 from becalm.live.address import Address, advising_addresses
 from becalm.live.block import Block
-from becalm.live.position import told_by
+from becalm.live.position import parse_position
 from becalm.live.protocols import EndOfStream
 
 _OPTIONS = ("speed", "rows", "group", "rate", "time", "channels", "stamps")
@@ -154,7 +154,7 @@ class ReplaySource:
         return left_s <= timeout_s
 
     def _row_after(self, position: str) -> int:
-        fields = told_by("replay", position, "row")
+        fields = parse_position("replay", position, "row")
         if not fields:
             return 0
         row = int(fields.pop("row"))

@@ -8,7 +8,7 @@ from typing import Any
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 from becalm.live.protocols import AwayError
 from becalm.live.sources.lined import LineSource
 
@@ -59,7 +59,7 @@ class SerialSource(LineSource):
             If the port can never be opened with these settings.
         """
         self.close()
-        serial = wanted("serial:", "serial", "pyserial")
+        serial = import_optional("serial:", "serial", "pyserial")
         try:
             self._port = serial.serial_for_url(self._name, **self._settings)
         except ValueError as cause:  # an unsupported speed, or an unknown kind of URL

@@ -17,7 +17,7 @@ from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.messages.stream import MessageStream
-from becalm.live.position import told_by
+from becalm.live.position import parse_position
 from becalm.live.protocols import AwayError, EndOfStream
 
 _DATAGRAM = 65_536  # bytes; the longest datagram
@@ -92,7 +92,7 @@ class UdpSource:
             If the network is not available now.
         """
         self.close()
-        self._stream.resume(told_by("udp", position, "rows").get("rows", {}))
+        self._stream.resume(parse_position("udp", position, "rows").get("rows", {}))
         host, port = self._place
         try:
             family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]

@@ -15,7 +15,7 @@ from becalm.files.unit_spelling import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.lines.cells import number_of
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 from becalm.live.protocols import AwayError
 
 _OPTIONS = ("query", "interval", "columns", "setup", "backend", "timeout", "end")
@@ -180,4 +180,4 @@ def _expected(names: tuple[str, ...]) -> str:
 
 
 def _pyvisa() -> Any:
-    return wanted("visa:", "pyvisa", "PyVISA")
+    return import_optional("visa:", "pyvisa", "PyVISA")

@@ -15,7 +15,7 @@ from typing import Any
 from becalm.files.text_file import refuse_unwritable
 from becalm.live.block import Loss, LossKind
 from becalm.live.closing import Closing
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 from becalm.live.watching.secrets import Scrubber
 
 FILE_BYTES, OLD_FILES = 10_000_000, 5
@@ -53,7 +53,7 @@ class Log(Closing):
         environment: Mapping[str, str] = os.environ,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        structlog = wanted("--log", "structlog")
+        structlog = import_optional("--log", "structlog")
         self._where = "stderr" if where == "-" else where
         self._handler = _handler(where)
         self._lines = _lines(structlog, self._handler, Scrubber(environment), as_json=where != "-")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from becalm.errors import UsageError
 from becalm.live.closing import Closing
-from becalm.live.optional_libraries import wanted
+from becalm.live.optional_libraries import import_optional
 from becalm.live.watching.meter import Meter, State
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class MetricsServer(Closing):
     """
 
     def __init__(self, port: int, meter: Meter, host: str = LOOPBACK) -> None:
-        library = wanted("--metrics", "prometheus_client", "prometheus-client")
+        library = import_optional("--metrics", "prometheus_client", "prometheus-client")
         registry = library.CollectorRegistry()
         registry.register(Counts(meter))
         library.ProcessCollector(registry=registry)  # memory, processor time, open files

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-from becalm.cleaning.dial_positions import dial, told_of
+from becalm.cleaning.dial_positions import dial, summary_of
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.errors import BecalmError, UsageError
@@ -190,6 +190,6 @@ def _positions(channel: ChannelRecipe, step_s: float, lag: int) -> dict[str, lis
 
 def _filter(channel: ChannelRecipe, step_s: float, lag: int) -> dict[str, Any]:
     try:
-        return told_of(channel, step_s, lag)._asdict()
+        return summary_of(channel, step_s, lag)._asdict()
     except BecalmError as cause:
         return {"says": str(cause)}

@@ -54,6 +54,6 @@ Message = From | Past | TuneRequest | UndoRequest
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
 
 
-def understood(said: Mapping[str, Any]) -> Message:
-    """Check a message of a live page; see `incoming_messages.understood`."""
-    return incoming_messages.understood(_ANY, said)
+def parse_message(said: Mapping[str, Any]) -> Message:
+    """Check a message of a live page; see `incoming_messages.checked_message`."""
+    return incoming_messages.checked_message(_ANY, said)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from becalm.errors import BecalmError
 from becalm.web.frames import text
-from becalm.web.incoming_messages import heard, number_of
+from becalm.web.incoming_messages import number_of, parse_frame
 from becalm.web.livepage.live_dial import NOT_BEGUN
-from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, TuneRequest, understood
+from becalm.web.livepage.messages import MOST_BINS, From, Message, Past, TuneRequest, parse_message
 from becalm.web.livepage.page import LivePage
 
 if TYPE_CHECKING:
@@ -66,9 +66,9 @@ class Viewer:
                 await asyncio.sleep(1 / UPDATES_PER_S)
             number = None
             try:
-                content = heard(frame)
+                content = parse_frame(frame)
                 number = number_of(content)
-                self._do(understood(content))
+                self._do(parse_message(content))
             except BecalmError as cause:
                 self._trouble(str(cause), number)
 

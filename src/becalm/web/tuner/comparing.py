@@ -19,7 +19,7 @@ _DIGITS = 3  # digits of a noise gain, so that the search for a cutoff is done o
 _MIDDLE = 0.1  # cutoff in cycles per row, for filters whose noise gain cannot be matched
 
 
-def classic_beside(rows: ChannelRows, view: View, name: str, noise_gain: float | None) -> Envelope:
+def run_classic(rows: ChannelRows, view: View, name: str, noise_gain: float | None) -> Envelope:
     """Run a classic filter over a view.
 
     Parameters

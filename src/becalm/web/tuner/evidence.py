@@ -24,7 +24,7 @@ def described(channel: ChannelRecipe) -> str:
     return f"order {channel.order}" + (f" with {', '.join(parts)}" if parts else "")
 
 
-def beside_best(rivals: Sequence[Tuning]) -> dict[int, str]:
+def compared_with_best(rivals: Sequence[Tuning]) -> dict[int, str]:
     """Return, for each order, a sentence on how much worse it predicts readings than the best one.
 
     Parameters

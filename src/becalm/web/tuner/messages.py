@@ -125,6 +125,6 @@ Message = Open | ListFiles | Look | Turn | InMode | Undo | Redo | Map | Compare 
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
 
 
-def understood(said: Mapping[str, Any]) -> Message:
-    """Check a message of a tuner page; see `incoming_messages.understood`."""
-    return incoming_messages.understood(_ANY, said)
+def parse_message(said: Mapping[str, Any]) -> Message:
+    """Check a message of a tuner page; see `incoming_messages.checked_message`."""
+    return incoming_messages.checked_message(_ANY, said)

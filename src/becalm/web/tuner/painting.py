@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.dial_positions import density_unit, dial, told_of
+from becalm.cleaning.dial_positions import density_unit, dial, summary_of
 from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
@@ -16,7 +16,7 @@ from becalm.core.arrays import Integers
 from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope
 from becalm.web.frames import frame, relative
-from becalm.web.tuner.comparing import classic_beside
+from becalm.web.tuner.comparing import run_classic
 from becalm.web.tuner.costs import cost_map
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.picture import LONG, Clean, Raw, View, clean_of, raw_of, view_of
@@ -116,7 +116,7 @@ class Painter:
             clean = clean_of(self._gated[wanted.channel].rows, ungated, wanted.lag, view, self._pool)
         else:
             clean = clean_of(rows, recipe, wanted.lag, view, self._pool)
-        description = told_of(recipe, rows.step_s, wanted.lag)
+        description = summary_of(recipe, rows.step_s, wanted.lag)
         header = {
             "kind": "picture",
             "answers": wanted.answers,
@@ -160,7 +160,7 @@ class Painter:
         assert wanted.classic is not None, "a picture without a classic filter is finished already"
         gain_db = painted.header["filter"]["noise_gain_db"]
         gain = None if gain_db is None else 10.0 ** (gain_db / _DECIBEL)
-        output = classic_beside(wanted.opened.rows(wanted.channel), painted.view, wanted.classic, gain)
+        output = run_classic(wanted.opened.rows(wanted.channel), painted.view, wanted.classic, gain)
         return painted._replace(header={**painted.header, "classic": wanted.classic}).framed(output)
 
     def _knows_spikes(self, wanted: PictureRequest) -> bool:

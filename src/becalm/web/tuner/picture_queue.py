@@ -122,7 +122,7 @@ class Showing:
             classic = None
         recipe, lag = desk.channel(channel), desk.lag
         how = (recipe, lag, span_s, look.width, answers, classic, self.dragging)
-        return PictureRequest(desk.opened, channel, *how, setting=desk.setting_told(channel))
+        return PictureRequest(desk.opened, channel, *how, setting=desk.setting_message(channel))
 
     async def _show_newest(self) -> None:
         in_thread, painter = self._shared.in_thread, self._painter

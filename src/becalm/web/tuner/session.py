@@ -10,12 +10,12 @@ from typing import Any
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from becalm.errors import BecalmError
-from becalm.web.incoming_messages import heard, number_of
+from becalm.web.incoming_messages import number_of, parse_frame
 from becalm.web.tuner import messages
-from becalm.web.tuner.messages import understood
+from becalm.web.tuner.messages import parse_message
 from becalm.web.tuner.outgoing_messages import Wire
 from becalm.web.tuner.picture_queue import Showing
-from becalm.web.tuner.sharing import Shared, Telling
+from becalm.web.tuner.sharing import Sender, Shared
 
 
 class Conversation:
@@ -45,7 +45,7 @@ class Conversation:
         self._start(self._showing.run)
         try:
             if self._shared.desk is not None:
-                await self.told_anew()
+                await self.send_all()
             elif (first := self._shared.first) is not None:
                 self._start(lambda: self._wire.guarded(lambda: self._open(first, None, None), None))
             while True:
@@ -62,21 +62,21 @@ class Conversation:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    async def told_anew(self) -> None:
+    async def send_all(self) -> None:
         """Send the page the open recording and all settings."""
         desk = self._shared.open_desk
         self._showing.begin()
-        await self._wire.tell(await self._shared.in_thread(desk.recording_told))
-        await self.told_state()
+        await self._wire.tell(await self._shared.in_thread(desk.recording_message))
+        await self.send_state()
 
-    async def told_state(self, but: Conversation | None = None) -> None:
+    async def send_state(self, but: Conversation | None = None) -> None:
         """Send the page all settings and a new picture; the page `but` has already requested its picture."""
         if but is not self:
             self._showing.ask()
         turned = self._turned
-        await self._wire.tell({**await self._shared.in_thread(self._shared.open_desk.state_told), "turned": turned})
+        await self._wire.tell({**await self._shared.in_thread(self._shared.open_desk.state_message), "turned": turned})
 
-    def tell(self, what: Telling) -> None:
+    def tell(self, what: Sender) -> None:
         """Send the page something in a task of its own, so that other pages do not wait for this one."""
         if not self._wire.gone:
             self._start(lambda: self._wire.guarded(lambda: what(self), None))
@@ -88,9 +88,9 @@ class Conversation:
     async def _receive(self, frame: Mapping[str, Any]) -> None:
         number: int | None = None
         try:
-            content = heard(frame)
+            content = parse_frame(frame)
             number = number_of(content)
-            message = understood(content)
+            message = parse_message(content)
         except BecalmError as cause:
             await self._wire.trouble(str(cause), number)
             return
@@ -119,11 +119,11 @@ class Conversation:
 
     async def _open(self, file: str, group: str | None, rate_hz: float | None) -> None:
         if self._shared.is_open(file, group, rate_hz):
-            await self.told_anew()
+            await self.send_all()
             return
         self._showing.wait()
         await self._shared.open(file, group, rate_hz)
-        await self._shared.tell_all(Conversation.told_anew, self)
+        await self._shared.estimate_all(Conversation.send_all, self)
 
     async def _turn(self, message: messages.Turn) -> None:
         desk = self._shared.open_desk
@@ -139,7 +139,7 @@ class Conversation:
         self._showing.dragging = not message.final
         self._showing.turned(message.channel, message.number)
         if message.final:
-            await self._shared.tell_all(lambda page: page.told_state(but=self), self)
+            await self._shared.estimate_all(lambda page: page.send_state(but=self), self)
 
     async def _change(self, message: messages.Message) -> None:
         desk, in_thread = self._shared.open_desk, self._shared.in_thread
@@ -160,7 +160,7 @@ class Conversation:
         self._showing.dragging = False
         self._showing.answers = message.number
         anew = isinstance(message, messages.Restore) or desk.options is not before  # the other mode has other options
-        await self._shared.tell_all(Conversation.told_anew if anew else Conversation.told_state, self)
+        await self._shared.estimate_all(Conversation.send_all if anew else Conversation.send_state, self)
 
     def _start(self, doing: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
         """Start a task, which ends when the page is closed."""

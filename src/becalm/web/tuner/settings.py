@@ -11,7 +11,7 @@ from becalm.cleaning.tuning import ChannelTuning
 from becalm.errors import UsageError
 from becalm.identification.trust.tuning_spread import tuning_spread
 from becalm.identification.wishes.dial import may_judge
-from becalm.web.tuner.evidence import beside_best, described
+from becalm.web.tuner.evidence import compared_with_best, described
 from becalm.web.tuner.messages import Turned
 
 FOUND, GIVEN = "found", "given"
@@ -55,7 +55,7 @@ class Options:
     def choices(self) -> list[dict[str, object]]:
         """Return the models to choose from, each with its evidence."""
         chosen = {"key": FOUND, "name": f"becalm's choice: {described(self.channel)}", "order": self.channel.order}
-        evidence = beside_best(self._found.choice.rivals)
+        evidence = compared_with_best(self._found.choice.rivals)
         return [
             {**chosen, "evidence": "" if self._rivals else "nothing else was tried"},
             *(

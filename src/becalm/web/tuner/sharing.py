@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.read_options import ReadOptions
-from becalm.files.registry import endings_here
+from becalm.files.registry import writable_endings
 from becalm.installation import load_scipy, version
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
 from becalm.web.tuner.opened import AS_IT_IS, Opened
@@ -21,14 +21,14 @@ from becalm.web.uploads import Uploads
 _HALVES, _WORKERS = 2, 6
 
 T = TypeVar("T")
-Telling = Callable[[Any], Coroutine[Any, Any, None]]
+Sender = Callable[[Any], Coroutine[Any, Any, None]]
 """A function that sends something to a page."""
 
 
-class Hearer(Protocol):
+class OpenPage(Protocol):
     """An open page."""
 
-    def tell(self, what: Telling) -> None:
+    def tell(self, what: Sender) -> None:
         """Send the page something, without waiting for it."""
         ...
 
@@ -55,7 +55,7 @@ class Shared:
         load_scipy()
         self.halves = ThreadPoolExecutor(_HALVES, thread_name_prefix="becalm-half")
         self.workers = ThreadPoolExecutor(_WORKERS, thread_name_prefix="becalm-tuner")
-        self.pages: set[Hearer] = set()
+        self.pages: set[OpenPage] = set()
         self.desk: ViewModel | None = None
         self._opening = asyncio.Lock()
         self._openings: set[asyncio.Task[None]] = set()
@@ -74,7 +74,7 @@ class Shared:
             "run": self._run,
             **self.files(),
             "file": self.first if self.desk is None else self.desk.opened.id,
-            "saves": endings_here(),
+            "saves": writable_endings(),
         }
 
     def files(self) -> dict[str, Any]:
@@ -143,7 +143,7 @@ class Shared:
                 await self.working("")
                 raise
 
-    async def tell_all(self, what: Telling, asker: Hearer | None) -> None:
+    async def estimate_all(self, what: Sender, asker: OpenPage | None) -> None:
         """Send every page something, and wait only for the page that requested it."""
         for page in tuple(self.pages):
             if page is not asker:
@@ -176,4 +176,4 @@ class Shared:
 
     async def working(self, says: str) -> None:
         """Send every page a sentence about the work in progress; "" if it is finished."""
-        await self.tell_all(lambda page: page.working(says), None)
+        await self.estimate_all(lambda page: page.working(says), None)

@@ -137,7 +137,7 @@ class ViewModel:
         """Return the present recipe of a channel."""
         return self._options_of(channel).recipe(self.now.settings[channel])
 
-    def setting_told(self, channel: int) -> list[object]:
+    def setting_message(self, channel: int) -> list[object]:
         """Return the settings of a channel as a message for a page: the mode, its lag, the settings."""
         mode, lag_s, settings = self.now
         return [mode, lag_s, self._options_of(channel).told(settings[channel])]
@@ -162,7 +162,7 @@ class ViewModel:
         """Return the recipe of all channels, including those that pass unchanged."""
         return self._recipe_of(self.now)
 
-    def recording_told(self) -> dict[str, object]:
+    def recording_message(self) -> dict[str, object]:
         """Return the message that describes the recording."""
         opened, now = self.opened, self.now
         mode, lag_s, settings = now
@@ -185,7 +185,7 @@ class ViewModel:
             "command": command(opened.path, opened.group if opened.several else None),
         }
 
-    def state_told(self) -> dict[str, object]:
+    def state_message(self) -> dict[str, object]:
         """Return the message with all settings."""
         now = self.now
         mode, lag_s, settings = now
