@@ -10,7 +10,7 @@ from format_samples import RATE_HZ, SAMPLES, Sample, signal
 
 from becalm.files import open_source
 from becalm.files.decoding import read_bytes
-from becalm.files.registry import LIBRARY_FORMATS
+from becalm.files.signatures import LIBRARY_FORMATS
 
 ROWS = 60
 NO_WRITER = {"recorders.ide"}  # nothing here writes it; its sample is real

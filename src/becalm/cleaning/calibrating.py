@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import CalibrationRecipe, TareRecipe
-from becalm.sensors.record import Calibration
+
+if TYPE_CHECKING:
+    from becalm.sensors.record import Calibration
 
 
 def calibrated(channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]) -> tuple[ChannelRecipe, ...]:

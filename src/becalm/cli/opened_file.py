@@ -141,12 +141,12 @@ def refuse_overwriting(file: Path, *outputs: Path) -> None:
     UsageError
         If an output is the input, even by another path, or would be read as a part of it.
     """
-    from becalm.files.lake.listing import ENDINGS
+    from becalm.files.parquet import PARQUET_ENDINGS
 
     for output in outputs:
         if is_same(output, file):
             raise UsageError(f"{output} is the input itself; raw data are never overwritten. Give another with -o.")
-        is_table = output.name.lower().endswith(ENDINGS)
+        is_table = output.name.lower().endswith(PARQUET_ENDINGS)
         if is_table and file.is_dir() and output.resolve().is_relative_to(file.resolve()):
             raise UsageError(f"{output} is in {file}, and would be read as a part of it. Give another with -o.")
 

@@ -9,6 +9,7 @@ from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -18,7 +19,6 @@ from becalm.core.recording import Recording
 from becalm.core.time.clock import Clock
 from becalm.core.time.timebase import Timebase
 from becalm.errors import InputError, TimeError
-from becalm.files.calibrated_source import with_sensors
 from becalm.files.chunk import Chunk
 from becalm.files.other_units import convert_units
 from becalm.files.read_options import ReadOptions, refuse_impossible
@@ -30,7 +30,9 @@ from becalm.files.time_base_choice import chosen_table
 from becalm.files.timing.row_times import row_times
 from becalm.files.timing.time_mending import clock_of
 from becalm.files.timing.times import Stamps
-from becalm.sensors.record import Calibration
+
+if TYPE_CHECKING:
+    from becalm.sensors.record import Calibration
 
 STRETCHES = 8
 """Number of stretches in a sample of a long recording."""
@@ -287,13 +289,22 @@ def select_table(file: Path, tables: tuple[RawTable, ...], options: ReadOptions)
         If the options do not fit the file.
     """
     try:
-        tables, options = convert_units(*with_sensors(tables, options))
+        tables, options = in_chosen_units(tables, options)
         raw = chosen_table(file, tables, options)
     except BaseException:
         close(tables)
         raise
     close([table for table in tables if table is not raw])
     return raw, options
+
+
+def in_chosen_units(tables: tuple[RawTable, ...], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
+    """Return tables in the units of their sensors and of the options, and the options with the channels' new names."""
+    if options.sensors:
+        from becalm.files.calibrated_source import with_sensors  # only where a sensor is given
+
+        tables, options = with_sensors(tables, options)
+    return convert_units(tables, options)
 
 
 def open_table(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -18,7 +18,9 @@ from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import is_time_name, named_column
 from becalm.files.unit_conversion import Conversion, conversion
 from becalm.files.unit_spelling import parse_header, tidy_unit
-from becalm.sensors.record import Calibration
+
+if TYPE_CHECKING:
+    from becalm.sensors.record import Calibration
 
 UNIT_OPTION = RequestOrigin("--unit")
 SAME = Conversion()

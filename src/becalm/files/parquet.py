@@ -19,6 +19,9 @@ from becalm.files.library_reader import refuse_claim
 from becalm.files.source import RawTable
 from becalm.files.text.csv_header import unique_names
 
+PARQUET_ENDINGS = (".parquet", ".pq")
+"""Endings of names in a folder whose files hold rows."""
+
 _READ_BYTES = 1 << 20
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import UsageError
-from becalm.sensors.record import SensorRecord
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
+    from becalm.sensors.record import SensorRecord
 
 
 class RequestOrigin(NamedTuple):

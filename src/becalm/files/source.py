@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pyarrow as pa
 
@@ -13,7 +13,9 @@ from becalm.core.recording import Recording
 from becalm.core.time.clock import Clock
 from becalm.files.identity import Original
 from becalm.files.rows import TableRows, block_rows, rebatched
-from becalm.sensors.record import Calibration
+
+if TYPE_CHECKING:
+    from becalm.sensors.record import Calibration
 
 TIME = "time"
 CHANNEL = "channel"

@@ -10,9 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
-from becalm.files.calibrated_source import with_sensors
-from becalm.files.opening import OpenSource, close, open_table
-from becalm.files.other_units import convert_units
+from becalm.files.opening import OpenSource, close, in_chosen_units, open_table
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.source import RawTable
@@ -72,7 +70,7 @@ def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) 
     tables = read_tables(file)
     opened: list[OpenSource] = []
     try:
-        tables, options = convert_units(*with_sensors(tables, options))
+        tables, options = in_chosen_units(tables, options)
         passed = list(_open_each(file, tables, options, opened))
         if not opened:
             raise InputError(f"Nothing in {file} can be cleaned: {'; '.join(one.why for one in passed[:10])}")

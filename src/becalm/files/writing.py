@@ -6,6 +6,7 @@ import io
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from queue import Queue
 from threading import Thread
@@ -14,13 +15,7 @@ from typing import IO, Protocol
 import pyarrow as pa
 
 from becalm.core.recording import Recording
-from becalm.files.arrays.array_writer import MatRows, NpzRows
-from becalm.files.arrays.hdf5_writer import Hdf5Rows
 from becalm.files.atomic_file import explain_write_errors, refuse_folder, replace_file, replacing
-from becalm.files.csv.writer import CsvRows
-from becalm.files.parquet_writer import ParquetTableWriter
-from becalm.files.recorders.mf4_writer import Mf4Rows
-from becalm.files.recorders.tdms_writer import TdmsRows
 from becalm.files.registry import CSV, CSV_GZ, HDF5, MAT, MF4, NPZ, PARQUET_FORMAT, TDMS, format_to_write
 from becalm.files.tables import output_table, recording_table
 
@@ -93,10 +88,10 @@ def open_output(
         If the file cannot be written; the temporary file is removed.
     """
     target = Path(path)
-    writer = _WRITERS[form or format_to_write(target)]
+    form = form or format_to_write(target)
     refuse_folder(target)
     with replacing(target) as file:
-        output = TableOutput(target, writer(file), metadata)
+        output = TableOutput(target, _writer(form, file), metadata)
         try:
             yield output
         except BaseException:
@@ -122,7 +117,7 @@ def refuse_columns(path: str | os.PathLike[str], schema: pa.Schema) -> None:
     """
     target = Path(path)
     with explain_write_errors(target):
-        writer = _WRITERS[format_to_write(target)](io.BytesIO())
+        writer = _writer(format_to_write(target), io.BytesIO())
         writer.write(schema.empty_table())
         writer.close()
 
@@ -135,16 +130,24 @@ class _Writer(Protocol):
     def drop(self) -> None: ...
 
 
-_WRITERS: dict[str, Callable[[IO[bytes]], _Writer]] = {
-    CSV: CsvRows,
-    CSV_GZ: lambda file: CsvRows(file, packed=True),
-    HDF5: Hdf5Rows,
-    MAT: MatRows,
-    MF4: Mf4Rows,
-    NPZ: NpzRows,
-    PARQUET_FORMAT: ParquetTableWriter,
-    TDMS: TdmsRows,
+_WRITERS = {
+    CSV: ("csv.writer", "CsvRows"),
+    CSV_GZ: ("csv.writer", "GzippedCsvRows"),
+    HDF5: ("arrays.hdf5_writer", "Hdf5Rows"),
+    MAT: ("arrays.array_writer", "MatRows"),
+    MF4: ("recorders.mf4_writer", "Mf4Rows"),
+    NPZ: ("arrays.array_writer", "NpzRows"),
+    PARQUET_FORMAT: ("parquet_writer", "ParquetTableWriter"),
+    TDMS: ("recorders.tdms_writer", "TdmsRows"),
 }
+"""The module within `becalm.files` and the class that write each format."""
+
+
+def _writer(form: str, file: IO[bytes]) -> _Writer:
+    """Return a writer of a format; its module is loaded only now."""
+    module, name = _WRITERS[form]
+    writer: Callable[[IO[bytes]], _Writer] = getattr(import_module(f"becalm.files.{module}"), name)
+    return writer(file)
 
 
 class TableOutput:

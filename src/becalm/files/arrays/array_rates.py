@@ -6,17 +6,10 @@ import re
 
 import numpy as np
 
-from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.files.arrays.arrays import FileArrays, Leaf, Path
-from becalm.files.unit_spelling import parse_header, tidy_unit
+from becalm.files.named_rates import hertz_of, in_hertz_or_seconds
 
-_RATES = re.compile(r"fs|fsample|sr|srate|rate|sampl(?:e|ing)(?:rate|freq|frequency)|samplespersecond|freqsampling")
-_STEPS = re.compile(
-    r"dt|ts|deltat|timestep|timeincrement|wfincrement|tinterval|xspacing|sampl(?:e|ing)(?:interval|period|time|step)"
-)
 _TOO_SHORT = ("rate", "sr", "ts")  # not used as part of a longer name: heart_rate is not a sample rate
-_HERTZ = {"Hz": 1.0, "hz": 1.0, "HZ": 1.0, "kHz": 1e3, "MHz": 1e6, "S/s": 1.0, "Sa/s": 1.0, "1/s": 1.0, "": 1.0}
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "": 1.0}
 _WRITTEN = re.compile(r"([-+.\deE]+)\s*([a-zA-Z/]*)")
 _STARTS = ("start", "start_time", "starttime", "start_date", "t0", "wf_start_time", "measurement_start")
 _AGREE = 1e-3
@@ -36,18 +29,18 @@ class Rates:
         self._numbers: dict[Path, list[tuple[str, float]]] = {}
         for path, number in [*found.numbers.items(), *_written(found)]:
             unit = next((word for name in ("units", "unit") if (word := found.word((*path, name)))), "")
-            named = (path[-1], _in_unit(path, number, unit) if unit else number)
+            named = (path[-1], in_hertz_or_seconds(path[-1], number, unit) if unit else number)
             self._numbers.setdefault(path[:-1], []).append(named)
 
     def of(self, leaf: Leaf) -> tuple[Path, float] | None:
         """Return the path and the value in Hz of an array's rate: its own, or that of the nearest group above it."""
-        own = _one(self._found, leaf.path, [_hertz(*named) for named in self._numbers.get(leaf.path, [])])
+        own = _one(self._found, leaf.path, [hertz_of(*named) for named in self._numbers.get(leaf.path, [])])
         if own is not None:
             return leaf.path, own
         for depth in range(len(leaf.path) - 1, -1, -1):
             folder = leaf.path[:depth]
             numbers = self._numbers.get(folder, [])
-            for rates in ([_specific(leaf.path[-1], *one) for one in numbers], [_hertz(*one) for one in numbers]):
+            for rates in ([_specific(leaf.path[-1], *one) for one in numbers], [hertz_of(*one) for one in numbers]):
                 if (rate := _one(self._found, folder, rates)) is not None:
                     return folder, rate
         return None
@@ -61,43 +54,16 @@ class Rates:
         return ""
 
 
-def hertz_of(name: str, number: float, unit: str) -> float | None:
-    """Return the rate in Hz from a named number in a unit; with unit "" it is in Hz or seconds, as its name implies."""
-    return _hertz(name, _in_unit((name,), number, unit) if unit else number)
-
-
 def _written(found: FileArrays) -> list[tuple[Path, float]]:
     """Return rates that are written as texts, such as "100 Hz"."""
     out = []
     for path, texts in found.words.items():
-        if len(texts) == 1 and _hertz(path[-1], 1.0) and (match := _WRITTEN.fullmatch(texts[0])):
+        if len(texts) == 1 and hertz_of(path[-1], 1.0) and (match := _WRITTEN.fullmatch(texts[0])):
             try:
-                out.append((path, _in_unit(path, float(match[1]), match[2])))
+                out.append((path, in_hertz_or_seconds(path[-1], float(match[1]), match[2])))
             except ValueError:
                 continue
     return out
-
-
-def _in_unit(path: Path, number: float, unit: str) -> float:
-    """Return a rate in Hz or a step in s; NaN if the unit is unknown."""
-    spelt = tidy_unit(unit)
-    scale = _HERTZ.get(spelt) if _is(_RATES, path[-1]) else _SECONDS.get(spelt)
-    return number * scale if scale else np.nan
-
-
-def _is(words: re.Pattern[str], name: str) -> bool:
-    return words.fullmatch(re.sub(r"[\W_]+", "", parse_header(name)[0].lower())) is not None
-
-
-def _hertz(name: str, number: float) -> float | None:
-    """Return the rate in Hz from a number named as a rate or a step; None if it is neither, or out of range."""
-    unit = parse_header(name)[1]
-    rate = None
-    if _is(_RATES, name):
-        rate = number * _HERTZ.get(unit, np.nan)
-    elif _is(_STEPS, name) and number > 0:
-        rate = 1.0 / (number * _SECONDS.get(unit, np.nan))
-    return rate if rate is not None and SLOWEST_HZ <= rate <= FASTEST_HZ else None
 
 
 def _specific(leaf: str, name: str, number: float) -> float | None:
@@ -107,7 +73,7 @@ def _specific(leaf: str, name: str, number: float) -> float | None:
         first, last = "_".join(parts[:cut]), "_".join(parts[cut:])
         for stem, word in ((first, last), (last, first)):
             its = word.lower() not in _TOO_SHORT and (leaf == stem or leaf.startswith(stem + "_"))
-            if its and (rate := _hertz(word, number)):
+            if its and (rate := hertz_of(word, number)):
                 return rate
     return None
 

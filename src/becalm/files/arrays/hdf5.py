@@ -9,16 +9,11 @@ from types import ModuleType
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.hdf5_customs import apply_conventions
-from becalm.files.arrays.hdf5_opening import SIGNATURE, Hdf5File
+from becalm.files.arrays.hdf5_opening import Hdf5File
 from becalm.files.arrays.hdf5_tree import Tree
 from becalm.files.groups import tables
 from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
-
-
-def is_hdf5(head: bytes) -> bool:
-    """Return whether a file is HDF5, from its first bytes."""
-    return head.startswith(SIGNATURE)
 
 
 def read(path: Path) -> tuple[RawTable, ...]:

@@ -18,6 +18,7 @@ from becalm.files.arrays.mat_elements import Variable, variables4, variables5
 from becalm.files.arrays.mat_values import Opaque, value_of
 from becalm.files.groups import tables
 from becalm.files.library_reader import Foreign
+from becalm.files.signatures import is_mat5
 from becalm.files.source import RawTable
 
 MOST_ELEMENTS = 1024
@@ -25,35 +26,6 @@ MOST_ELEMENTS = 1024
 
 SAVE_AS = "; save it from MATLAB as plain arrays: S = table2struct(T, 'ToScalar', true)"
 """Advice for objects that only MATLAB can open."""
-
-
-def is_mat5(head: bytes) -> bool:
-    """Return whether a file is MAT version 5 (also called 6 or 7), from its first bytes."""
-    return head[124:128] in (b"\x00\x01IM", b"\x01\x00MI")
-
-
-def is_mat4(head: bytes) -> bool:
-    """Return whether a file is MAT version 4, which has no signature: its first variable must be plausible."""
-    for order in "<>":
-        if len(head) < 22:
-            return False
-        kind, rows, columns, imaginary, letters = struct.unpack(order + "IIIII", head[:20])
-        name = head[20 : 20 + letters]
-        plausible = kind in _KINDS4[order] and imaginary <= 1 and 2 <= letters <= 64 and rows < 2**31 > columns
-        if plausible and name.endswith(b"\0") and name[:-1].decode("latin-1").isidentifier():
-            return True
-    return False
-
-
-_KINDS4 = {
-    order: {thousand + 10 * stored + content for stored in range(6) for content in range(3)}
-    for order, thousand in (("<", 0), (">", 1000))
-}
-
-
-def is_mat(head: bytes) -> bool:
-    """Return whether a file is MAT version 4 or 5, from its first bytes."""
-    return is_mat5(head) or is_mat4(head)
 
 
 def read(path: Path) -> tuple[RawTable, ...]:

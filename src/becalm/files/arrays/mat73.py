@@ -26,11 +26,6 @@ _TEXT_BYTES = 1 << 24
 _NUMBERS = {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 
 
-def is_mat73(head: bytes) -> bool:
-    """Return whether a file is MAT version 7.3, from its first bytes."""
-    return head.startswith(b"MATLAB 7.3") or head[124:128] in (b"\x00\x02IM", b"\x02\x00MI")
-
-
 def read(path: Path) -> tuple[RawTable, ...]:
     """Read the tables of a MAT file of version 7.3; nested variables get dotted names.
 

@@ -14,7 +14,7 @@ from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.array_labels import NAME, VARIABLES, take_labels
 from becalm.files.arrays.arrays import FileArrays, Leaf
-from becalm.files.arrays.npz_members import LOCAL, Member, content, members
+from becalm.files.arrays.npz_members import Member, content, members
 from becalm.files.groups import tables
 from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
@@ -22,14 +22,6 @@ from becalm.files.source import RawTable
 _CUT = "The file ends in the middle of {!r}; {} of {} rows are whole and were read."
 _HEADER_LETTERS = 1 << 16
 _READERS = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0, 3: npy.read_array_header_2_0}
-
-
-def is_npz(head: bytes) -> bool:
-    """Return whether a file is NPZ or NPY, from its first bytes."""
-    if head.startswith(npy.MAGIC_PREFIX):
-        return True
-    letters = int.from_bytes(head[26:28], "little")
-    return head.startswith(LOCAL) and head[30 : 30 + letters].endswith(b".npy")
 
 
 def read(path: Path) -> tuple[RawTable, ...]:

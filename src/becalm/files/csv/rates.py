@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from becalm.files.arrays.array_rates import hertz_of
 from becalm.files.groups import TIME
+from becalm.files.named_rates import hertz_of
 from becalm.files.numbers import Numbers
 from becalm.files.rows import TableRows
 from becalm.files.source import FormatTime, RawTable
@@ -70,7 +70,7 @@ def _rates_below(upper: Sequence[str], lower: Sequence[str]) -> Iterator[float]:
     """Yield the rates of time steps that are in the row below their names."""
     for name, value in zip(upper, lower, strict=False):
         if name in _STEPS and (match := _WRITTEN.fullmatch(value)):
-            rate = hertz_of(_STEPS[name], float(match[1]), "")
+            rate = hertz_of(_STEPS[name], float(match[1]))
             if rate is not None:
                 yield rate
 

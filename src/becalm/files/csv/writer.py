@@ -55,6 +55,13 @@ class CsvRows:
             self.close()
 
 
+class GzippedCsvRows(CsvRows):
+    """Write tables as CSV that is compressed with gzip."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        super().__init__(file, packed=True)
+
+
 def _header(names: list[str]) -> bytes:
     text = io.StringIO()
     like_comment = names[0].lstrip().startswith(("#", "%", "//"))

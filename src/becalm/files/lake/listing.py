@@ -11,9 +11,7 @@ from typing import NamedTuple
 from becalm.errors import InputError
 from becalm.files.decoding import PARQUET, explain_read_errors
 from becalm.files.lake.commit_log import CommitLog, Parts, log_of
-
-ENDINGS = (".parquet", ".pq")
-"""Endings of files that hold rows."""
+from becalm.files.parquet import PARQUET_ENDINGS
 
 _PARTITION = re.compile(r"[^=]+=.*", re.DOTALL)
 
@@ -164,7 +162,7 @@ def _walk(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Parque
 
 def _is_parquet(path: Path) -> bool:
     """Return whether a file is Parquet by the ending of its name or, as Hive writes names without one, its content."""
-    named = path.name.lower().endswith(ENDINGS)
+    named = path.name.lower().endswith(PARQUET_ENDINGS)
     with explain_read_errors(path):
         if named:
             return path.is_file() or not path.exists()  # the reader reports a link to a missing file

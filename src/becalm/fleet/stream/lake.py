@@ -17,8 +17,8 @@ import pyarrow as pa
 from becalm.core.arrays import Floats, Integers
 from becalm.errors import BecalmError, InputError, UsageError
 from becalm.files.identity import Original
-from becalm.files.lake.listing import ENDINGS, is_hidden
-from becalm.files.parquet import ParquetRows, units_of
+from becalm.files.lake.listing import is_hidden
+from becalm.files.parquet import PARQUET_ENDINGS, ParquetRows, units_of
 from becalm.fleet.names import values_in
 from becalm.fleet.stream.blocks import Garbled
 from becalm.fleet.stream.gathering import Seconds, SensorBlockBuffer, numbers_in, seconds_of
@@ -182,7 +182,7 @@ def _refuse_other(path: Path, schema: pa.Schema, shape: StreamSchema, channels: 
 def _files(lake: Path) -> Iterator[Path]:
     """Yield a lake's Parquet files in the order of the file system, without hidden ones."""
     for path in lake.rglob("*"):
-        if path.name.lower().endswith(ENDINGS) and not any(map(is_hidden, path.relative_to(lake).parts)):
+        if path.name.lower().endswith(PARQUET_ENDINGS) and not any(map(is_hidden, path.relative_to(lake).parts)):
             yield path
 
 

@@ -14,7 +14,7 @@ from pyspark.errors import AnalysisException
 from pyspark.sql import functions as sql
 
 from becalm.errors import OutputError, UsageError
-from becalm.files.lake.listing import ENDINGS
+from becalm.files.parquet import PARQUET_ENDINGS
 from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.lake import lake_shape, read_files
 from becalm.fleet.stream.plan import MOST, START, SensorPlan, StreamPlan, most_of
@@ -80,7 +80,7 @@ def _paths(spark: SparkSession, lake: str) -> DataFrame:
     reader = spark.readStream.format("binaryFile").schema(_FILE).option("maxBytesPerTrigger", str(_LAKE_BYTES))
     reader = reader.option("maxFileAge", _EVER)
     either = {letter: f"[{letter}{letter.upper()}]" for letter in ascii_lowercase}  # globs are case-sensitive
-    endings = ",".join("".join(either.get(sign, sign) for sign in ending) for ending in ENDINGS)
+    endings = ",".join("".join(either.get(sign, sign) for sign in ending) for ending in PARQUET_ENDINGS)
     reader = reader.option("pathGlobFilter", f"*{{{endings}}}").option("recursiveFileLookup", "true")
     return reader.load(_PATTERN.sub(r"\\\g<0>", lake)).select("path")
 
