@@ -17,7 +17,7 @@ from commands import PAGE, written
 
 from becalm.cleaning import judging, steps
 from becalm.core import verdict
-from becalm.core.filter import gap_limit, gate
+from becalm.core.filter import channel_settings, gate
 from becalm.core.health import noise_change
 from becalm.core.model import prior
 from becalm.core.time import clock
@@ -75,7 +75,10 @@ def spelt(number: float) -> str:
         ("decisions/settled", f"at 500 Hz, {gate.threshold_for(1, 10_000):.2f} at 10 kHz"),
         ("decisions/settled", f"({gate.threshold_for(1, 500):.1f} at 500 Hz"),
         ("decisions/settled", f"under {gate.LEAST_THRESHOLD:.0f})"),
-        ("decisions/settled", f"grows to {spelt(gap_limit._FORGOTTEN)} R ({spelt(gap_limit._CARRIED)} where"),
+        (
+            "decisions/settled",
+            f"grows to {spelt(channel_settings._FORGOTTEN)} R ({spelt(channel_settings._CARRIED)} where",
+        ),
         ("decisions/settled", f"blocks of {scans.WINDOW} innovations and more"),
         ("decisions/settled", f"by {noise_change._RATIO:g} between them"),
         ("decisions/settled", f"{lines._GAIN:.0f} in log-likelihood"),

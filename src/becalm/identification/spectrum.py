@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 _RESOLUTION = 0.02  # width of a bin over its frequency
 _ENDS = 8  # readings whose mean is the level of a record's start, or end
 _FIRST = 4  # lowest frequency kept; below it, the window mixes in the level
-_NEAR = 60  # frequencies on each side of a line that are not binned
+_UNBINNED = 60  # frequencies on each side of a line that are not binned
 
 
 class BinnedPeriodogram(NamedTuple):
@@ -115,7 +115,7 @@ def binned(spectrum: BinnedPeriodogram, lines: Sequence[ToneOscillator]) -> Binn
 def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> BinnedPeriodogram:
     unbinned = np.zeros(len(angle), dtype=bool)
     for line in apart:
-        unbinned[max(0, line - _NEAR) : line + _NEAR + 1] = True
+        unbinned[max(0, line - _UNBINNED) : line + _UNBINNED + 1] = True
     starts, at = [], 0
     while at < len(angle):
         starts.append(at)

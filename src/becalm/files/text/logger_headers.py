@@ -11,7 +11,7 @@ from becalm.files.unit_spelling import tidy_unit
 _STATION, _LABVIEW, _X = "TOA5", "LabVIEW Measurement", "X_Value"
 _CAMPBELL_ROWS = 4  # the station, names, units, and how each value was processed
 _NO_UNITS = ("TS", "RN", "Sequence", "unix time")  # texts in the row of units of stamps and record numbers
-_COMMENT = "Comment"  # a name without a cell in rows that have no comment
+_COMMENT_NAME = "Comment"  # a name without a cell in rows that have no comment
 _DEVICE = re.compile(r"calc|[0-9]+: ?\w+")  # the source of a channel in files of RaceChrono
 _STEP = re.compile(r"t(?:0|Inc)\s*=.*")  # in Rigol's row of names, without cells below
 
@@ -50,7 +50,7 @@ def _labview(rows: Rows, width: int) -> LoggerHeader | None:
         return None
     entries = {row[0]: row[1:] for row in rows}
     names = list(rows[-1])
-    if len(names) == width + 1 and names[-1] == _COMMENT:
+    if len(names) == width + 1 and names[-1] == _COMMENT_NAME:
         names.pop()
     first = "s" if "Time" in entries.get("X_Dimension", ()) else ""
     units = iter(_units(entries.get("Y_Unit_Label", ())))

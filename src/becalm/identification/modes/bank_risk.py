@@ -19,15 +19,15 @@ _BY_CHANCE = 2.0  # ... so many standard errors: one reading of a shock, which n
 _HIDDEN = 10  # every tenth reading is hidden from the smoothers
 _PROBE = 0.02  # of a standard deviation of the noise
 _LIKELY = 0.5  # probability from which a reading is taken for an outlier
-_PIECE = 1 << 15  # rows
+_ROWS_AT_ONCE = 1 << 15  # rows
 
 
 def find_wild(switching: InteractingModels, readings: Floats, elapsed: Floats) -> Booleans:
     """Return which readings (N,) the causal IMM filter takes for outliers."""
     wild = np.zeros(len(readings))
     state = new_state(switching.bank(np.ones(1)), keeps_level=False)
-    for start in range(0, len(readings), _PIECE):
-        rows = slice(start, start + _PIECE)
+    for start in range(0, len(readings), _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
         lengths, steps = numbered_steps(elapsed[rows])
         trace = NOTHING_WANTED._replace(wild=wild[rows])
         filter_rows(switching.bank(lengths), state, np.ascontiguousarray(readings[rows]), steps, trace)
