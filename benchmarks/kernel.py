@@ -24,8 +24,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.tuning import tune
-from becalm.core.filter.channel import Channel
-from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.channel import Channel, ChannelRecord
 from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.model.components import EVERY_ORDER, motion
 from becalm.core.recording import Recording

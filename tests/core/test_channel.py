@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.filter.channel import Channel, Estimates
-from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.channel import Channel, ChannelRecord, Estimates
 from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.filter.gate import Gate
 from becalm.core.filter.smoothed_flow import SmoothedFlow

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.channel_record import ChannelRecord
-from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.filter.channel import ChannelRecord, Sums
 from becalm.core.model.autoregressive import ColouredNoise, autoregressive
 from becalm.core.model.components import motion
 from becalm.core.model.parts import Component

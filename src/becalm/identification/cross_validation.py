@@ -17,7 +17,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import motion_power
-from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.channel import ChannelRecord
 from becalm.core.model.components import EVERY_ORDER, motion
 from becalm.identification.likelihood import Evidence, Tuning
 from becalm.identification.search import find_ratio

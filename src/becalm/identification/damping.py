@@ -15,8 +15,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import ratio_to_cutoff
-from becalm.core.filter.channel_record import ChannelRecord
-from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.filter.channel import ChannelRecord, Sums
 from becalm.core.model.components import LEVEL_RATE
 from becalm.identification.likelihood import Evidence, Tuning
 

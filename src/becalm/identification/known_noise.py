@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.filter.channel import Sums
 from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import EVERY_ORDER, ORDERS
 from becalm.errors import RecordingError

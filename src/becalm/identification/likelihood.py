@@ -17,8 +17,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import returning_power
-from becalm.core.filter.channel_record import ChannelRecord
-from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.filter.channel import ChannelRecord, Sums
 from becalm.core.health.quantisation import converter_step
 from becalm.core.model.autoregressive import ColouredNoise, autoregressive
 from becalm.core.model.components import LEVEL_RATE, Component, motion, oscillator, returning_motion

@@ -15,7 +15,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, ratio_to_cutoff
-from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.channel import ChannelRecord
 from becalm.identification.imputation import completed
 from becalm.identification.likelihood import Candidate, Evidence, Tuning
 from becalm.identification.spectrum import periodogram, welch_power

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.channel_record import ChannelRecord
-from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.filter.channel import ChannelRecord, Sums
 from becalm.identification.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning
 
 _NOISES, _DENSITIES = 41, 61

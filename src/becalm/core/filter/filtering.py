@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats, real
-from becalm.core.filter.likelihood_sums import Sums
+from becalm.core.filter.channel import Sums
 from becalm.core.model.model import Model
 from becalm.core.model.prior import flat_prior, refuse_singular, root_of, wide_prior
 from becalm.core.model.timeline import Timeline, even_timeline

@@ -18,8 +18,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.core.filter.channel import Estimates
-from becalm.core.filter.channel_record import ChannelRecord
+from becalm.core.filter.channel import ChannelRecord, Estimates
 from becalm.identification.likelihood import Candidate, Evidence, Tuning
 from becalm.metrics.whiteness import whiteness
 
