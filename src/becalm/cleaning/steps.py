@@ -11,8 +11,8 @@ import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, TunedMotion
 from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
+from becalm.core.filter.fixed_lag_flow import LONGEST_LAG
 from becalm.core.filter.gate import Gate, threshold_for
-from becalm.core.filter.lag import LONGEST_LAG
 from becalm.core.model.autoregressive import ColouredNoise
 from becalm.errors import ModelError, RecipeError, UsageError
 from becalm.identification.likelihood import Tuning

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import checked_readings, kalman_filter
-from becalm.core.filter.lag import checked_lag
+from becalm.core.filter.fixed_lag_flow import checked_lag
 from becalm.core.model.model import Model
 from becalm.core.online import Online
 

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.filtering import checked_readings, numbers, require_model
+from becalm.core.filter.fixed_lag_flow import checked_lag
 from becalm.core.filter.gate import Gate
-from becalm.core.filter.lag import checked_lag
 from becalm.core.filter.online_channel import OnlineChannel
 from becalm.core.filter.online_multivariate import OnlineMultivariate
 from becalm.core.imm.live import LiveImm

@@ -8,6 +8,7 @@ the waiting rows again, from the state before them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from operator import index
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,7 +18,6 @@ from becalm.core.arrays import BLOCK, Floats, input_of
 from becalm.core.filter.channel import Estimates, log_densities, parts_of
 from becalm.core.filter.channel_settings import ChannelSettings, StepTable, packed_coefficients, packed_settings
 from becalm.core.filter.gate import Gate
-from becalm.core.filter.lag import checked_lag
 from becalm.core.model.components import Component
 from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.rows import EstimatedRows, Judge, Rows
@@ -25,6 +25,31 @@ from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 from becalm.native.smoothers import LateSmoother
+
+# Check the lag of a fixed-lag smoother.
+
+LONGEST_LAG = 1 << 20
+"""The longest lag, in readings; the smoother holds a window of this length."""
+
+
+def checked_lag(lag: int) -> int:
+    """Return the lag as a whole number of rows.
+
+    Raises
+    ------
+    ModelError
+        If it is not a whole number, below 0, or above 2^20.
+    """
+    try:
+        rows = index(lag)
+    except TypeError as cause:
+        raise ModelError(f"lag = {lag!r} is not a number of readings; give a whole number, 0 to filter.") from cause
+    if rows > LONGEST_LAG:
+        raise ModelError(f"lag = {rows} needs a window of too many readings; give up to {LONGEST_LAG}, or smooth.")
+    if rows < 0:
+        raise ModelError(f"lag = {rows} is negative; give a whole number, 0 to filter.")
+    return rows
+
 
 _MOST_NUMBERS = 1 << 19  # largest size of the state matrices of the rows that are processed at once
 _FEW = 8 * BLOCK  # rows that are processed at once in any case

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Codes, Floats
-from becalm.core.filter.lag import checked_lag
+from becalm.core.filter.fixed_lag_flow import checked_lag
 from becalm.core.imm.forward import ByModes, ForwardImm, with_spikes
 from becalm.core.imm.modes import InteractingModels, numbered_steps
 from becalm.core.rows import EstimatedRows, Judge
