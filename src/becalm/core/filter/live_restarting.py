@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.gap_limit import GapLimit
+from becalm.core.filter.channel_settings import GapLimit
 from becalm.core.filter.restarting_flow import Gaps
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import judge as judge_readings

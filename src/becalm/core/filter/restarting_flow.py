@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from becalm.core.arrays import BLOCK, Booleans, Floats
-from becalm.core.filter.gap_limit import GapLimit
+from becalm.core.filter.channel_settings import GapLimit
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.core.verdict import judge as judge_readings

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.gap_limit import GapLimit
+from becalm.core.filter.channel_settings import GapLimit
 from becalm.core.health.monitor import HOPS
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.core.filter.channel_settings import ChannelSettings, packed_settings
-from becalm.core.filter.gap_limit import GapLimit
+from becalm.core.filter.channel_settings import ChannelSettings, GapLimit, packed_settings
 from becalm.core.imm.modes import InteractingModels
 from becalm.export.channel.text import NUMBER, Door, of_array, of_number, of_struct
 from becalm.export.naming import identifiers
