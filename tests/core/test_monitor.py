@@ -10,8 +10,7 @@ from scipy.stats import chi2, poisson
 
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
-from becalm.core.health.cusum import SLACK, cusum_delay, cusum_threshold
-from becalm.core.health.monitor import InnovationMonitor, find_alarms
+from becalm.core.health.monitor import SLACK, InnovationMonitor, cusum_delay, cusum_threshold, find_alarms
 from becalm.core.model.model import Model
 from becalm.core.verdict import Verdict
 from becalm.errors import UsageError

@@ -10,8 +10,7 @@ from becalm.cleaning.faults import FALSE_ALARMS_PER_HOUR
 from becalm.cleaning.judging import InnovationJudge
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
-from becalm.core.health.cusum import SLACK
-from becalm.core.health.monitor import find_alarms
+from becalm.core.health.monitor import SLACK, find_alarms
 from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.excess import excess_error
 from becalm.native.scans import MOST_SIGMA

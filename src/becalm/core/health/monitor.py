@@ -12,14 +12,84 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
-from becalm.core.health.aliveness import Aliveness
-from becalm.core.health.cusum import cusum_delay, cusum_threshold
 from becalm.core.health.faults import FaultCount, require_steps
 from becalm.core.health.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, UsageError
 from becalm.native.rows import SETTINGS
 from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, new_watched, restored, scan_innovations
+
+# Check that a sensor is surely alive: no window of its innovations is as quiet as that of a dead one.
+#
+# A monitor tests windows of whole hops, and where hops begin depends on all innovations before. Any 64 innovations in
+# a row include three whole hops, 48 innovations. Their sum of squares about their own mean is at most that of the
+# window. So if it is above the threshold for every three hops, no window can be dead, wherever the hops begin.
+
+_WHOLE = WINDOW // HOP - 1
+"""Whole hops within any window."""
+
+
+class Aliveness:
+    """A check that no window of a channel's innovations can have been that of a dead sensor.
+
+    Parameters
+    ----------
+    dead_variance : float
+        Variance of a window, in sigma^2, below which the sensor counts as dead.
+
+    Attributes
+    ----------
+    sure : bool
+        Whether no window so far can have been that of a dead sensor, wherever hops begin.
+    """
+
+    def __init__(self, dead_variance: float) -> None:
+        self._least, self.sure = dead_variance * (WINDOW - 1) * PARTS**2, True
+
+    def add(self, sums: Integers) -> None:
+        """Take the sums and the sums of squares of hops in a row, (2, H): the last three known ones, then new ones."""
+        count = sums.shape[1] - _WHOLE + 1
+        if count > 0 and self._least > 0.0 and self.sure:
+            total, squares = np.sum([sums[:, k : k + count] for k in range(_WHOLE)], axis=0)
+            self.sure = bool(np.all(squares - total / (_WHOLE * HOP) * total > self._least))
+
+
+# Delay and false alarms of the cumulative sum that detects a small lasting shift of white noise.
+#
+# S_i = max(0, S_{i-1} + x_i - k); when S reaches h there is an alarm, and S restarts at 0 (Page 1954).
+# `native/monitor.h` computes it. For noise of mean mu, the mean time to an alarm is (exp(-2 d b) + 2 d b - 1) / (2
+# d^2) with d = mu - k and b = h + 1.166: Siegmund, Sequential Analysis (1985), chapter 10; accurate to a few per cent
+# here.
+
+SLACK = 0.5
+"""k, in sigma: half of the shift that is detected soonest."""
+
+_OVERSHOOT = 1.166  # a discrete walk overshoots by 0.583 at either end
+
+
+def cusum_delay(threshold: float, shift: float) -> float:
+    """Return the mean number of readings until the alarm of a one-sided sum.
+
+    Parameters
+    ----------
+    threshold : float
+        h, in sigma.
+    shift : float
+        Mean of the noise, in sigma; 0 gives the time between false alarms.
+    """
+    d, b = shift - SLACK, threshold + _OVERSHOOT
+    if d == 0:
+        return b * b
+    return float((np.exp(-2 * d * b) + 2 * d * b - 1) / (2 * d * d))
+
+
+def cusum_threshold(readings: float) -> float:
+    """Return h, in sigma, for which a two-sided sum raises one false alarm per `readings` readings of white noise."""
+    b = 1.0
+    for _ in range(60):  # fixed-point iteration b = ln(...) / 2k; it contracts because the slope is below 1 for b > 1
+        b = float(np.log(2 * SLACK**2 * 2 * readings + 2 * SLACK * b + 1)) / (2 * SLACK)
+    return max(b - _OVERSHOOT, 0.0)
+
 
 HOPS = "hops"
 """Key in `comparable_state` of the part that matters only if the sensor may be dead."""
