@@ -14,7 +14,7 @@ from becalm.cleaning.uncertainty import lasting_std
 from becalm.core.arrays import Floats, input_of
 from becalm.core.filter.channel import Channel, Estimates, History
 from becalm.core.filter.channel_settings import ChannelSettings, Widening
-from becalm.core.health.time_faults import TimeFaults, possible_steps
+from becalm.core.health.faults import TimeFaults, possible_steps
 
 
 def is_causal(recipe: ChannelRecipe, lag: int | None) -> bool:

@@ -22,8 +22,8 @@ from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History, log_densities, parts_of
 from becalm.core.filter.restarting_flow import RestartingFlow
+from becalm.core.health.faults import possible_steps
 from becalm.core.health.monitor import InnovationMonitor
-from becalm.core.health.time_faults import possible_steps
 from becalm.core.imm.comparable_state import comparable_state
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Verdict, counted
