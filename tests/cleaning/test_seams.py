@@ -16,7 +16,7 @@ from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, Limits
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
 from becalm.core.health.monitor import HOPS
-from becalm.core.imm.comparable_state import same_state
+from becalm.core.imm.flow import same_state
 from becalm.core.rows import EstimatedRows
 
 STEP_S = 0.01

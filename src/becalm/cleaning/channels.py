@@ -24,7 +24,7 @@ from becalm.core.filter.channel import History, log_densities, parts_of
 from becalm.core.filter.restarting_flow import RestartingFlow
 from becalm.core.health.faults import possible_steps
 from becalm.core.health.monitor import InnovationMonitor
-from becalm.core.imm.comparable_state import comparable_state
+from becalm.core.imm.flow import comparable_state
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Verdict, counted
 from becalm.identification.choose import FEWEST_READINGS

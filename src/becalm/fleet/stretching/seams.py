@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from becalm.core.imm.comparable_state import same_state
+from becalm.core.imm.flow import same_state
 from becalm.core.snapshot_bytes import unpacked
 from becalm.fleet.stretching.long import State, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates
