@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -165,3 +166,15 @@ def _numbers(name: str, values: ArrayLike) -> Floats:
 def _require_shape(name: str, own: Floats, shape: tuple[int, int], wanted: str) -> None:
     if own.shape != shape or 0 in own.shape:
         raise ModelError(f"{name} has shape {own.shape}; it needs {wanted}.")
+
+
+# The matrices that a filter needs: those of its steps and those of its sensors.
+
+
+class System(NamedTuple):
+    """Matrices F and Q of steps of u different lengths, and H and R of the sensors."""
+
+    F: Floats  # (u, n, n)
+    Q: Floats  # (u, n, n)
+    H: Floats  # (m, n)
+    R: Floats  # (m, m)

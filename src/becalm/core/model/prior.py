@@ -13,8 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.model.covariances import covariance_ahead
-from becalm.core.model.model import Model
-from becalm.core.model.system import System
+from becalm.core.model.model import Model, System
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import ModelError
 

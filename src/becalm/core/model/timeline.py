@@ -8,9 +8,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.model.components import Component
-from becalm.core.model.model import Model
+from becalm.core.model.model import Model, System
 from becalm.core.model.step_matrices import StepMatrices
-from becalm.core.model.system import System
 
 
 class Timeline(NamedTuple):
