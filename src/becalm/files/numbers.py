@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.time.moments import Thinned
+from becalm.core.time.clock import Thinned
 
 _EXACT = 2.0**53
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 from becalm.core.time.burst_gaps import rows_lost_between
-from becalm.core.time.clock import Blocks, last_digit
-from becalm.core.time.moments import Moments, Thinned
+from becalm.core.time.clock import Blocks, Moments, Thinned, last_digit
 
 JITTER, BURSTS = "jitter", "bursts"
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.time.moments import Thinned
+from becalm.core.time.clock import Thinned
 
 COUNTERS = (2.0**8, 2.0**16, 2.0**24, 2.0**31, 2.0**32)
 """Periods of counters, after which they start again from zero."""
