@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.time.burst_gaps import rows_lost_between
 from becalm.core.time.clock import Blocks, Moments, Thinned, last_digit
+from becalm.core.time.repair import rows_lost_between
 
 JITTER, BURSTS = "jitter", "bursts"
 
