@@ -19,12 +19,13 @@ from hypothesis import strategies as st
 import becalm
 from becalm.cleaning.channels import ChannelCleaner, open_channel
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
     GateRecipe,
     LimitsRecipe,
+    ModeRecipe,
+    SwitchingRecipe,
     TimingRecipe,
     ToneRecipe,
 )

@@ -11,8 +11,15 @@ from hypothesis import strategies as st
 
 from becalm.cleaning.channels import ChannelCleaner, open_channel
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
-from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, LimitsRecipe, TimingRecipe, ToneRecipe
+from becalm.cleaning.recipe_parts import (
+    ColouredNoiseRecipe,
+    GateRecipe,
+    LimitsRecipe,
+    ModeRecipe,
+    SwitchingRecipe,
+    TimingRecipe,
+    ToneRecipe,
+)
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
 from becalm.core.health.monitor import HOPS

@@ -8,8 +8,7 @@ import numpy as np
 
 from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
-from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.cleaning.recipe_parts import LimitsRecipe, ModeRecipe, SwitchingRecipe
 from becalm.cleaning.steps import in_seconds
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats

@@ -13,8 +13,7 @@ import pytest
 from hypothesis import strategies as st
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
-from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
+from becalm.cleaning.recipe_parts import LimitsRecipe, ModeRecipe, SwitchingRecipe, ToneRecipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.export.bundle import Bundle, Exported, ExportOptions, bundle_of

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
     GateRecipe,
     LimitsRecipe,
+    ModeRecipe,
+    SwitchingRecipe,
     TimingRecipe,
     ToneRecipe,
 )

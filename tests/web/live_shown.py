@@ -19,7 +19,7 @@ from websockets.typing import Origin
 
 from becalm.cleaning import recipe as recipes
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipe_parts import ModeRecipe, SwitchingRecipe
 from becalm.live.block import Head, Output
 from becalm.live.retuning import Heard
 from becalm.live.watching.meter import Meter

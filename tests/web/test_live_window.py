@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
-from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.cleaning.recipe_parts import GateRecipe, ModeRecipe, SwitchingRecipe
 from becalm.core.recording import Recording
 from becalm.files.writing import write
 from live_looks import COLUMNS, PIXELS, drawn, pixels, recipe_now, settle, tune_by_key

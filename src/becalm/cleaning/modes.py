@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.cleaning.recipe_modes import ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipe_parts import ModeRecipe, SwitchingRecipe
 from becalm.core.imm.modes import InteractingModels, Mode
 from becalm.core.model.components import LEVEL_RATE, Component, motion, returning_motion, with_walking_level
 from becalm.errors import ModelError, RecipeError

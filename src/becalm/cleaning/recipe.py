@@ -9,7 +9,6 @@ import numpy as np
 import tomlkit
 from pydantic import Field, field_validator, model_validator
 
-from becalm.cleaning.recipe_modes import SwitchingRecipe
 from becalm.cleaning.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
@@ -19,6 +18,7 @@ from becalm.cleaning.recipe_parts import (
     LimitsRecipe,
     NotNegative,
     Positive,
+    SwitchingRecipe,
     TimingRecipe,
     ToneRecipe,
 )
