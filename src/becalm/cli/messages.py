@@ -31,7 +31,7 @@ def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
 def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     """Print a table of the channels, then the judgements that need attention."""
     from becalm.cleaning.judging import DESCRIBED
-    from becalm.cleaning.table_cells import cells
+    from becalm.cleaning.report import cells
 
     table = Table(box=None, pad_edge=False)
     for heading in ("channel", "model", "noise", "bandwidth", "lag", "trust"):

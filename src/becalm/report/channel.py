@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.table_cells import amount
+from becalm.cleaning.report import ChannelReport, amount
 from becalm.core.steady.response import decibels
 from becalm.identification.wishes.front import TradeOffCurve
 from becalm.report.description import Figure

@@ -11,8 +11,7 @@ from typing import NamedTuple
 from jinja2 import Environment
 
 from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.table_cells import amount, cells
+from becalm.cleaning.report import ChannelReport, amount, cells
 from becalm.installation import version
 from becalm.report.channel import CleanedChannels, Pictured, Pictures
 from becalm.report.description import Figure
