@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from becalm.cleaning.judging import lasting_std
 from becalm.cleaning.limits_entry import alarms_of, limits_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
-from becalm.cleaning.uncertainty import lasting_std
 from becalm.core.arrays import Floats, input_of
 from becalm.core.filter.channel import Channel, Estimates, History
 from becalm.core.filter.channel_settings import ChannelSettings, Widening

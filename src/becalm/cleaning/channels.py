@@ -14,11 +14,10 @@ from becalm.cleaning.faults import Findings, SensorWatch
 from becalm.cleaning.filtered import FilteredChannel
 from becalm.cleaning.filters import Filter
 from becalm.cleaning.holes import Holes
-from becalm.cleaning.judging import Decision, InnovationJudge
+from becalm.cleaning.judging import Decision, InnovationJudge, Uncertainty
 from becalm.cleaning.limits_entry import alarms_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History, log_densities, parts_of
 from becalm.core.filter.restarting_flow import RestartingFlow

@@ -9,11 +9,11 @@ import numpy as np
 
 from becalm.cleaning.faults import SensorWatch, merged_verdicts
 from becalm.cleaning.filters import Filter
+from becalm.cleaning.judging import Uncertainty
 from becalm.cleaning.limits_entry import rows_that_judge
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.slopes import TimingNoise
-from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.arrays import BLOCK, Codes, Floats, Integers
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict

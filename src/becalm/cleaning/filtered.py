@@ -6,10 +6,10 @@ from collections import Counter
 
 from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.filters import Filter
+from becalm.cleaning.judging import Uncertainty
 from becalm.cleaning.limits_entry import limits_of, rows_that_judge
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.slopes import TimingNoise
-from becalm.cleaning.uncertainty import Uncertainty
 from becalm.core.health.sentinel import Sentinel
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict, counted

@@ -3,7 +3,7 @@
 A channel's filter is linear in its readings, and its tuning and its gate scale with their unit. If the new calibration
 turns readings y into y' = a y + b, the clean signal x becomes a x + b and the filter's sigma is multiplied by |a|. The
 uncertainty of the old calibration is removed from sigma, and that of the new one is added
-(`becalm.cleaning.uncertainty`).
+(`becalm.cleaning.judging`).
 """
 
 from __future__ import annotations
