@@ -11,8 +11,7 @@ import numpy as np
 from becalm.cleaning.causal_channel import CausalChannel, is_causal
 from becalm.cleaning.channel_report import Filtered, advice_on, named, report_of, with_advice
 from becalm.cleaning.faults import Findings, SensorWatch
-from becalm.cleaning.filtered import FilteredChannel
-from becalm.cleaning.filters import Filter
+from becalm.cleaning.filters import Filter, FilteredChannel
 from becalm.cleaning.holes import Holes
 from becalm.cleaning.judging import Decision, InnovationJudge, Uncertainty
 from becalm.cleaning.limits_entry import alarms_of

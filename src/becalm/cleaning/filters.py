@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import cached_property, partial
 
 import numpy as np
 
-from becalm.cleaning.limits_entry import rows_that_smooth
+from becalm.cleaning.faults import SensorWatch
+from becalm.cleaning.judging import Uncertainty
+from becalm.cleaning.limits_entry import limits_of, rows_that_judge, rows_that_smooth
 from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.core.arrays import BLOCK
 from becalm.core.filter.causal_flow import CausalFlow
@@ -16,12 +20,14 @@ from becalm.core.filter.channel_settings import GapLimit, gap_limit_of, least_ga
 from becalm.core.filter.fixed_lag_flow import FixedLagFlow
 from becalm.core.filter.restarting_flow import PartialFlow, RestartingFlow
 from becalm.core.filter.smoothed_flow import SmoothedFlow
+from becalm.core.health.sentinel import Sentinel
 from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow, rows_between
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.magnitudes import largest_magnitude_for_noise
-from becalm.core.rows import Judge
+from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.steady.steady_gain import NEGLIGIBLE_SHARE, rows_until_decayed
+from becalm.core.verdict import Verdict, counted
 from becalm.identification.likelihood import Tuning
 
 
@@ -117,3 +123,51 @@ class Filter:
 def _gap_limit_of_modes(modes: InteractingModels) -> GapLimit:
     """Return which gaps an IMM may bridge."""
     return least_gap_limit([gap_limit_of(mode.component, mode.noise_variance) for mode in modes.modes])
+
+
+# The common base of filtered channels in files and in streams: all but the filter itself.
+
+
+class FilteredChannel:
+    """Checks readings before a filter, and widens sigma and counts verdicts after it.
+
+    Parameters
+    ----------
+    recipe : ChannelRecipe
+        Its filter, in seconds and units.
+    step_s : float
+        One step, in seconds.
+    lag : int or None
+        Lag in rows: 0 for a causal filter, None for a smoother.
+
+    Attributes
+    ----------
+    counts : Counter of Verdict
+        How often each verdict was given.
+    sensor : SensorWatch
+        Finds faults of the readings.
+
+    Raises
+    ------
+    RecipeError
+        If its parameters do not make a valid filter at this step.
+    """
+
+    def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int | None) -> None:
+        self._recipe, self._step_s, self._lag = recipe, step_s, lag
+        self._runs = Filter(recipe, step_s, lag)
+        ahead = rows_that_judge(recipe.limits, lag)
+        self.sensor, self.counts = SensorWatch(recipe.limits, step_s, ahead=ahead), Counter[Verdict]()
+        self._sentinel = Sentinel(limits_of(recipe.limits), recipe.unknown_from)
+        self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
+        timing = recipe.timing
+        self._timing = None if timing is None else TimingNoise(timing, self._runs.noise_std, step_s)
+
+    def _counted(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
+        """Return the rows of a filter with all verdicts, and with sigma widened by the other uncertainties."""
+        rows = [self._sentinel.told(part) for part in self.sensor.named(rows)]
+        for part in rows:
+            self.counts.update(counted(part.verdicts))
+        if self._timing is not None:
+            rows = [self._timing.widened(part) for part in rows]
+        return self._uncertainty.widened(rows)

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from becalm.cleaning.faults import SensorWatch
-from becalm.cleaning.filtered import FilteredChannel
+from becalm.cleaning.filters import FilteredChannel
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.filter.fixed_lag_flow import FixedLagFlow
