@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.delays import delays
-from becalm.cleaning.modes import modes_in_seconds, modes_in_steps
+from becalm.cleaning.figures import modes_in_seconds, modes_in_steps
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import in_steps

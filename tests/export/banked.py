@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from becalm.cleaning.modes import modes_in_seconds
+from becalm.cleaning.figures import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe, ModeRecipe, SwitchingRecipe
 from becalm.cleaning.steps import in_seconds

@@ -7,8 +7,8 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
+from becalm.cleaning.figures import modes_in_steps
 from becalm.cleaning.limits_entry import delay_to_smooth
-from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import in_steps
 from becalm.errors import ModelError

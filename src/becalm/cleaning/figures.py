@@ -6,16 +6,100 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipe_parts import ModeRecipe, SwitchingRecipe
 from becalm.cleaning.report import ChannelReport, ModeReport
 from becalm.cleaning.steps import in_steps
-from becalm.core.imm.modes import InteractingModels
-from becalm.core.model.components import Component
+from becalm.core.imm.modes import InteractingModels, Mode
+from becalm.core.model.components import LEVEL_RATE, Component, motion, returning_motion, with_walking_level
 from becalm.core.steady.response import Response, describe
-from becalm.errors import ModelError
+from becalm.errors import ModelError, RecipeError
 from becalm.identification.likelihood import Tuning
+from becalm.identification.modes.banks import Kind
 from becalm.identification.trust.independence import independence_steps
+
+# Convert the modes of an IMM between seconds (recipes) and steps (filters).
+
+_LEAST, _GREATEST = 1e-250, 1e250  # of variances, unit^2: outside, their products overflow float64
+_GREATEST_RATIO = 1e30  # of q/r: above, rounding destroys the state
+
+
+def modes_in_seconds(kind: Kind, bank: InteractingModels, step_s: float) -> SwitchingRecipe:
+    """Return the modes of a channel, in steps of `step_s` seconds, in the form of a recipe."""
+    return SwitchingRecipe(
+        kind=kind,
+        wild_std=float(np.sqrt(bank.wild_variance)),
+        rejects=bank.rejects,
+        mode=tuple(_mode_in_seconds(mode, step_s) for mode in bank.modes),
+    )
+
+
+def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> InteractingModels:
+    """Return the modes of a recipe in steps.
+
+    Parameters
+    ----------
+    told : SwitchingRecipe
+        Modes of the recipe.
+    tuning : Tuning
+        Fixed filter of the channel; modes with `with_tones` get its tones and coloured noise.
+    step_s : float
+        One step, in seconds.
+
+    Raises
+    ------
+    RecipeError
+        If they do not make a valid filter at this step.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            modes = tuple(_mode_in_steps(mode, tuning, step_s) for mode in told.mode)
+            return InteractingModels(modes, float(np.float64(told.wild_std) ** 2), told.rejects)
+    except ModelError as cause:
+        raise RecipeError(f"The recipe's modes do not make a valid filter at {1 / step_s:.6g} Hz: {cause}") from cause
+
+
+def _mode_in_seconds(mode: Mode, step_s: float) -> ModeRecipe:
+    states, component = len(mode.component.parts[0].state_names), mode.component
+    order, damping = states, 0.0
+    if component.returns:
+        order, damping = states - 1, -float(component.drift[states - 1, states - 1]) / LEVEL_RATE
+    return ModeRecipe(
+        name=mode.name,
+        order=order,
+        process_noise_density=float(mode.component.noise_density[0, 0]) / step_s ** (2 * order - 1),
+        level_noise_density=_level_noise(mode.component) / step_s,
+        noise_std=float(np.sqrt(mode.noise_variance)),
+        lasts_s=mode.lasts * step_s,
+        then=mode.then,
+        wild_share=mode.wild_share,
+        damped_below_hz=damping / (2 * np.pi * step_s) if damping else None,
+        with_tones=len(mode.component.parts) > 1,
+    )
+
+
+def _level_noise(component: Component) -> float:
+    """Return the density of the level's own random walk, which is the last noise input; 0 without one."""
+    walks = len(component.noise_density) > 1 and component.noise_input[0, -1] == 1.0
+    return float(component.noise_density[-1, -1]) if walks else 0.0
+
+
+def _mode_in_steps(recipe: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
+    density = float(np.float64(recipe.process_noise_density) * np.float64(step_s) ** (2 * recipe.order - 1))
+    variance = float(np.float64(recipe.noise_std) ** 2)
+    if not (_LEAST < variance < _GREATEST and density / variance < _GREATEST_RATIO):
+        raise ModelError(
+            f"mode {recipe.name!r} has process_noise_density = {recipe.process_noise_density:.3g} and noise_std ="
+            f" {recipe.noise_std:.3g}, which is out of range; correct one of them, or choose a unit closer to its size."
+        )
+    damping = 0.0 if recipe.damped_below_hz is None else 2 * np.pi * recipe.damped_below_hz * step_s
+    component = returning_motion(recipe.order, density, damping) if damping else motion(recipe.order, density)
+    if recipe.with_tones:
+        component = sum(tuning.companions, component)
+    if recipe.level_noise_density > 0:
+        component = with_walking_level(component, recipe.level_noise_density * step_s)
+    return Mode(recipe.name, component, variance, recipe.lasts_s / step_s, recipe.then, recipe.wild_share)
+
 
 _NOTHING_REMOVED = 0.8
 """Noise gain above which a filter removes next to no noise."""

@@ -8,9 +8,9 @@ from functools import cached_property, partial
 import numpy as np
 
 from becalm.cleaning.faults import SensorWatch
+from becalm.cleaning.figures import modes_in_steps
 from becalm.cleaning.judging import Uncertainty
 from becalm.cleaning.limits_entry import limits_of, rows_that_judge, rows_that_smooth
-from becalm.cleaning.modes import modes_in_steps
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.steps import gate_of, in_steps

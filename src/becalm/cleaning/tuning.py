@@ -11,9 +11,9 @@ import numpy as np
 
 from becalm.cleaning.alarms import with_alarms
 from becalm.cleaning.faults import find_healthy
+from becalm.cleaning.figures import modes_in_seconds
 from becalm.cleaning.hidden_blocks import holes_shown
 from becalm.cleaning.limits_entry import with_rounding
-from becalm.cleaning.modes import modes_in_seconds
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.steps import SOON, gate_of, in_seconds, lag_in_rows
