@@ -10,9 +10,9 @@ from typing import Annotated, Self
 import tomlkit
 from pydantic import Field, model_validator
 
+from becalm.cleaning.recipe import TomlKind
 from becalm.cleaning.recipe_parts import FrozenSettings
 from becalm.cleaning.sensor_entries import SensorEntry
-from becalm.cleaning.toml_text import TomlKind
 from becalm.errors import SensorError
 from becalm.sensors.record import SensorRecord
 
