@@ -15,7 +15,7 @@ from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import ORDERS, motion
 from becalm.errors import ModelError, RecordingError
-from becalm.identification.coloured_likelihood import UNSCORED, score_coloured
+from becalm.identification.coloured import UNSCORED, score_coloured
 from becalm.identification.cross_validation import lasting, simplest, tune_smoother
 from becalm.identification.known_noise import _beside_white, foretold_square, tune_with_known_noise
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion

@@ -13,8 +13,16 @@ from becalm.core.closed_forms import autoregressive_power
 from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import motion
 from becalm.errors import RecordingError
-from becalm.identification.coloured import LEAST_WHITE, LONGEST_CORRELATION, NoiseModel, fit_noise
-from becalm.identification.coloured_likelihood import Shape, _squared, exact_misfit, spectral_misfit
+from becalm.identification.coloured import (
+    LEAST_WHITE,
+    LONGEST_CORRELATION,
+    NoiseModel,
+    Shape,
+    _squared,
+    exact_misfit,
+    fit_noise,
+    spectral_misfit,
+)
 
 RESONANCE = (2 * 0.95 * float(np.cos(0.5)), -(0.95**2))
 

@@ -19,7 +19,7 @@ from becalm.core.filter.channel import Sums
 from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import EVERY_ORDER, ORDERS
 from becalm.errors import RecordingError
-from becalm.identification.coloured_likelihood import first_in_a_row, score_coloured
+from becalm.identification.coloured import first_in_a_row, score_coloured
 from becalm.identification.cross_validation import (
     Residuals,
     cautious,
