@@ -9,7 +9,7 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.identification.search import find_least, find_ratio, log_cutoffs
+from becalm.identification.likelihood import find_least, find_ratio, log_cutoffs
 
 GRID = np.linspace(-4.0, 4.0, 17)
 

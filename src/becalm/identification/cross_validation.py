@@ -19,8 +19,7 @@ from becalm.core.arrays import Floats
 from becalm.core.closed_forms import motion_power
 from becalm.core.filter.channel import ChannelRecord
 from becalm.core.model.components import EVERY_ORDER, motion
-from becalm.identification.likelihood import Evidence, Tuning
-from becalm.identification.search import find_ratio
+from becalm.identification.likelihood import Evidence, Tuning, find_ratio
 from becalm.identification.spectrum import pooled, sine_spectrum, slope_between_ends
 
 LONG, MOST_OF = 4096, 0.8

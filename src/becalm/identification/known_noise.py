@@ -28,8 +28,7 @@ from becalm.identification.cross_validation import (
     simplest,
     smooth_residuals,
 )
-from becalm.identification.likelihood import FEWEST_READINGS, Candidate, Evidence, Tuning
-from becalm.identification.search import find_ratio
+from becalm.identification.likelihood import FEWEST_READINGS, Candidate, Evidence, Tuning, find_ratio
 
 _ALIKE = 0.1  # difference of the logarithm of the residuals that a few stretches cannot resolve
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError
-from becalm.identification.search import Edge, find_least, log_cutoffs
+from becalm.identification.likelihood import Edge, find_least, log_cutoffs
 from becalm.identification.several.step_spectrum import Cost, StepTrial
 
 _POINTS_A_DECADE = 4
