@@ -19,11 +19,11 @@ from becalm.core.model.components import HIGHEST_ORDER, ORDERS
 from becalm.identification.choose import choose
 from becalm.identification.damping import damped
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
-from becalm.identification.modes.bank_risk import hidden_errors
 from becalm.identification.modes.banks import (
     EvidencePiece,
     ImmFamily,
     bursting,
+    hidden_errors,
     log_likelihood,
     of_first_mode,
     searched,

@@ -11,8 +11,7 @@ import numpy as np
 from becalm.identification.choose import choose
 from becalm.identification.imputation import imputed
 from becalm.identification.likelihood import Evidence, Tuning
-from becalm.identification.modes.bank_risk import find_wild
-from becalm.identification.modes.banks import of_first_mode, pieces_of, searched, spiky
+from becalm.identification.modes.banks import find_wild, of_first_mode, pieces_of, searched, spiky
 from becalm.identification.modes.switching import Switched
 
 

@@ -17,11 +17,12 @@ from becalm.core.imm.modes import InteractingModels, Mode
 from becalm.core.model.components import ORDERS, with_walking_level
 from becalm.identification.damping import damped
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
-from becalm.identification.modes.bank_risk import errs_less, find_wild
 from becalm.identification.modes.banks import (
     EvidencePiece,
     ImmFamily,
     Kind,
+    errs_less,
+    find_wild,
     jumping,
     log_likelihood,
     noisy,
