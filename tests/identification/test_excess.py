@@ -11,7 +11,7 @@ from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.timeline import elapsed_timeline
 from becalm.identification.likelihood import Tuning
 from becalm.identification.spectrum import ToneOscillator
-from becalm.identification.trust.excess import excess_error, powers
+from becalm.identification.trust.tuning_spread import excess_error, powers
 from becalm.metrics.whiteness import whiteness
 
 ROWS, RATIO = 200_000, 0.01

@@ -11,8 +11,13 @@ from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.identification.cross_validation import criterion, smooth_residuals
 from becalm.identification.likelihood import Evidence, Tuning, find_ratio, tune_motion
 from becalm.identification.spectrum import ToneOscillator
-from becalm.identification.trust.tuning_posterior import posterior_widening
-from becalm.identification.trust.tuning_spread import LONG, delta_widening, log_ratio_variance, tuning_spread
+from becalm.identification.trust.tuning_spread import (
+    LONG,
+    delta_widening,
+    log_ratio_variance,
+    posterior_widening,
+    tuning_spread,
+)
 from becalm.metrics.truth import coverage
 from walks import clean, draw
 

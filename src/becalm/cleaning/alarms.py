@@ -12,7 +12,7 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.health.monitor import SLACK, find_alarms
 from becalm.identification.likelihood import Tuning
-from becalm.identification.trust.excess import excess_error
+from becalm.identification.trust.tuning_spread import excess_error
 from becalm.native.scans import MOST_SIGMA
 
 MARGIN = 2.0

@@ -19,7 +19,7 @@ from becalm.cleaning.slopes import timing_sentences
 from becalm.cleaning.steps import SOON
 from becalm.core.health.outlier_rule import MOST_OUTLIERS
 from becalm.core.verdict import ADVICE, Verdict
-from becalm.identification.trust.excess import excess_error
+from becalm.identification.trust.tuning_spread import excess_error
 
 _NOTHING_REMOVED = "Next to nothing was removed: noise and motion cannot be distinguished here; noise_std is a guess."
 

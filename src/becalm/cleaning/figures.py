@@ -16,7 +16,7 @@ from becalm.core.steady.response import Response, describe
 from becalm.errors import ModelError, RecipeError
 from becalm.identification.likelihood import Tuning
 from becalm.identification.modes.banks import Kind
-from becalm.identification.trust.independence import independence_steps
+from becalm.identification.trust.tuning_spread import independence_steps
 
 # Convert the modes of an IMM between seconds (recipes) and steps (filters).
 

@@ -11,7 +11,7 @@ import numpy as np
 from becalm.cleaning.recipe_parts import CalibrationRecipe, LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
-from becalm.identification.trust.excess import Colour
+from becalm.identification.trust.tuning_spread import Colour
 from becalm.metrics.evenness import BlockCount
 from becalm.metrics.lagged import LaggedSums
 from becalm.metrics.misplaced import ScoreCount
@@ -152,7 +152,7 @@ class InnovationJudge:
         ----------
         excess_of : callable, optional
             Takes the colour of the innovations and returns the excess of the rms error, as
-            `excess_error` of `identification/trust/excess.py` does for a smoother; by default the excess of the
+            `excess_error` of `identification/trust/tuning_spread.py` does for a smoother; by default the excess of the
             prediction is used.
         """
         sums = self._running.sums()

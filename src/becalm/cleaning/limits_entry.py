@@ -14,7 +14,7 @@ from becalm.core.health.quantisation import rounding_left
 from becalm.core.time.clock import GAP_STEPS
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.identification.likelihood import Tuning
-from becalm.identification.trust.independence import independence_steps
+from becalm.identification.trust.tuning_spread import independence_steps
 
 _PARTS = 36  # of the plausible range: a channel that comes closer to 0 may rest there
 _LEAST_ROUNDING = 1e-3  # of the resolution; a smaller error is left out

@@ -17,18 +17,191 @@ with p = (1 - W) / E[1 - W]: the scatter of its slope over the square of its cur
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.closed_forms import autoregressive_power, cutoff_to_ratio
+from becalm.core.filter.channel import ChannelRecord, Estimates
 from becalm.core.steady.steady_filter import SteadyFilter
 from becalm.core.steady.steady_gain import steady
 from becalm.errors import ModelError
-from becalm.identification.likelihood import Evidence, Tuning
-from becalm.identification.trust.excess import powers
-from becalm.identification.trust.tuning_posterior import posterior_widening
+from becalm.identification.likelihood import Candidate, Evidence, Tuning
+from becalm.identification.spectrum import line_power
+from becalm.metrics.whiteness import whiteness
+
+# Estimate how much smaller a smoother's error could be, from the colour of its innovations.
+#
+# The ratio of the innovations' spectrum to a white one is the ratio of the readings' spectrum to that of the model.
+# With the model's noise, the readings show the signal at each frequency, and so the error of this smoother and of the
+# best one for such readings (Wiener 1949). Predictable innovations cost nothing at frequencies where the smoother
+# passes nothing or everything.
+
+_ANGLES = np.pi * np.concatenate([np.geomspace(1e-7, 1e-2, 1500)[:-1], np.linspace(1e-2, 1.0, 3000)])
+
+Colour = Callable[[Floats], Floats]
+"""Function of angles (k,), radians per step, that returns the power (k,) of normalised innovations.
+
+The power is 1 for a correct model.
+"""
+
+
+def excess_error(tuning: Tuning, colour: Colour) -> float:
+    """Return the share by which a smoother's RMS error exceeds that of the best smoother for such readings.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        The smoother's model.
+    colour : callable
+        The power of its normalised innovations over frequency.
+    """
+    signal, noise = powers(tuning, _ANGLES)
+    passed = signal / (signal + noise)
+    total = colour(_ANGLES) * (signal + noise)
+    still_noise = np.minimum(noise, total)
+    moved = total - still_noise
+    own = (1 - passed) ** 2 * moved + passed**2 * still_noise
+    best = _mean(moved * (still_noise / total))
+    return float(np.sqrt(_mean(own) / best)) - 1 if best > 0 else 0.0
+
+
+def powers(tuning: Tuning, angle: Floats) -> tuple[Floats, Floats]:
+    """Return the power (k,) of the signal and of the noise in readings, unit^2, at angles (k,) in radians a step."""
+    signal = tuning.motion_power(angle)
+    noise = np.full_like(angle, tuning.noise_variance)
+    for line in tuning.lines:
+        power = line_power(line, angle)
+        signal, noise = (signal, noise + power) if line.disturbance else (signal + power, noise)
+    if tuning.coloured is not None:
+        coefficients, innovation_variance = tuning.coloured.coefficients, tuning.coloured.innovation_variance
+        noise = noise + autoregressive_power(coefficients, innovation_variance, angle)
+    return signal, noise
+
+
+def _mean(power: Floats) -> float:
+    """Return the mean over all frequencies; below the lowest angle the power is constant."""
+    return float((power[0] * _ANGLES[0] + np.trapezoid(power, _ANGLES)) / np.pi)
+
+
+# Compute the expected error of an estimate over all random walks that may have made a short record.
+#
+# The walks have the chosen order and any cut-off. They are weighted by their likelihood, with a flat prior on the
+# logarithms of cut-off and noise variance. With the weights w, each walk's estimate y_i and its variance P_i,
+#
+#     E[(x - y)^2] = sum of w_i (P_i + (y_i - y)^2)
+#
+# at each reading, which is exact where the record is such a walk (Hoeting et al., Statistical Science 14 (1999) 382).
+# It holds only if the innovations of the likeliest walk are white; otherwise no walk describes the record, and the
+# weights mean nothing.
+
+_SLOWEST_CYCLES, _FASTEST = 0.02, 4.0  # cycles in the record, far slower than it can resolve; radians per step
+_COARSE, _FINE, _WALKS = 15, 9, 8  # points over all cut-offs, and around the likeliest; walks that represent all
+_EVERY = 400  # cut-offs at which the likelihood is interpolated
+_BY_CHANCE = 0.01  # least p-value of whiteness: one true walk in a hundred is rejected
+
+
+def posterior_widening(tuning: Tuning, evidence: Evidence, causal: bool) -> float | None:
+    """Return the factor by which sigma must be widened, as a root mean square over the readings.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        The motion, without tones, of the given estimate.
+    evidence : Evidence
+        The readings, at most a few thousand.
+    causal : bool
+        True if the estimate is a filter's, False if a smoother's.
+
+    Returns
+    -------
+    float or None
+        The factor; None where no walk describes the readings.
+    """
+    candidate = Candidate(tuning.order, evidence)
+    likelihoods = _likelihoods(candidate)
+    if likelihoods is None or not _describes(_walk(candidate, likelihoods.likeliest), evidence):
+        return None
+    walks = [_walk(candidate, log_cutoff) for log_cutoff in likelihoods.quantiles(_WALKS)]
+    signal, variance = _estimate(tuning, evidence, causal)
+    others = [_estimate(walk, evidence, causal) for walk in walks]
+    expected = np.mean([own + (other - signal) ** 2 for other, own in others], axis=0)
+    known = np.isfinite(variance) & np.isfinite(expected) & (variance > 0)
+    return float(np.sqrt(np.mean(expected[known] / variance[known]))) if known.any() else None
+
+
+class _Likelihoods(NamedTuple):
+    """The likelihood of one order over the logarithm of the cut-off."""
+
+    log_cutoff: Floats  # (k,) ascending
+    log_likelihood: Floats  # (k,)
+
+    @property
+    def likeliest(self) -> float:
+        return float(self.log_cutoff[int(np.argmax(self.log_likelihood))])
+
+    def quantiles(self, count: int) -> Floats:
+        """Return logarithms of cut-offs (count,) that each represent an equal share of the likelihood."""
+        mass = np.cumsum(np.exp(self.log_likelihood - self.log_likelihood.max()))
+        log_cutoffs: Floats = np.interp((np.arange(count) + 0.5) / count, mass / mass[-1], self.log_cutoff)
+        return log_cutoffs
+
+
+def _likelihoods(candidate: Candidate) -> _Likelihoods | None:
+    """Score all cut-offs, more densely around the likeliest; None where no reading is scored."""
+
+    def scores(log_cutoffs: Floats) -> Floats:
+        ratios = [cutoff_to_ratio(candidate.order, float(each)) for each in np.exp(log_cutoffs)]
+        return np.array([candidate.score(ratio).log_likelihood for ratio in ratios])
+
+    slowest = 2 * np.pi * _SLOWEST_CYCLES / candidate.evidence.longest_steps
+    coarse = np.linspace(np.log(slowest), np.log(_FASTEST), _COARSE)
+    first = scores(coarse)
+    if not np.isfinite(first).all():
+        return None
+    best, step = int(np.argmax(first)), coarse[1] - coarse[0]
+    nearby = coarse[best] + step * np.linspace(-1, 1, _FINE + 2)[1:-1]
+    nearby = nearby[(nearby > coarse[0]) & (nearby < coarse[-1]) & (np.arange(_FINE) != _FINE // 2)]
+    at, values = np.concatenate([coarse, nearby]), np.concatenate([first, scores(nearby)])
+    from scipy.interpolate import CubicSpline  # imported only for short records
+
+    ascending, every = np.argsort(at), np.linspace(coarse[0], coarse[-1], _EVERY)
+    return _Likelihoods(every, CubicSpline(at[ascending], values[ascending])(every))
+
+
+def _walk(candidate: Candidate, log_cutoff: float) -> Tuning:
+    """Return a walk with the mean noise variance for its cut-off, used / (used - 2) times the likeliest."""
+    ratio = cutoff_to_ratio(candidate.order, float(np.exp(log_cutoff)))
+    _, r, used = candidate.score(ratio)
+    return Tuning(candidate.order, ratio, r * used / max(used - 2, 1), used)
+
+
+def _describes(tuning: Tuning, evidence: Evidence) -> bool:
+    """Return whether the innovations of a walk are white, up to chance."""
+    innovations = [
+        estimates.innovation / estimates.deviation for estimates in _run_stretches(tuning, evidence, causal=True)
+    ]
+    return whiteness(np.concatenate(innovations)).p_value > _BY_CHANCE
+
+
+def _estimate(tuning: Tuning, evidence: Evidence, causal: bool) -> tuple[Floats, Floats]:
+    """Return the estimates (N,), in unit, and their variances (N,), unit^2, at the readings."""
+    estimates = _run_stretches(tuning, evidence, causal)
+    signal, sigma = (np.concatenate([getattr(part, name) for part in estimates]) for name in ("signal", "sigma"))
+    return signal, sigma**2
+
+
+def _run_stretches(tuning: Tuning, evidence: Evidence, causal: bool) -> list[Estimates]:
+    """Run a filter, or a smoother, over each stretch."""
+    records = [
+        ChannelRecord(tuning.component, tuning.noise_variance, evidence.z[part, 0], evidence.elapsed[part])
+        for part in evidence.stretches
+    ]
+    return [record.filtered() if causal else record.smoothed() for record in records]
+
 
 LONG = 4096
 """Number of readings from which on the delta method is enough."""
@@ -155,3 +328,51 @@ def _moved_and_claimed(tuning: Tuning, causal: bool) -> tuple[float, float]:
     low, high = (_settled(replace(tuning, ratio=tuning.ratio * np.exp(by))) for by in (-_SMALL, _SMALL))
     change = (high.filter_response(spectra.f) - low.filter_response(spectra.f)) / (2 * _SMALL)
     return spectra.mean(np.abs(change) ** 2 * spectra.total), spectra.filter.error_variance()
+
+
+# Compute how many samples apart the errors of a clean signal are independent.
+#
+# The errors of neighbours are correlated, so averaging n of them does not divide sigma by sqrt(n). With rho_k the
+# correlation of errors k samples apart and L the sum of rho_k over all k, negative and positive, the mean of n >> L
+# samples has the variance sigma^2 L / n. L is the integrated autocorrelation time (Priestley, Spectral Analysis and
+# Time Series (1981), 5.3). The noise that a filter passes has another length, 1 / (2 B) with its noise bandwidth B;
+# sigma and L also include the part of the signal that the filter does not pass.
+
+
+def independence_steps(tuning: Tuning, causal: bool) -> float | None:
+    """Return L in steps: so many samples determine a mean as well as one independent sample.
+
+    Parameters
+    ----------
+    tuning : Tuning
+        A tuning in even time.
+    causal : bool
+        True for the filter, False for the smoother.
+
+    Returns
+    -------
+    float or None
+        L; None for a filter without a steady state.
+
+    Notes
+    -----
+    A smoother's errors have the spectrum S R / (S + R), with S of the signal and R of the noise; its value at 0 Hz is
+    sigma^2 L. For a motion that value is R, so that a long mean of smoothed samples is exactly as good as that of the
+    readings. A filter's errors are e[k] = (I - K H) F e[k-1] plus white noise, so that L = 2 c (I - A)^-1 P c' / (c P
+    c') - 1.
+    """
+    if not causal:
+        spectra = spectra_of(tuning)
+        if spectra is None:
+            return None
+        noise = powers(tuning, 2 * np.pi * spectra.f[:1])[
+            1
+        ]  # total - signal would lose it to rounding next to a motion
+        return float(spectra.signal[0] / spectra.total[0] * noise[0] / spectra.filter.error_variance(np.inf))
+    steady_filter = settled_filter(tuning)
+    if steady_filter is None:
+        return None
+    c, loop = steady_filter.row, steady_filter.loop
+    P = c @ loop.P_plus @ c.T
+    summed = c @ np.linalg.solve(np.eye(len(loop.A)) - loop.A, loop.P_plus @ c.T)
+    return float((2 * summed / P)[0, 0]) - 1.0
