@@ -15,9 +15,8 @@ from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import RecordingError, UsageError
 from becalm.identification.rest.allan import allan_deviation
 from becalm.identification.rest.allan_terms import noise_terms
-from becalm.identification.rest.detection import Stretch, detect_rests, named_rests
+from becalm.identification.rest.detection import Stretch, detect_rests, named_rests, quantum, runs_of
 from becalm.identification.rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
-from becalm.identification.rest.windows import quantum, runs_of
 
 MOST_SLOW = 1.5
 """Ratio of the variance over half a second to R, above which the report calls the noise slower than the readings."""
