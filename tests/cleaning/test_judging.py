@@ -16,8 +16,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import run_filter
 from becalm.core.model.components import motion
 from becalm.core.model.timeline import elapsed_timeline
-from becalm.metrics.evenness import uneven_share
-from becalm.metrics.whiteness import mean_nis, whiteness
+from becalm.metrics.whiteness import mean_nis, uneven_share, whiteness
 
 
 def judged(innovations: Floats, sigma: Floats | float) -> Judgement:

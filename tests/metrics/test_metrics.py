@@ -9,10 +9,8 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, kstest
 
 from becalm.core.arrays import Floats
-from becalm.metrics.evenness import uneven_share
-from becalm.metrics.lagged import LaggedSums
 from becalm.metrics.truth import coverage, rms_error
-from becalm.metrics.whiteness import LAGS, mean_nis, predictors, whiteness
+from becalm.metrics.whiteness import LAGS, LaggedSums, mean_nis, predictors, uneven_share, whiteness
 
 
 def white(rows: int, seed: int = 0) -> Floats:

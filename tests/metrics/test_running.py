@@ -12,10 +12,19 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from becalm.core.arrays import Floats
-from becalm.metrics.evenness import RunningEvenness, uneven_share
-from becalm.metrics.lagged import MOST_LAGS, LaggedSums
-from becalm.metrics.running import PIECE, Running
-from becalm.metrics.whiteness import RunningNis, RunningWhiteness, Whiteness, mean_nis, whiteness
+from becalm.metrics.whiteness import (
+    MOST_LAGS,
+    PIECE,
+    LaggedSums,
+    Running,
+    RunningEvenness,
+    RunningNis,
+    RunningWhiteness,
+    Whiteness,
+    mean_nis,
+    uneven_share,
+    whiteness,
+)
 
 NOTHING_TOLD = Whiteness(1.0, 0.0, 0.0)
 

@@ -9,7 +9,7 @@ import pytest
 
 from becalm.cleaning.judging import InnovationJudge
 from becalm.cleaning.report import ChannelReport
-from becalm.metrics.lagged import LaggedSums
+from becalm.metrics.whiteness import LaggedSums
 from becalm.report.description import Curve, Figure
 from becalm.report.envelope import Envelope, Means
 from becalm.report.innovation_figures import innovation_figures

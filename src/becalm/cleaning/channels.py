@@ -26,7 +26,7 @@ from becalm.core.imm.flow import comparable_state
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Verdict, counted
 from becalm.identification.choose import FEWEST_READINGS
-from becalm.metrics.running import Running
+from becalm.metrics.whiteness import Running
 
 _PIECE = 1 << 16  # rows whose innovations are judged at once; in smaller pieces the calls cost as much as the sums
 

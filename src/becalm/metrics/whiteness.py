@@ -2,16 +2,147 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, frozen
 from becalm.core.closed_forms import autoregressive_power
-from becalm.metrics.lagged import MOST_LAGS, LaggedSums
-from becalm.metrics.running import Running
+
+# The autocovariance of a sequence that comes in pieces, exact across their borders.
+
+MOST_LAGS = 32
+_ROW = 8  # shortest row for which BLAS is fast
+_SHIFTS = MOST_LAGS // _ROW + 1
+
+
+class LaggedSums(NamedTuple):
+    """Sums over a sequence e, and over its products with the values up to 32 places earlier.
+
+    Attributes
+    ----------
+    seen : int
+        Number of values so far.
+    shift : float
+        Mean of the first piece; the sums are over c = e - shift.
+    total : float
+        Sum of c.
+    products : (5, 8, 8) float array
+        Sums of products of c with c up to 32 values earlier, both in rows of 8; see `about_mean`.
+    head, tail : (32,) float array
+        The first and the last 32 values of c; zero if there are fewer.
+    varies : bool
+        True if not all c are equal.
+
+    Notes
+    -----
+    The shift loses no accuracy: n var = sum (e - mean)^2 >= P (shift - mean)^2 for a first piece of
+    P values, so rounding errors grow at most by the factor n/P for any mean.
+    """
+
+    seen: int = 0
+    shift: float = 0.0
+    total: float = 0.0
+    products: Floats = frozen(np.zeros((_SHIFTS, _ROW, _ROW)))
+    head: Floats = frozen(np.zeros(MOST_LAGS))
+    tail: Floats = frozen(np.zeros(MOST_LAGS))
+    varies: bool = False
+
+    def extended(self, piece: Floats) -> LaggedSums:
+        """Return the sums with a piece (n,) of finite values added; the first piece must be long or the only one."""
+        n = len(piece)
+        shift = self.shift if self.seen else float(np.mean(piece))
+        rows = -(-n // _ROW)
+        own = np.zeros(rows * _ROW)
+        np.subtract(piece, shift, out=own[:n])
+        c = np.append(self.tail, own)  # a copy, because BLAS is slower for the product of an array with itself
+        step = c.itemsize
+        earlier = np.ndarray((_SHIFTS, rows, _ROW), float, c, strides=(_ROW * step, _ROW * step, step))
+        head = self.head if self.seen else np.append(own[:MOST_LAGS], np.zeros(MOST_LAGS))[:MOST_LAGS]
+        return LaggedSums(
+            self.seen + n,
+            shift,
+            self.total + float(own.sum()),
+            self.products + own.reshape(rows, _ROW).T @ earlier,
+            head,
+            c[n : n + MOST_LAGS].copy(),
+            self.varies or bool(np.any(own[:n] != head[0])),
+        )
+
+    def about_mean(self, lags: int) -> Floats:
+        """Return the sum of (e[i] - mean) (e[i - j] - mean) over i, for j = 0 to `lags`, up to 32."""
+        # products[k, a, b] sums c[i] c[i - j] over every eighth i, with j = 32 + a - 8 k - b
+        by_row = self.products.transpose(1, 0, 2).reshape(_ROW, _SHIFTS * _ROW)
+        diagonals = np.array([by_row[a, a : a + MOST_LAGS + 1] for a in range(_ROW)])
+        j = np.arange(lags + 1)
+        first = np.append(0.0, np.cumsum(self.head))[: lags + 1]
+        last = np.append(0.0, np.cumsum(self.tail[::-1]))[: lags + 1]
+        mean = self.total / self.seen
+        with np.errstate(over="ignore", invalid="ignore"):  # squares that overflow give inf or NaN
+            lagged = diagonals.sum(axis=0)[::-1][: lags + 1]
+            about: Floats = lagged - mean * (2 * self.total - first - last) + (self.seen - j) * mean * mean
+        return about
+
+
+# Sums over a sequence of any length that comes in blocks, in constant memory.
+
+PIECE = 8000
+"""Values per piece, a multiple of 50: a piece fits into the cache, and BLAS uses one thread for it."""
+
+Sums = TypeVar("Sums")
+
+
+class Running(Generic[Sums]):
+    """Sums over the finite values of a sequence that comes in blocks of any length.
+
+    The finite values are split into pieces of `PIECE`, counted from the first finite value; so the sums
+    depend neither on the borders of the blocks nor on missing values.
+
+    Parameters
+    ----------
+    nothing : Sums
+        The sums of no values.
+    extended : callable
+        Takes sums and a piece (up to `PIECE`,), and returns the sums with the piece added. Only the last
+        piece is shorter. The array of the piece is reused afterwards.
+    """
+
+    def __init__(self, nothing: Sums, extended: Callable[[Sums, Floats], Sums]) -> None:
+        self._sums = nothing
+        self._extended = extended
+        self._rest = np.empty(PIECE)  # buffer for an incomplete piece
+        self._held = 0  # values in the buffer
+
+    def add(self, values: Floats) -> None:
+        """Add a block (B,); NaN and inf are left out."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            for start in range(0, len(values), PIECE):
+                part = values[start : start + PIECE]
+                finite = np.isfinite(part)
+                self._take(part if finite.all() else part[finite])
+
+    def sums(self) -> Sums:
+        """Return the sums of all values so far; more may follow."""
+        if not self._held:
+            return self._sums
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._extended(self._sums, self._rest[: self._held])
+
+    def _take(self, part: Floats) -> None:
+        """Add at most one piece of finite values; a whole piece is not copied if the buffer is empty."""
+        if len(part) == PIECE and not self._held:
+            self._sums = self._extended(self._sums, part)
+            return
+        fitting, excess = part[: PIECE - self._held], part[PIECE - self._held :]
+        self._rest[self._held : self._held + len(fitting)] = fitting
+        self._held += len(fitting)
+        if self._held == PIECE:
+            self._sums = self._extended(self._sums, self._rest)
+            self._rest[: len(excess)] = excess
+            self._held = len(excess)
+
 
 LAGS = 20
 _PREDICTOR_LAGS = MOST_LAGS
@@ -193,5 +324,59 @@ class RunningNis(Running[Power]):
 def mean_nis(normalised: Floats) -> float:
     """Return the mean squared normalised innovation without NaN; 1 if the noise variance is right."""
     running = RunningNis()
+    running.add(normalised)
+    return running.result()
+
+
+# Test whether the variance of the innovations is constant, as a model with one noise level assumes.
+
+_BLOCK = 50
+_FACTOR = 4.0  # in power: a factor of two in sigma
+
+
+class BlockCount(NamedTuple):
+    """Number of blocks of 50 values, and number of uneven blocks."""
+
+    blocks: int = 0
+    uneven: int = 0
+
+    def extended(self, piece: Floats) -> BlockCount:
+        """Return the count with a piece (n,) of finite values added; only the last piece may end within a block."""
+        blocks = len(piece) // _BLOCK
+        rows = piece[: blocks * _BLOCK].reshape(blocks, _BLOCK)
+        power = np.vecdot(rows, rows) / _BLOCK
+        even = int(np.count_nonzero((power >= 1 / _FACTOR) & (power <= _FACTOR)))
+        return BlockCount(self.blocks + blocks, self.uneven + blocks - even)
+
+    def share(self) -> float:
+        """Return the share of uneven blocks."""
+        return self.uneven / self.blocks if self.blocks else 0.0
+
+
+class RunningEvenness(Running[BlockCount]):
+    """Computes the uneven share of a sequence that comes in blocks of any length."""
+
+    def __init__(self) -> None:
+        super().__init__(BlockCount(), BlockCount.extended)
+
+    def result(self) -> float:
+        """Return the `uneven_share` of all values so far; more may follow."""
+        return self.sums().share()
+
+
+def uneven_share(normalised: Floats) -> float:
+    """Return the share of blocks of 50 values whose mean power differs from 1 by more than a factor of four.
+
+    Parameters
+    ----------
+    normalised : (N,) float array
+        Innovations over their expected standard deviation; NaN is left out.
+
+    Notes
+    -----
+    The mean power of 50 white Gaussian innovations is 1 with a standard deviation of 0.2, so chance
+    gives no uneven blocks. A large share means that sigma is correct only on average.
+    """
+    running = RunningEvenness()
     running.add(normalised)
     return running.result()

@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
-from becalm.metrics.running import PIECE
+from becalm.metrics.whiteness import PIECE
 
 _ROWS = 600
 

@@ -10,7 +10,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.verdict import Verdict
-from becalm.metrics.running import PIECE
+from becalm.metrics.whiteness import PIECE
 from becalm.report.closeup import Closeup, Farthest, Middle
 from becalm.report.envelope import Cut, Envelope, Kinds, Means, Stretches
 from becalm.report.spectra import RunningSpectrum

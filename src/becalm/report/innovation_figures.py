@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.metrics.lagged import MOST_LAGS, LaggedSums
-from becalm.metrics.whiteness import judge_whiteness, smoothed_power
+from becalm.metrics.whiteness import MOST_LAGS, LaggedSums, judge_whiteness, smoothed_power
 from becalm.report.description import Axis, Curve, Figure, Layer, Rule
 from becalm.report.envelope import Envelope, Means
 from becalm.report.pictures import TIME, Title, parted
