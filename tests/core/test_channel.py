@@ -28,7 +28,7 @@ from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import LOST, Verdict
 from becalm.errors import ModelError
 from becalm.native import STATE
-from becalm.native.rows import COEFFICIENTS, MOST_STATES, SETTINGS
+from becalm.native.library import COEFFICIENTS, MOST_STATES, SETTINGS
 from bits import assert_same_bits
 from hundred_digits import exact, exact_smoothed
 

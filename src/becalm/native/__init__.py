@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.errors import ModelError
-from becalm.native.library import CONSTANTS, LIBRARY, kernel, layout_of
-from becalm.native.rows import checked
+from becalm.native.library import CONSTANTS, LIBRARY, checked, kernel, layout_of
 
 kernel.channel_start.argtypes, kernel.channel_start.restype = [ctypes.c_void_p] * 2, None
 kernel.channel_process.argtypes, kernel.channel_process.restype = [ctypes.c_void_p] * 5, None

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.errors import ModelError
-from becalm.native.library import CONSTANTS, kernel, layout_of
-from becalm.native.rows import checked
+from becalm.native.library import CONSTANTS, checked, kernel, layout_of
 
 kernel.smoother_start.argtypes, kernel.smoother_start.restype = [ctypes.c_void_p] * 2, None
 kernel.smoother_forward.argtypes = [*[ctypes.c_void_p] * 7, ctypes.c_int]

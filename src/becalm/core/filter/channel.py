@@ -20,7 +20,7 @@ from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 from becalm.native import loaded, process, reduced, reset_counts, saved, score, set_history, start
-from becalm.native.rows import SETTINGS
+from becalm.native.library import SETTINGS
 from becalm.native.smoothers import Smoother
 
 # The terms of a log-likelihood, summed over parts of a record.

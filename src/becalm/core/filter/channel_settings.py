@@ -21,7 +21,7 @@ from becalm.core.model.prior import flat_prior, refuse_singular, root_of
 from becalm.core.model.step_matrices import StepMatrices
 from becalm.core.model.timeline import model_system
 from becalm.errors import ModelError
-from becalm.native.rows import COEFFICIENTS, MOST_STATES
+from becalm.native.library import COEFFICIENTS, MOST_STATES
 from becalm.native.scans import PARTS
 
 # Find the longest gap that a filter may bridge before float64 loses the information from before the gap.

@@ -22,7 +22,7 @@ from becalm.core.model.magnitudes import find_largest
 from becalm.core.time.clock import GAP_STEPS
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import UsageError
-from becalm.native.rows import SETTINGS
+from becalm.native.library import SETTINGS
 from becalm.native.scans import EVERY_REPEAT
 
 _MARGIN = 2.0  # a limit over the largest value in the record

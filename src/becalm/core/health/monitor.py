@@ -16,7 +16,7 @@ from becalm.core.health.faults import FaultCount, require_steps
 from becalm.core.health.noise_change import NoiseHistory
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, UsageError
-from becalm.native.rows import SETTINGS
+from becalm.native.library import SETTINGS
 from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, new_watched, restored, scan_innovations
 
 # Check that a sensor is surely alive: no window of its innovations is as quiet as that of a dead one.

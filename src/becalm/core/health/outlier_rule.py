@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from becalm.core.arrays import Booleans, Codes, Floats, input_of
 from becalm.core.health.missing_marker import find_blank
 from becalm.core.verdict import Verdict
-from becalm.native.rows import SETTINGS
+from becalm.native.library import SETTINGS
 from becalm.native.scans import (
     SHORTEST_FILL,
     SPREADS,

@@ -8,8 +8,7 @@ from becalm.core.filter.channel_settings import ChannelSettings, GapLimit, packe
 from becalm.core.imm.modes import InteractingModels
 from becalm.export.channel.text import NUMBER, Door, of_array, of_number, of_struct
 from becalm.export.naming import identifiers
-from becalm.native.library import CONSTANTS
-from becalm.native.rows import SETTINGS
+from becalm.native.library import CONSTANTS, SETTINGS
 
 
 def modes_door(

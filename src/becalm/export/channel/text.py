@@ -16,7 +16,7 @@ from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.templates import render
 from becalm.export.written import WrittenChannel, words_of
 from becalm.native import packed_size
-from becalm.native.rows import COEFFICIENTS, MOST_STATES, SETTINGS
+from becalm.native.library import COEFFICIENTS, MOST_STATES, SETTINGS
 
 NUMBER = 8
 """Bytes of a double."""
