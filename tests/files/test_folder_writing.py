@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from becalm.errors import OutputError
-from becalm.files.text_file import write_folder
+from becalm.files.atomic_file import write_folder
 
 TEXTS = {"one.txt": "one\n", "sub/two.txt": "two\n", "sub/deeper/three.txt": "dreißig\n"}
 

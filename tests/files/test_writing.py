@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from becalm.core.recording import Recording
 from becalm.errors import OutputError, RecordingError
 from becalm.files import ReadOptions, output_table, read, read_source, write, write_table
-from becalm.files.text_file import refuse_unwritable
+from becalm.files.atomic_file import refuse_unwritable
 from becalm.files.writing import refuse_columns
 
 ENDINGS = ["csv", "csv.gz", "h5", "mat", "npz", "parquet"]

@@ -15,8 +15,8 @@ from becalm.cleaning.sensor_file import to_toml
 from becalm.cli.messages import stderr, tell_notes
 from becalm.cli.opened_file import FileOptions, open_as, refuse_overwriting, shown_name
 from becalm.errors import SensorError, UsageError
+from becalm.files.atomic_file import refuse_unwritable, write_text
 from becalm.files.portions import beginning, cut_short
-from becalm.files.text_file import refuse_unwritable, write_text
 from becalm.sensors.checks import STANDARD_GRAVITY
 from becalm.sensors.record import COVERAGE
 

@@ -15,9 +15,9 @@ from becalm.cli.opened_file import is_same, load, open_every, recipe_path_of, re
 from becalm.cli.report_files import Done, Picturing
 from becalm.cli.times import pass_through, refuse_times, tell_times, timed
 from becalm.errors import UsageError
+from becalm.files.atomic_file import refuse_unwritable, staged_text
 from becalm.files.chunked_cleaning import clean_chunks
 from becalm.files.registry import format_to_write
-from becalm.files.text_file import refuse_unwritable, staged_text
 from becalm.files.writing import open_output, refuse_columns
 
 if TYPE_CHECKING:

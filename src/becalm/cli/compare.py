@@ -13,10 +13,10 @@ from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_cells import cells, headings
 from becalm.cli.messages import stderr, tell_notes
 from becalm.cli.opened_file import AS_WRITTEN, shown_name
+from becalm.files.atomic_file import make_folder, refuse_unwritable, write_text
 from becalm.files.opening import open_source
 from becalm.files.portions import beginning, cut_short
 from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
-from becalm.files.text_file import make_folder, refuse_unwritable, write_text
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison

@@ -24,8 +24,7 @@ from becalm.export.facts import cost_words
 from becalm.export.kind import Span
 from becalm.export.layouts import library_name
 from becalm.export.written import FOLDER
-from becalm.files.temporary_files import removed_afterwards
-from becalm.files.text_file import make_folder, refuse_unwritable, write_folder, write_text
+from becalm.files.atomic_file import make_folder, refuse_unwritable, removed_afterwards, write_folder, write_text
 
 if TYPE_CHECKING:
     from becalm.export.number_type import Precision

@@ -11,7 +11,7 @@ import typer
 
 from becalm.cli.fleet import spark_at
 from becalm.errors import UsageError
-from becalm.files.text_file import make_folder
+from becalm.files.atomic_file import make_folder
 from becalm.fleet.output_lock import lock_output
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan
 from becalm.live.address import Address, seconds_of

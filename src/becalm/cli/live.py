@@ -177,7 +177,7 @@ def _learned_path(sinks: list[str]) -> Path:
 
 
 def _save(recipe: Recipe, *, path: Path, log: Log) -> None:
-    from becalm.files.text_file import write_text
+    from becalm.files.atomic_file import write_text
 
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path, recipe.to_toml())

@@ -140,7 +140,7 @@ def tune(  # noqa: PLR0913  (one argument for each option)
     from becalm.cleaning.delays import delays
     from becalm.cleaning.pipeline import joined
     from becalm.cli.messages import tell_delays, tell_notes
-    from becalm.files.text_file import refuse_unwritable, write_text
+    from becalm.files.atomic_file import refuse_unwritable, write_text
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)

@@ -116,7 +116,7 @@ class Picturing:
         """
         if self._page is None and self._kind is None:
             return {}
-        from becalm.files.text_file import write_text
+        from becalm.files.atomic_file import write_text
         from becalm.report.channel import CleanedChannels, Pictures
         from becalm.report.page import Facts, page_of
 
@@ -139,7 +139,7 @@ class Picturing:
         return drawn
 
     def _print(self, pictures: Pictures, kind: Kind) -> int:
-        from becalm.files.text_file import make_folder, write_bytes
+        from becalm.files.atomic_file import make_folder, write_bytes
         from becalm.report.printing import printed
 
         make_folder(self._folder)

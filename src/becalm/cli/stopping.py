@@ -43,7 +43,7 @@ def call_in_thread(act: Callable[[], None]) -> Callable[[], None]:
 
 def _stop(word: bytes, number: int, _: FrameType | None) -> None:
     """Remove temporary files and exit: an exception would be ignored in a finaliser, for example."""
-    if waiting := sys.modules.get("becalm.files.temporary_files"):  # if it is not loaded, there are no temporary files
+    if waiting := sys.modules.get("becalm.files.atomic_file"):  # if it is not loaded, there are no temporary files
         waiting.abandon()
     with suppress(OSError):
         os.write(2, _SHOW_CURSOR + word if os.isatty(2) else word)

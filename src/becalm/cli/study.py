@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 from becalm.errors import UsageError
-from becalm.files.text_file import make_folder, refuse_unwritable
+from becalm.files.atomic_file import make_folder, refuse_unwritable
 
 PAPERS = ("car", "imu", "strain")
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from becalm.errors import UsageError
-from becalm.files.text_file import make_folder, write_text
+from becalm.files.atomic_file import make_folder, write_text
 from becalm.fleet.class_outliers import marked
 from becalm.fleet.grouped.cleaning import clean_grouped
 from becalm.fleet.job import STRETCH_ROWS, Job, Sensor

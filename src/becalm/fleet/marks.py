@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from becalm.errors import InputError
+from becalm.files.atomic_file import write_text
 from becalm.files.decoding import PARQUET
 from becalm.files.lake.marks import FILES
-from becalm.files.text_file import write_text
 from becalm.fleet.outcome import Outcome
 from becalm.installation import version
 

@@ -11,10 +11,8 @@ from typing import NamedTuple, Self
 
 import pyarrow as pa
 
-from becalm.files.atomic_file import explain_write_errors, sync_folder
+from becalm.files.atomic_file import explain_write_errors, make_folder, removed_afterwards, sync_folder
 from becalm.files.registry import PARQUET_FORMAT
-from becalm.files.temporary_files import removed_afterwards
-from becalm.files.text_file import make_folder
 from becalm.files.writing import TableOutput, open_output
 
 STAGED = ".becalm.*.part"

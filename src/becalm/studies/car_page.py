@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from becalm.files.text_file import make_folder, write_text
+from becalm.files.atomic_file import make_folder, write_text
 from becalm.metrics.decibels import snr_db
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ
 from becalm.studies.car import ALONE, PRINTED, TOLD, CarScore, CarStudy, study

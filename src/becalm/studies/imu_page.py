@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from becalm.core.closed_forms import butterworth_noise_gain
-from becalm.files.text_file import make_folder, write_text
+from becalm.files.atomic_file import make_folder, write_text
 from becalm.identification.several.step_spectrum import Sensor
 from becalm.studies import imu_switching
 from becalm.studies.imu import Study, study

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from becalm.files.text_file import write_bytes
+from becalm.files.atomic_file import write_bytes
 from becalm.report.description import Figure
 from becalm.report.printing import can_print, printed
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from becalm.files.text_file import make_folder, write_text
+from becalm.files.atomic_file import make_folder, write_text
 from becalm.studies.sheets import NOT_DRAWN, draw
 from becalm.studies.strain import NOISES, RUNS, SHOWN, SLOPE, StrainStudy, study
 from becalm.studies.strain_figures import sheets

@@ -14,10 +14,10 @@ import pyarrow as pa
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import OF_TABLE
+from becalm.files.atomic_file import removed_afterwards
 from becalm.files.column_arrays import metadata_of, refuse_strange_types
 from becalm.files.groups import GROUP, START
 from becalm.files.recorders.mf4_tables import MdfTable
-from becalm.files.temporary_files import removed_afterwards
 from becalm.installation import version
 
 _UTC, _LOCAL = 2, 1  # flags of the time in a header

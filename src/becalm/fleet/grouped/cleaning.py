@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.errors import InputError, UsageError
+from becalm.files.atomic_file import make_folder, removed_afterwards
 from becalm.files.identity import Original
 from becalm.files.parquet import read_parquet
-from becalm.files.temporary_files import removed_afterwards
-from becalm.files.text_file import make_folder
 from becalm.files.writing import open_output
 from becalm.fleet.grouped.counting import Count, count_rows, not_counted
 from becalm.fleet.grouped.merging import merged

@@ -11,7 +11,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from becalm.errors import InputError, UsageError
-from becalm.files.text_file import make_folder, refuse_unwritable
+from becalm.files.atomic_file import make_folder, refuse_unwritable
 from becalm.fleet.batch import refuse_inside
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, places_in

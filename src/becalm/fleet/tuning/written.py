@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import RecipeError, UsageError
-from becalm.files.atomic_file import explain_write_errors
-from becalm.files.text_file import write_folder
+from becalm.files.atomic_file import explain_write_errors, write_folder
 from becalm.fleet.outcome import SHOWN
 from becalm.fleet.recipes import ENDING, RecipeBook, recipes_in
 from becalm.fleet.tuning.classes import TunedClass

@@ -12,7 +12,7 @@ from logging.handlers import RotatingFileHandler
 from pathlib import Path
 from typing import Any
 
-from becalm.files.text_file import refuse_unwritable
+from becalm.files.atomic_file import refuse_unwritable
 from becalm.live.block import Loss, LossKind
 from becalm.live.closing import Closing
 from becalm.live.optional_libraries import import_optional

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from becalm.files.text_file import refuse_unwritable
+from becalm.files.atomic_file import refuse_unwritable
 from becalm.live.closing import Closing
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.secrets import Scrubber
