@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from becalm.errors import UsageError
 from becalm.files.unit_conversion import conversion
-from becalm.files.unit_definitions import QUANTITIES
-from becalm.files.unit_spelling import parse_header
+from becalm.files.unit_spelling import QUANTITIES, parse_header
 
 HEADERS = (
     ("acc_x (g)", "m/s^2"),

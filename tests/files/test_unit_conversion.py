@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from becalm.errors import UsageError
 from becalm.files.unit_conversion import conversion
-from becalm.files.unit_definitions import QUANTITIES
+from becalm.files.unit_spelling import QUANTITIES
 from becalm.identification.rest.datasheet import convert
 
 G0 = 9.80665

@@ -9,8 +9,7 @@ from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from becalm.errors import UsageError
-from becalm.files.unit_definitions import DEFINITIONS, QUANTITIES
-from becalm.files.unit_spelling import tidy_unit
+from becalm.files.unit_spelling import DEFINITIONS, QUANTITIES, tidy_unit
 
 if TYPE_CHECKING:
     from pint import Unit, UnitRegistry

@@ -3,8 +3,155 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 
-from becalm.files.unit_words import is_unit
+# Decide whether a text is a unit: `um/m`, `counts` and `degrees C` are, `raw`, `out` and `+0100` are not.
+
+_OTHERS = (
+    *("dB", "dBA", "dBm", "dBV", "dBFS", "pH", "bpm", "RH", "FS", "ADC", "adu", "inHg", "mmHg", "inH", "mmH", "cmH"),
+    *("VDC", "VAC", "Vdc", "Vac", "Vrms", "Vpp", "grms", "gRMS", "RMS", "rms", "pk", "peak", "O", "Ah", "Wh", "VA"),
+    *("var", "VAR", "Nm", "Ncm", "Nmm", "Deg", "gal", "lbs", "oz", "ksi", "ustrain", "mps", "kph", "kmh", "C", "F"),
+    *("psig", "psia", "sample", "samples"),
+)
+"""Parts of units that becalm recognises but does not convert."""
+
+_LONG = 4  # letters; a word of this length or longer is also a unit in lower case and in the plural
+_MARKS = re.compile(r"[\s*/^().\-+\d%\[\]]*")
+_WORDS = re.compile(r"[A-Za-z_]+")
+
+
+def is_unit(text: str) -> bool:
+    """Return whether each word of a text is a unit.
+
+    Parameters
+    ----------
+    text : str
+        The text in the brackets of a header, normalised by `tidy_unit`.
+    """
+    words = _WORDS.findall(text)
+    if not words:
+        return text in ("", "%")
+    return _MARKS.fullmatch(_WORDS.sub("", text)) is not None and all(map(_is_known, words))
+
+
+def _is_known(word: str) -> bool:
+    units, prefixes = _names()
+    spelt = [word, *([word.lower(), word.lower().removesuffix("s")] if len(word) >= _LONG else [])]
+    if word == "sqrt" or any(one in units for one in spelt):
+        return True
+    return any(one.removeprefix(prefix) in units for one in spelt for prefix in prefixes if one.startswith(prefix))
+
+
+@cache
+def _names() -> tuple[frozenset[str], frozenset[str]]:
+    """Return the names of all units, and of all prefixes."""
+    units, prefixes = set(_OTHERS), set()
+    for definition in DEFINITIONS:
+        name, _, *aliases = (part.strip() for part in re.sub(r";[^=]*", "", definition).split("="))
+        named = {name, *aliases}
+        if name.endswith("-"):
+            prefixes |= {one.removesuffix("-") for one in named}
+        else:
+            units |= {*named, *(one.lower() for one in named if len(one) >= _LONG)}
+    return frozenset(units), frozenset(prefixes)
+
+
+# The units of sensors in pint's notation.
+#
+# They are defined here instead of using pint's own list for two reasons. First, angles and counts are dimensions of
+# their own here, so that a count never converts to a radian, and rpm never converts to hertz without the factor 2 pi.
+# Second, a letter in a header has its meaning on a sensor: `c` is not the speed of light, and `e` is not a charge.
+
+DEFINITIONS = (
+    *("giga- = 1e9 = G-", "mega- = 1e6 = M-", "kilo- = 1e3 = k-", "hecto- = 1e2 = h-", "deci- = 1e-1 = d-"),
+    *("centi- = 1e-2 = c-", "milli- = 1e-3 = m-", "micro- = 1e-6 = u-", "nano- = 1e-9 = n-", "pico- = 1e-12 = p-"),
+    "meter = [length] = m = metre",
+    "second = [time] = s = sec",
+    "gram = [mass] = g",
+    "ampere = [current] = A = amp",
+    "kelvin = [temperature]; offset: 0 = K",
+    "mole = [substance] = mol",
+    "candela = [luminosity] = cd",
+    "radian = [angle] = rad",
+    "count = [count] = counts = LSB = digit",
+    "percent = 0.01 = pct",
+    "ppm = 1e-6",
+    "strain = meter / meter",
+    "minute = 60 * second = min",
+    "hour = 3600 * second = h = hr",
+    "day = 24 * hour = d",
+    "hertz = 1 / second = Hz",
+    "degree = 0.017453292519943295 * radian = deg",
+    "arcminute = degree / 60 = arcmin",
+    "arcsecond = degree / 3600 = arcsec",
+    "gon = 0.9 * degree",
+    "revolution = 360 * degree = rev = turn",
+    "rpm = revolution / minute",
+    "dps = degree / second",
+    "standard_gravity = 9.80665 * meter / second ** 2 = g_n",
+    "galileo = 0.01 * meter / second ** 2 = Gal",
+    "newton = kilogram * meter / second ** 2 = N",
+    "kilogram_force = kilogram * standard_gravity = kgf = kp",
+    "pound = 453.59237 * gram = lb",
+    "pound_force = pound * standard_gravity = lbf",
+    "tonne = 1000 * kilogram = t",
+    "pascal = newton / meter ** 2 = Pa",
+    "bar = 1e5 * pascal",
+    "atmosphere = 101325 * pascal = atm",
+    "torr = atmosphere / 760 = Torr",
+    "psi = pound_force / inch ** 2",
+    "inch = 0.0254 * meter = in",
+    "foot = 12 * inch = ft",
+    "yard = 3 * foot = yd",
+    "mile = 1760 * yard = mi",
+    "nautical_mile = 1852 * meter = nmi",
+    "knot = nautical_mile / hour = kn = kt",
+    "mph = mile / hour",
+    "liter = 1e-3 * meter ** 3 = l = L = litre",
+    "joule = newton * meter = J",
+    "watt = joule / second = W",
+    "volt = watt / ampere = V",
+    "ohm = volt / ampere = Ohm",
+    "coulomb = ampere * second = C",
+    "farad = coulomb / volt = F",
+    "henry = volt * second / ampere = H",
+    "siemens = 1 / ohm = S",
+    "weber = volt * second = Wb",
+    "tesla = weber / meter ** 2 = T",
+    "gauss = 1e-4 * tesla = Gauss = G",
+    "lumen = candela = lm",
+    "lux = lumen / meter ** 2 = lx",
+    "degree_Celsius = kelvin; offset: 273.15 = degC = celsius = Cel",
+    "degree_Fahrenheit = 5 / 9 * kelvin; offset: 459.67 * 5 / 9 = degF = fahrenheit",
+)
+
+QUANTITIES = {
+    "ratio": "percent",
+    "count": "counts",
+    "length": "mm",
+    "time": "s",
+    "frequency": "Hz",
+    "angle": "deg",
+    "angular rate": "deg/s",
+    "angular acceleration": "rad/s^2",
+    "velocity": "m/s",
+    "acceleration": "m/s^2",
+    "mass": "kg",
+    "force": "kN",
+    "torque or energy": "N*m",
+    "pressure or stress": "MPa",
+    "temperature": "degC",
+    "voltage": "mV",
+    "current": "mA",
+    "resistance": "ohm",
+    "charge": "pC",
+    "magnetic flux density": "uT",
+    "power": "W",
+    "acceleration noise density": "g_n/Hz^0.5",
+    "angular rate noise density": "deg/s/Hz^0.5",
+}
+"""Names of the quantities that units measure, each with an example of a unit."""
+
 
 _BRACKETED = re.compile(
     r"^(?P<name>.*?)\s*"
