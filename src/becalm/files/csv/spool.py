@@ -12,8 +12,7 @@ import pyarrow as pa
 
 from becalm.errors import InputError
 from becalm.files.csv.blocks import OtherEncodingError, TextFile, rows_of_text
-from becalm.files.csv.broken_rows import ragged, refuse_strays, spans_lines
-from becalm.files.csv.last_line import LastLine, with_truncation_notes
+from becalm.files.csv.broken_rows import LastLine, ragged, refuse_strays, spans_lines, with_truncation_notes
 from becalm.files.csv.rates import with_rate
 from becalm.files.csv.reader import (
     TextNumbers,
