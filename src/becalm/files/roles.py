@@ -14,8 +14,7 @@ from becalm.files.numbers import Signal
 from becalm.files.read_options import COMMAND_LINE, RequestOrigin
 from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
-from becalm.files.text.bad_cells import bad_cell, find_bad_cells, is_text
-from becalm.files.text.cells import to_numbers
+from becalm.files.text.cells import bad_cell, find_bad_cells, is_text, to_numbers
 from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_column, numbers
 from becalm.files.unit_spelling import on_sensor, parse_header, tidy_unit
 

@@ -11,7 +11,7 @@ import numpy as np
 from becalm.errors import SensorError
 from becalm.files.read_options import ReadOptions
 from becalm.files.source import RawTable, TimeLayout
-from becalm.files.text.blank_rows import without_blank_end
+from becalm.files.text.cells import without_blank_end
 from becalm.files.timing.time_column import TIME_OPTION, choose_time, find_time, named_column, times_with_bad_cells
 from becalm.files.timing.times import Stamps, read_time
 

@@ -12,7 +12,7 @@ from becalm.errors import InputError, UsageError
 from becalm.files.numbers import Numbers
 from becalm.files.read_options import RequestOrigin
 from becalm.files.source import RawTable
-from becalm.files.text.bad_cells import bad_cell, find_bad_cells, meant_as_numbers
+from becalm.files.text.cells import bad_cell, find_bad_cells, meant_as_numbers
 from becalm.files.timing import clock
 from becalm.files.unit_spelling import parse_header
 

@@ -14,7 +14,7 @@ from becalm.errors import TimeError
 from becalm.files.numbers import Numbers
 from becalm.files.rows import Spool
 from becalm.files.source import RawTable, TimeLayout
-from becalm.files.text.bad_cells import meant_as_numbers
+from becalm.files.text.cells import meant_as_numbers
 from becalm.files.timing import clock
 from becalm.files.timing.time_column import COUNT, NUMBERS, TEMPORAL, bad_time_error, kind_of_column, numbers
 from becalm.files.timing.time_mending import on_one_clock, without_wraps

@@ -15,7 +15,7 @@ from becalm.core.time.repair import Steps
 from becalm.errors import TimeError, UsageError
 from becalm.files.lake.order import instants_of
 from becalm.files.source import HEAD_ROWS, RawTable
-from becalm.files.text.bad_cells import is_text
+from becalm.files.text.cells import is_text
 from becalm.files.timing import clock
 from becalm.files.timing.time_column import (
     NUMBERS,
