@@ -15,8 +15,7 @@ from becalm.core.filter.channel import History
 from becalm.core.health.faults import FaultCount, Faults, fault_messages
 from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
-from becalm.core.health.monitor import InnovationMonitor
-from becalm.core.health.noise_change import noise_change_message
+from becalm.core.health.monitor import InnovationMonitor, noise_change_message
 from becalm.core.health.outlier_rule import verdicts_from_neighbours
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import ADVICE, LOST, Verdict
