@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from becalm.core.steady.dials import motion_filter, ratio_for_bandwidth, ratio_for_lag, ratio_for_noise_gain
-from becalm.core.steady.step_response import lag_steps
+from becalm.core.steady.response import lag_steps
 from becalm.errors import UsageError
 from becalm.identification.likelihood import Tuning
 
