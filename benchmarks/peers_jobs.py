@@ -13,7 +13,7 @@ from scipy import signal
 import becalm
 from becalm.core.filter.batch import filter_batch
 from becalm.core.filter.likelihood import log_likelihood
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 from peers_adapters import (
     BATCH_PEERS,
     PEERS,

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import becalm
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 
 
 def settled(index: float, step_s: float = 1.0) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from becalm.core.closed_forms import order_one
 from becalm.core.imm.modes import InteractingModels
 from becalm.core.online import Online
 from becalm.core.recording import Recording
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 from becalm.errors import RecipeError, UsageError
 from becalm.metrics.truth import rms_error
 

@@ -14,7 +14,7 @@ from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.model import Model
 from becalm.core.online import Online
 from becalm.core.reference import kalman as reference
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 
 TWIN = 1e-12
 

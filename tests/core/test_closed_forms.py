@@ -11,8 +11,7 @@ from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
 from becalm.core.steady.response import describe
-from becalm.core.steady.steady_filter import SteadyFilter
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import SteadyFilter, steady
 
 CLOSED = 1e-10
 SIX_DIGITS = 5e-6  # of numbers printed with six

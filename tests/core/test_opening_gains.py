@@ -9,7 +9,7 @@ from becalm.core.arrays import Floats
 from becalm.core.model.covariances import gain_before
 from becalm.core.model.model import Model
 from becalm.core.steady.opening_gains import covariance_map, determine_state, gains_after
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 from becalm.errors import ModelError
 
 ORDERS = (1, 2, 3, 4, 5)

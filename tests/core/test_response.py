@@ -14,7 +14,7 @@ from becalm.core.model.components import gauss_markov, level, motion, oscillator
 from becalm.core.model.model import Model
 from becalm.core.steady.dials import motion_filter, ratio_for_bandwidth, ratio_for_lag, ratio_for_noise_gain
 from becalm.core.steady.response import describe, lag_steps
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 from becalm.errors import ModelError, UsageError
 from tracking_gains import alpha_beta, alpha_beta_continuous, alpha_beta_gamma, continuous_motion
 

@@ -25,7 +25,7 @@ from becalm.core.model.components import motion
 from becalm.core.model.model import Model
 from becalm.core.online import Online
 from becalm.core.reference import kalman as reference
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 
 
 def imu(Q: float, R: float) -> Model:

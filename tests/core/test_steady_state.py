@@ -15,7 +15,7 @@ from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
 from becalm.core.steady.response import describe
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 from becalm.errors import ModelError
 
 SETTLED: dict[str, dict[str, Any]] = {

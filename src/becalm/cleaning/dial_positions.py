@@ -14,7 +14,7 @@ from becalm.cleaning.steps import in_steps
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.steady.response import decibels
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 from becalm.errors import ModelError
 from becalm.identification.likelihood import Tuning
 

@@ -26,7 +26,7 @@ from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.rows import EstimatedRows, Judge
-from becalm.core.steady.steady_gain import NEGLIGIBLE_SHARE, rows_until_decayed
+from becalm.core.steady.steady_filter import NEGLIGIBLE_SHARE, rows_until_decayed
 from becalm.core.verdict import Verdict, counted
 from becalm.identification.likelihood import Tuning
 

@@ -25,8 +25,7 @@ from becalm.core.model.model import Model
 from becalm.core.model.parts import Component
 from becalm.core.steady.opening_gains import Opening, determine_state
 from becalm.core.steady.response import Response, describe
-from becalm.core.steady.steady_filter import SteadyFilter
-from becalm.core.steady.steady_gain import rows_until_decayed, steady
+from becalm.core.steady.steady_filter import SteadyFilter, rows_until_decayed, steady
 from becalm.errors import ModelError
 
 NOT_IN_C = (

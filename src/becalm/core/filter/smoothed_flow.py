@@ -22,7 +22,7 @@ from becalm.core.filter.gate import Gate
 from becalm.core.model.components import Component
 from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.rows import EstimatedRows, Judge, Rows
-from becalm.core.steady.steady_gain import NEGLIGIBLE_SHARE, rows_until_decayed
+from becalm.core.steady.steady_filter import NEGLIGIBLE_SHARE, rows_until_decayed
 from becalm.core.verdict import Verdict
 from becalm.core.verdict import judge as judge_readings
 from becalm.native import DETERMINED

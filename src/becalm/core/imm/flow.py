@@ -18,7 +18,7 @@ from becalm.core.health.monitor import HOPS
 from becalm.core.imm.forward import ByModes, ForwardImm, with_spikes
 from becalm.core.imm.modes import InteractingModels, numbered_steps
 from becalm.core.rows import EstimatedRows, Judge, Rows
-from becalm.core.steady.steady_gain import NEGLIGIBLE_SHARE, rows_until_decayed
+from becalm.core.steady.steady_filter import NEGLIGIBLE_SHARE, rows_until_decayed
 from becalm.native.imm import (
     BLOCK,
     NOTHING_WANTED,

@@ -14,8 +14,7 @@ from becalm.core.closed_forms import cutoff_to_ratio, motion_power
 from becalm.core.model.components import motion
 from becalm.core.model.parts import checked_step
 from becalm.core.steady.response import decibels, describe, lag_steps
-from becalm.core.steady.steady_filter import SteadyFilter
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import SteadyFilter, steady
 from becalm.errors import UsageError
 
 # lowest cut-off in radians per step, by order; below it rounding dominates

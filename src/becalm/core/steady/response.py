@@ -16,8 +16,7 @@ from becalm.core.arrays import Complexes, Floats
 from becalm.core.closed_forms import butterworth_delay, butterworth_noise_gain, butterworth_response
 from becalm.core.model.model import Model
 from becalm.core.model.parts import checked_step
-from becalm.core.steady.steady_filter import SteadyFilter
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import SteadyFilter, steady
 from becalm.errors import ModelError
 
 # The step response of a steady-state filter, and its lag.

@@ -26,8 +26,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import autoregressive_power, cutoff_to_ratio
 from becalm.core.filter.channel import ChannelRecord, Estimates
-from becalm.core.steady.steady_filter import SteadyFilter
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import SteadyFilter, steady
 from becalm.errors import ModelError
 from becalm.identification.likelihood import Candidate, Evidence, Tuning
 from becalm.identification.spectrum import line_power

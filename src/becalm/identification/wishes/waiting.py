@@ -15,7 +15,7 @@ from becalm.core.model.components import Component
 from becalm.core.model.parts import checked_step
 from becalm.core.steady.dials import motion_filter
 from becalm.core.steady.response import decibels
-from becalm.core.steady.steady_gain import steady
+from becalm.core.steady.steady_filter import steady
 from becalm.errors import ModelError, UsageError
 from becalm.identification.likelihood import Tuning
 
