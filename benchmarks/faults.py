@@ -20,8 +20,8 @@ from scipy.stats import poisson
 
 from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.tuning import Wishes, tune
-from becalm.core.filter.causal_flow import CausalFlow
 from becalm.core.filter.gate import Gate, threshold_for
+from becalm.core.filter.restarting_flow import CausalFlow
 from becalm.core.model.components import motion
 from becalm.core.recording import Recording
 from becalm.core.verdict import Verdict

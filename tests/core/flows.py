@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from becalm.core.filter.causal_flow import CausalFlow
 from becalm.core.filter.gate import Gate
+from becalm.core.filter.restarting_flow import CausalFlow
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.model.components import Component
 

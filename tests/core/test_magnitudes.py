@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.causal_flow import CausalFlow
 from becalm.core.filter.fixed_lag_flow import FixedLagFlow
 from becalm.core.filter.gate import Gate
+from becalm.core.filter.restarting_flow import CausalFlow
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.health.faults import Faults, fault_messages
 from becalm.core.health.limits import find_limits

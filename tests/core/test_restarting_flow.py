@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 
 import banks
 from becalm.core.arrays import Floats
-from becalm.core.filter.causal_flow import CausalFlow
 from becalm.core.filter.channel_settings import GapLimit, gap_limit_of, least_gap_limit, longest_gap
 from becalm.core.filter.fixed_lag_flow import FixedLagFlow
 from becalm.core.filter.gate import Gate
-from becalm.core.filter.restarting_flow import Gaps, PartialFlow, RestartingFlow
+from becalm.core.filter.restarting_flow import CausalFlow, Gaps, PartialFlow, RestartingFlow
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow
 from becalm.core.imm.flow import ImmFlow

@@ -15,10 +15,9 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.cleaning.steps import gate_of, in_steps
 from becalm.core.arrays import BLOCK
-from becalm.core.filter.causal_flow import CausalFlow
 from becalm.core.filter.channel_settings import GapLimit, gap_limit_of, least_gap_limit
 from becalm.core.filter.fixed_lag_flow import FixedLagFlow
-from becalm.core.filter.restarting_flow import PartialFlow, RestartingFlow
+from becalm.core.filter.restarting_flow import CausalFlow, PartialFlow, RestartingFlow
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.health.sentinel import Sentinel
 from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow, rows_between

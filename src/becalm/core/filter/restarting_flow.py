@@ -7,8 +7,11 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from becalm.core.arrays import BLOCK, Booleans, Floats
-from becalm.core.filter.channel_settings import GapLimit
+from becalm.core.arrays import BLOCK, Booleans, Floats, input_of
+from becalm.core.filter.channel import Channel
+from becalm.core.filter.channel_settings import ChannelSettings, GapLimit
+from becalm.core.filter.gate import Gate
+from becalm.core.model.components import Component
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.core.verdict import judge as judge_readings
@@ -246,3 +249,34 @@ class Gaps:
         self._now, self._readings = float(times[-1]), self._readings + len(rows)
         self._last = float(times[rows[-1]]) if len(rows) else self._last
         return None
+
+
+# A causal filter of one channel with the interface of `SmoothedFlow`; it does not monitor the sensor.
+
+
+class CausalFlow:
+    """A causal filter of one channel, with the same estimates as a live stream.
+
+    Parameters
+    ----------
+    component : Component
+        The signal's model, in steps.
+    noise_variance : float
+        R, in unit^2.
+    gate : Gate, optional
+        The innovation gate, which rejects spikes and follows steps; by default every reading is used.
+    """
+
+    def __init__(self, component: Component, noise_variance: float, gate: Gate | None = None) -> None:
+        self._channel, self._has_rows = Channel(ChannelSettings(component, noise_variance, gate=gate)), False
+
+    def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
+        """Take the next rows, readings (B,) and the steps before them; return their estimates."""
+        z, elapsed = input_of(z), input_of(elapsed)
+        if len(z) and not self._has_rows:
+            elapsed, self._has_rows = np.concatenate([[1.0], elapsed[1:]]), True  # the first row is on time
+        return [self._channel.process(z, elapsed).told()]
+
+    def finish(self) -> list[EstimatedRows]:
+        """Return an empty list: no row waits."""
+        return []
