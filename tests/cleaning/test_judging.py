@@ -15,7 +15,7 @@ from becalm.cleaning.judging import DESCRIBED, InnovationJudge, Judgement
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import run_filter
 from becalm.core.model.components import motion
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.metrics.whiteness import mean_nis, uneven_share, whiteness
 
 

@@ -9,8 +9,7 @@ from becalm.core.filter.filtering import WantedResults, run_filter
 from becalm.core.filter.gate import WIDE, Gate
 from becalm.core.model.components import Component, motion
 from becalm.core.model.model import Model, System
-from becalm.core.model.step_matrices import StepMatrices
-from becalm.core.model.timeline import Timeline
+from becalm.core.model.step_matrices import StepMatrices, Timeline
 from becalm.core.online import Online
 from becalm.core.verdict import Verdict
 

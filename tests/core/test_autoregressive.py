@@ -19,7 +19,7 @@ from becalm.core.model.autoregressive import (
 )
 from becalm.core.model.components import gauss_markov, level, motion
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.errors import ModelError
 
 NOISES = {"AR(1)": (0.9,), "AR(2)": (1.6, -0.9), "AR(3)": (0.5, 0.2, -0.3), "alternating": (-0.7,), "slow": (0.99999,)}

@@ -27,7 +27,7 @@ from becalm.core.filter.filtering import Estimate, WantedResults, kalman_filter,
 from becalm.core.filter.smoothing import kalman_smoother, run_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.core.online import Online
 from becalm.core.reference import kalman as reference
 

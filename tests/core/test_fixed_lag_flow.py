@@ -13,7 +13,7 @@ from becalm.core.filter.fixed_lag_flow import FixedLagFlow
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.fixed_lag import fixed_lag_smoother
 from becalm.core.model.components import motion, oscillator
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.core.online import Online
 
 ROWS = 600

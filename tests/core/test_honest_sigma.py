@@ -9,7 +9,7 @@ from becalm.core.filter.filtering import Estimate, kalman_filter, run_filter
 from becalm.core.filter.smoothing import kalman_smoother, run_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.metrics.truth import coverage, rms_error
 from becalm.metrics.whiteness import mean_nis, whiteness
 from drawn import draw

@@ -16,7 +16,7 @@ from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels, Mode
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.metrics.truth import coverage, rms_error
 from becalm.native.imm import Bank, Trace
 

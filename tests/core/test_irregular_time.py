@@ -10,7 +10,7 @@ from becalm.core.filter.filtering import kalman_filter, run_filter
 from becalm.core.filter.smoothing import kalman_smoother, run_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import elapsed_timeline, even_timeline
+from becalm.core.model.step_matrices import elapsed_timeline, even_timeline
 
 GRID = 1e-10
 

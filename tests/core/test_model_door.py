@@ -14,7 +14,7 @@ from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.components import level
 from becalm.core.model.model import Model
 from becalm.core.model.prior import refuse_singular
-from becalm.core.model.timeline import model_system
+from becalm.core.model.step_matrices import model_system
 from becalm.core.online import Online
 from becalm.core.recording import Recording
 from becalm.errors import BecalmError, ModelError, TimeError

@@ -18,7 +18,7 @@ from becalm.core.filter.filtering import WantedResults, run_filter
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import Timeline, elapsed_timeline, model_system
+from becalm.core.model.step_matrices import Timeline, elapsed_timeline, model_system
 from becalm.core.reference import kalman as reference
 
 TWIN = 1e-12

@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import WantedResults, kalman_filter, new_beliefs, new_kernel, rows_of
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import even_timeline
+from becalm.core.model.step_matrices import even_timeline
 from becalm.errors import ModelError
 from becalm.native.multivariate import EstimateBuffers, MeasurementRows, Multivariate
 

@@ -8,7 +8,7 @@ import pytest
 from becalm.core.filter.filtering import kalman_filter, run_filter
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import even_timeline
+from becalm.core.model.step_matrices import even_timeline
 from becalm.core.online import Online
 from becalm.core.reference import kalman as reference
 

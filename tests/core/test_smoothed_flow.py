@@ -11,7 +11,7 @@ from becalm.core.filter.gate import Gate
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.components import motion, oscillator, returning_motion
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 

@@ -9,7 +9,7 @@ from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.components import motion
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.identification.cross_validation import LONG, criterion, lasting, simplest, tune_smoother
 from becalm.identification.likelihood import Evidence, Tuning
 from becalm.metrics.truth import rms_error

@@ -8,7 +8,7 @@ import pytest
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import run_filter
 from becalm.core.filter.smoothing import run_smoother
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.identification.likelihood import Tuning
 from becalm.identification.spectrum import ToneOscillator
 from becalm.identification.trust.tuning_spread import excess_error, powers

@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.filter.filtering import run_filter
 from becalm.core.model.components import ORDERS, motion
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.identification.choose import choose
 from becalm.identification.likelihood import UNSCORED, Candidate, Evidence, Tuning, tune_motion
 from becalm.identification.risk import retune

@@ -16,7 +16,7 @@ from becalm.core.arrays import Floats, frozen
 from becalm.core.filter.filtering import Estimate, WantedResults, run_filter
 from becalm.core.model.components import Component, Part
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import elapsed_timeline
+from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.files.reading import read
 
 FOLDER = "comma2k19"

@@ -18,7 +18,7 @@ from becalm.core.filter.filtering import (
     sums_of,
 )
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import even_timeline
+from becalm.core.model.step_matrices import even_timeline
 from becalm.errors import ModelError
 from becalm.native.multivariate import EstimateBuffers
 

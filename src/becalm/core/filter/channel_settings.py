@@ -18,8 +18,7 @@ from becalm.core.model.components import Component
 from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.model.model import Model
 from becalm.core.model.prior import flat_prior, refuse_singular, root_of
-from becalm.core.model.step_matrices import StepMatrices
-from becalm.core.model.timeline import model_system
+from becalm.core.model.step_matrices import StepMatrices, model_system
 from becalm.errors import ModelError
 from becalm.native.library import COEFFICIENTS, MOST_STATES
 from becalm.native.scans import PARTS

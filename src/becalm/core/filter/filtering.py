@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats, real
 from becalm.core.filter.channel import Sums
 from becalm.core.model.model import Model
 from becalm.core.model.prior import flat_prior, refuse_singular, root_of, wide_prior
-from becalm.core.model.timeline import Timeline, even_timeline
+from becalm.core.model.step_matrices import Timeline, even_timeline
 from becalm.errors import ModelError
 from becalm.native.multivariate import (
     COVARIANCE,

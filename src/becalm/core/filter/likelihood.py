@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from becalm.core.filter.filtering import WantedResults, checked_readings, run_filter
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import even_timeline
+from becalm.core.model.step_matrices import even_timeline
 
 NOTHING = WantedResults(sigma=False, innovations=False, signal=False)
 

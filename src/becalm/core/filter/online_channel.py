@@ -16,7 +16,7 @@ from becalm.core.filter.gate import Gate
 from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.model.model import Model
 from becalm.core.model.prior import WIDE, refuse_singular, root_of, wide_prior
-from becalm.core.model.timeline import model_system
+from becalm.core.model.step_matrices import model_system
 from becalm.core.rows import Rows
 from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.verdict import judge as judge_readings

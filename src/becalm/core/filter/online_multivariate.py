@@ -10,7 +10,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import EVERYTHING, new_kernel, rows_of
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import even_timeline
+from becalm.core.model.step_matrices import even_timeline
 from becalm.errors import ModelError
 from becalm.native.multivariate import EstimateBuffers
 

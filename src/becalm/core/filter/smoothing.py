@@ -17,7 +17,7 @@ from becalm.core.filter.filtering import (
     rows_of,
 )
 from becalm.core.model.model import Model
-from becalm.core.model.timeline import Timeline, even_timeline
+from becalm.core.model.step_matrices import Timeline, even_timeline
 
 
 def kalman_smoother(  # noqa: PLR0913  (one flag for each result)

@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.core.model.covariances import covariance_after, covariance_ahead
 from becalm.core.model.model import Model
 from becalm.core.model.prior import flat_prior, refuse_singular, root_of
-from becalm.core.model.timeline import model_system
+from becalm.core.model.step_matrices import model_system
 from becalm.errors import ModelError
 
 _LONGEST_OPENING = 4096

@@ -19,7 +19,7 @@ from becalm.core.filter.filtering import checked_readings, run_filter
 from becalm.core.filter.likelihood import NOTHING
 from becalm.core.model.model import Model
 from becalm.core.model.prior import arrived
-from becalm.core.model.timeline import even_timeline
+from becalm.core.model.step_matrices import even_timeline
 from becalm.errors import ModelError, RecordingError
 from becalm.identification.several.autocovariances import Autocovariances, autocovariances
 from becalm.identification.several.certainty import Certainty, judge
