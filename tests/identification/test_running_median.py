@@ -3,7 +3,7 @@
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.identification.running_median import running_median
+from becalm.identification.spectrum import running_median
 
 
 def noise(rows: int = 4000) -> Floats:

@@ -23,7 +23,7 @@ from becalm.core.imm.modes import InteractingModels, Mode, numbered_steps
 from becalm.core.model.components import motion, with_walking_level
 from becalm.identification.likelihood import Evidence, Tuning
 from becalm.identification.risk import estimated_risk, long_pieces
-from becalm.identification.running_median import WINDOW, running_median
+from becalm.identification.spectrum import WINDOW, running_median
 from becalm.native.imm import NOTHING_WANTED, Steps, filter_rows, new_state
 
 Kind = Literal["resting", "jumping", "noisy", "spiky", "bursting"]
