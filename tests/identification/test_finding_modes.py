@@ -11,8 +11,7 @@ from becalm.core.imm.flow import ImmFlow
 from becalm.identification.choose import choose
 from becalm.identification.likelihood import Evidence
 from becalm.identification.modes.banks import middle_variance, quiet_variance
-from becalm.identification.modes.robust import robust_filter
-from becalm.identification.modes.switching import Switched, find_surprise, find_switching
+from becalm.identification.modes.switching import Switched, find_surprise, find_switching, robust_filter
 
 COUNT = 8000
 

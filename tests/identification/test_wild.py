@@ -14,7 +14,7 @@ from becalm.identification.choose import choose
 from becalm.identification.likelihood import Evidence
 from becalm.identification.modes import banks
 from becalm.identification.modes.banks import find_wild
-from becalm.identification.modes.robust import choose_robust, robust_filter
+from becalm.identification.modes.switching import choose_robust, robust_filter
 
 ROWS, STARTING = 8000, 500
 

@@ -28,8 +28,7 @@ from becalm.identification.gating import choose_gated, forecasts
 from becalm.identification.imputation import nearly_complete
 from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
 from becalm.identification.lines import MOST_TONES
-from becalm.identification.modes.robust import choose_robust
-from becalm.identification.modes.switching import Switched, find_switching
+from becalm.identification.modes.switching import Switched, choose_robust, find_switching
 from becalm.identification.rest.detection import named_rests
 from becalm.identification.trust.tuning_spread import tuning_spread
 from becalm.identification.wishes.dial import Dial, may_judge, turn
