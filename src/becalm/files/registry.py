@@ -12,8 +12,7 @@ from becalm.errors import InputError, OutputError
 from becalm.files.csv.blocks import is_large
 from becalm.files.csv.reader import read_csv
 from becalm.files.csv.spool import spool_csv
-from becalm.files.decoding import PARQUET, explain_read_errors, read_bytes
-from becalm.files.identity import Original
+from becalm.files.decoding import PARQUET, Original, explain_read_errors, read_bytes
 from becalm.files.parquet import read_parquet
 from becalm.files.signatures import LIBRARY_FORMATS, LibraryFormat
 from becalm.files.source import RawTable

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from becalm.core.recording import Recording
 from becalm.core.time.clock import Clock
-from becalm.files.identity import Original
+from becalm.files.decoding import Original
 from becalm.files.rows import TableRows, block_rows, rebatched
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from shlex import quote
 from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
-from becalm.files.identity import Original
+from becalm.files.decoding import Original
 from becalm.files.lake.listing import is_partition, parquet_files
 from becalm.files.lake.partitions import is_time_partition, sensor_of
 from becalm.files.parquet import read_parquet

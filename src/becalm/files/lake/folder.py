@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from becalm.errors import InputError
-from becalm.files.identity import Original
+from becalm.files.decoding import Original
 from becalm.files.lake.listing import parquet_files
 from becalm.files.lake.order import order_of_time
 from becalm.files.lake.partitions import refuse_several

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.errors import InputError, UsageError
 from becalm.files.atomic_file import make_folder, removed_afterwards
-from becalm.files.identity import Original
+from becalm.files.decoding import Original
 from becalm.files.parquet import read_parquet
 from becalm.files.writing import open_output
 from becalm.fleet.grouped.counting import Count, count_rows, not_counted

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.errors import BecalmError, InputError
-from becalm.files.identity import Original
+from becalm.files.decoding import Original
 from becalm.files.parquet import read_parquet
 from becalm.fleet.marks import came_of
 from becalm.fleet.names import named, values_in

@@ -14,7 +14,7 @@ import pyarrow as pa
 from becalm.core.arrays import Integers
 from becalm.errors import BecalmError, InputError
 from becalm.files.atomic_file import explain_write_errors, replacing
-from becalm.files.identity import Original
+from becalm.files.decoding import Original
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
 from becalm.fleet.grouped.order import Ranks, is_mended, ranks_of, time_of

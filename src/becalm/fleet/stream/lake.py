@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats, Integers
 from becalm.errors import BecalmError, InputError, UsageError
-from becalm.files.identity import Original
+from becalm.files.decoding import Original
 from becalm.files.lake.listing import is_hidden
 from becalm.files.parquet import PARQUET_ENDINGS, ParquetRows, units_of
 from becalm.fleet.names import values_in
