@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from becalm.errors import InputError, UsageError
-from becalm.files.columns import Column
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import Column
 from becalm.files.opening import OpenSource
 from becalm.files.read_options import ReadOptions
 from becalm.files.source import FormatTime, RawTable

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from becalm.files.columns import Column, ColumnRows
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import Column, ColumnRows
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name

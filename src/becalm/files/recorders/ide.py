@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
 from becalm.files.bounded_file import WatchedFile
-from becalm.files.columns import NO_UNIT, Column
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import NO_UNIT, Column
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.stamps import instant
 from becalm.files.text.csv_header import unique_names

@@ -17,9 +17,9 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
-from becalm.files.columns import Column, least_bytes
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import Column, least_bytes
 from becalm.files.recorders.mf4_blocks import check_blocks
 from becalm.files.recorders.mf4_columns import NO_START, MasterTime, Mf4Channel, columns_of
 from becalm.files.source import FormatTime, RawTable

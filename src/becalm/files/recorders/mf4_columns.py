@@ -11,8 +11,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
-from becalm.files.columns import Column
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import Column
 
 _LINEAR, _FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS = 1, 3, 7, 8  # types of conversions
 _MOST_PARTS = 4096

@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from becalm.files.columns import Column, least_bytes
 from becalm.files.groups import GROUP, START, TIME, Group, tables
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import Column, least_bytes
 from becalm.files.recorders.tdms_pieces import in_pieces
 from becalm.files.recorders.tdms_writer import FILL
 from becalm.files.source import FormatTime, RawTable

@@ -15,9 +15,9 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError
-from becalm.files.columns import Column
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import Column
 from becalm.files.recorders.uff_blocks import UffBlock, Values, blocks_of
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names

@@ -13,9 +13,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.errors import InputError
-from becalm.files.columns import Column
 from becalm.files.groups import Group, tables
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import Column
 from becalm.files.source import FormatTime, RawTable
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE

@@ -10,9 +10,9 @@ import numpy as np
 
 from becalm.core.arrays import Integers
 from becalm.errors import InputError
-from becalm.files.columns import NO_UNIT, Column
 from becalm.files.groups import TIME, Group
 from becalm.files.library_reader import Foreign
+from becalm.files.numbers import NO_UNIT, Column
 from becalm.files.robots import json_messages, ros_messages
 from becalm.files.robots.series import Series
 from becalm.files.source import FormatTime
