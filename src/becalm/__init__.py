@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from becalm.core.model.model import Model
     from becalm.core.online import Online
     from becalm.core.recording import Recording
-    from becalm.files.reading import read
+    from becalm.files.opening import read
     from becalm.files.writing import write
 
 __all__ = [
@@ -50,7 +50,7 @@ _MODULES = {
     "clean": "becalm.cleaning.pipeline",
     "kalman_filter": "becalm.core.filter.filtering",
     "kalman_smoother": "becalm.core.filter.smoothing",
-    "read": "becalm.files.reading",
+    "read": "becalm.files.opening",
     "tune": "becalm.cleaning.tuning",
     "write": "becalm.files.writing",
 }

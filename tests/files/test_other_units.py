@@ -11,10 +11,9 @@ import pytest
 
 import becalm
 from becalm.errors import UsageError
-from becalm.files.opening import open_source
+from becalm.files.opening import open_source, read_source
 from becalm.files.other_units import Converted, ConvertedRows
 from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
-from becalm.files.reading import read_source
 from becalm.files.rows import HeldRows
 from becalm.files.time_bases import open_file
 from becalm.files.unit_conversion import Conversion

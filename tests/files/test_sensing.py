@@ -14,9 +14,8 @@ from becalm.cleaning.sensor_file import load_sensors
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files.calibrated_source import with_sensors
-from becalm.files.opening import open_source
+from becalm.files.opening import open_source, read_source
 from becalm.files.read_options import ReadOptions
-from becalm.files.reading import read_source
 from becalm.files.rows import HeldRows
 from becalm.files.source import RawTable
 from becalm.sensors.bridge import Bridge

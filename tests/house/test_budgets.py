@@ -60,7 +60,7 @@ def test_help_is_light() -> None:
     assert not heavy & set(HEAVY)
 
 
-@pytest.mark.parametrize("module", ["becalm.core.online", "becalm.cleaning.pipeline", "becalm.files.reading"])
+@pytest.mark.parametrize("module", ["becalm.core.online", "becalm.cleaning.pipeline", "becalm.files.opening"])
 def test_scipy_is_loaded_by_what_needs_it_alone(module: str) -> None:
     assert "scipy" not in loaded_by(f"import {module}")
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from becalm.core.recording import Recording
-from becalm.files.reading import read
+from becalm.files.opening import read
 from becalm.studies.drive import simulate
 from browsing import PLOT_OF, TICKS, Opened, settle
 from drawing import draw

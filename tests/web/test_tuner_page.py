@@ -10,7 +10,7 @@ import pytest
 
 from app_runs import App, tuner
 from becalm.cleaning.recipe import Recipe
-from becalm.files.reading import read
+from becalm.files.opening import read
 from tuning import NAMELESS, Look, chromium, drive, looking
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ def run(folder: Path) -> None:
     from becalm.cleaning.pipeline import clean
     from becalm.cli.opened_file import recipe_path_of
     from becalm.files.atomic_file import make_folder, write_text
-    from becalm.files.reading import read
+    from becalm.files.opening import read
     from becalm.files.writing import write
     from becalm.report.page import Facts, page_of
     from becalm.report.running import pictures_of

@@ -1,10 +1,8 @@
 """Read and write recordings. The content of a file decides which reader takes it, the ending of a name which writer."""
 
 from becalm.files.atomic_file import replace_file
-from becalm.files.chunk import Chunk
-from becalm.files.opening import OpenSource, open_source
+from becalm.files.opening import Chunk, OpenSource, open_source, read, read_source
 from becalm.files.read_options import ReadOptions
-from becalm.files.reading import read, read_source
 from becalm.files.source import ColumnLayout, Layout, SourceFile
 from becalm.files.tables import CleanChannel, output_block, output_table, recording_table
 from becalm.files.writing import TableOutput, open_output, write, write_table

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from becalm.core.arrays import Floats
     from becalm.core.rows import EstimatedRows, Judge
     from becalm.core.time.clock import Clock
-    from becalm.files.chunk import Chunk
-    from becalm.files.opening import OpenSource
+    from becalm.files.opening import Chunk, OpenSource
 
 CHUNK_ROWS = 1 << 18
 """Rows that are cleaned at once: enough work for all threads, at a moderate use of memory."""

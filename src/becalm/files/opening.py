@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -19,13 +19,12 @@ from becalm.core.recording import Recording
 from becalm.core.time.clock import Clock
 from becalm.core.time.timebase import Timebase
 from becalm.errors import InputError, TimeError
-from becalm.files.chunk import Chunk
 from becalm.files.other_units import convert_units
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.roles import SIGMA, choose_channels, missing_in, refuse_uncertainties, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
-from becalm.files.source import Layout, RawTable, TimeLayout, layout_of
+from becalm.files.source import Layout, RawTable, SourceFile, TimeLayout, layout_of
 from becalm.files.time_base_choice import chosen_table
 from becalm.files.timing.row_times import row_times
 from becalm.files.timing.time_mending import clock_of
@@ -33,6 +32,50 @@ from becalm.files.timing.times import Stamps
 
 if TYPE_CHECKING:
     from becalm.sensors.record import Calibration
+
+# A chunk of consecutive rows of a file.
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A chunk of consecutive rows of a file.
+
+    Attributes
+    ----------
+    first_row : int
+        The first row of the chunk, counted from 0 at the start of the file.
+    table : pyarrow.Table
+        All columns in the order of the file, with their values unchanged.
+    elapsed_steps : (n,) float array
+        Time since the previous row, in steps of the clock; 0 for the first row of the file.
+    names : tuple of str
+        The channels.
+    decimal : str
+        The decimal separator of numbers in text.
+    """
+
+    first_row: int
+    table: pa.Table
+    elapsed_steps: Floats
+    names: tuple[str, ...]
+    decimal: str = "."
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return int(self.table.num_rows)
+
+    def channel(self, number: int) -> Floats:
+        """Return one channel, (n,), NaN where a cell is missing; read-only where it shares memory with the table."""
+        return values_of(self.table.column(self.names[number]), self.decimal)
+
+    @property
+    def samples(self) -> Floats:
+        """All channels, (n, m), NaN where a cell is missing."""
+        out = np.empty((len(self), len(self.names)))
+        for number in range(len(self.names)):
+            out[:, number] = self.channel(number)
+        return out
+
 
 STRETCHES = 8
 """Number of stretches in a sample of a long recording."""
@@ -329,3 +372,73 @@ def close(tables: Iterable[RawTable]) -> None:
     """Close tables that are not needed."""
     for table in tables:
         table.rows.close()
+
+
+# Read a whole file into memory as a recording.
+
+
+def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> SourceFile:
+    """Read a file of any known format; if it has several time bases, the one that the options select.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; its content decides the format.
+    options : ReadOptions, optional
+        Time, rate and channels that the user gives; by default they are found in the file.
+
+    Returns
+    -------
+    SourceFile
+        The recording, the whole table, and how the file was interpreted.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or can be read in more than one way.
+    UsageError
+        If the options do not fit the file.
+    """
+    with open_source(path, options) as source:
+        table = source.table()
+        return SourceFile(source.recording(), table, source.layout)
+
+
+def read(  # noqa: PLR0913  (options, all passed by name)
+    path: str | os.PathLike[str],
+    *,
+    channels: Sequence[str] | str | None = None,
+    rate_hz: float | None = None,
+    time: str | None = None,
+    units: Mapping[str, str] | None = None,
+    as_written: bool = False,
+) -> Recording:
+    """Read a recording from a file of any known format; `channels` selects one of several time bases.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    channels : sequence of str, optional
+        Columns to read, with or without their units; all that look like signals by default.
+    rate_hz : float, optional
+        Count rows at this rate in Hz instead of reading a time column.
+    time : str, optional
+        Name of the time column; by default it is found if there is only one candidate.
+    units : mapping of str to str, optional
+        Units to convert channels to, by channel name, as {"ax": "m/s^2"}. For a channel without a unit in the file,
+        the given unit is assumed.
+    as_written : bool
+        Keep time stamps as they are. By default, stamps that a driver seems to have invented and shifts by summer
+        time are corrected.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or can be read in more than one way.
+    UsageError
+        If a requested column is missing, or cannot be converted.
+    """
+    names = (channels,) if isinstance(channels, str) else None if channels is None else tuple(channels)
+    with open_source(path, ReadOptions(time, rate_hz, names, units=units or {}, as_written=as_written)) as source:
+        return source.recording()

@@ -12,8 +12,7 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.core.time.clock import Clock
 from becalm.files.atomic_file import explain_write_errors
-from becalm.files.chunk import Chunk
-from becalm.files.opening import OpenSource
+from becalm.files.opening import Chunk, OpenSource
 from becalm.files.rows import rebatched
 from becalm.files.source import RawTable
 

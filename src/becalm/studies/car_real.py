@@ -17,7 +17,7 @@ from becalm.core.filter.filtering import Estimate, WantedResults, run_filter
 from becalm.core.model.components import Component, Part
 from becalm.core.model.model import Model
 from becalm.core.model.step_matrices import elapsed_timeline
-from becalm.files.reading import read
+from becalm.files.opening import read
 
 FOLDER = "comma2k19"
 _SLOPE_S = 0.25  # half-width of the window for the slope of the speed

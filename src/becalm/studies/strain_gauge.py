@@ -12,7 +12,7 @@ from becalm.cleaning.pipeline import clean
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
-from becalm.files.reading import read
+from becalm.files.opening import read
 from becalm.identification.rest.detection import detect_rests
 from becalm.identification.rest.rest_noise import split_at_cutoff
 from becalm.studies.strain_methods import TRIED
