@@ -13,7 +13,7 @@ from becalm.files.calibrated_rows import Sensed, SensedRows
 from becalm.files.read_options import ReadOptions
 from becalm.files.roles import values_of
 from becalm.files.source import RawTable
-from becalm.files.timing.row_times import RowTimes, row_times, rows_between
+from becalm.files.timing.times import RowTimes, row_times, rows_between
 from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.record import tared
 from becalm.sensors.tare import MOST_READINGS, Tare, zero_of
