@@ -26,7 +26,7 @@ from becalm.files.roles import SIGMA, choose_channels, missing_in, refuse_uncert
 from becalm.files.rows import HeldRows, block_rows, rebatched
 from becalm.files.source import Layout, RawTable, SourceFile, TimeLayout, layout_of
 from becalm.files.time_base_choice import chosen_table
-from becalm.files.timing.time_mending import clock_of
+from becalm.files.timing.clock import clock_of
 from becalm.files.timing.times import Stamps, row_times
 
 if TYPE_CHECKING:

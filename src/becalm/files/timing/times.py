@@ -19,6 +19,7 @@ from becalm.files.rows import Spool
 from becalm.files.source import RawTable, TimeLayout
 from becalm.files.text.cells import meant_as_numbers, without_blank_end
 from becalm.files.timing import clock
+from becalm.files.timing.clock import on_one_clock, without_wraps
 from becalm.files.timing.time_column import (
     COUNT,
     NUMBERS,
@@ -32,7 +33,6 @@ from becalm.files.timing.time_column import (
     numbers,
     times_with_bad_cells,
 )
-from becalm.files.timing.time_mending import on_one_clock, without_wraps
 from becalm.files.unit_spelling import parse_header
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
