@@ -73,7 +73,7 @@ def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float
 
 def tell_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
     """Print which channels exceed the flat band of their sensors, after the filters or as read."""
-    from becalm.cleaning.bands import beyond_flat
+    from becalm.cleaning.slopes import beyond_flat
 
     passed = {one.name: max((one.bandwidth_hz, *one.tones_hz)) for one in reports if one.bandwidth_hz is not None}
     for name, calibration in source.calibrations.items():
