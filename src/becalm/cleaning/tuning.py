@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from becalm.cleaning.figures import modes_in_seconds
 from becalm.cleaning.hidden_blocks import holes_shown
 from becalm.cleaning.limits_entry import with_rounding
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
-from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.cleaning.recipe_parts import CalibrationRecipe, GateRecipe, TareRecipe
 from becalm.cleaning.steps import SOON, gate_of, in_seconds, lag_in_rows
 from becalm.cleaning.timing import time_std_of, with_timing
 from becalm.core.recording import Recording
@@ -33,6 +33,9 @@ from becalm.identification.rest.detection import named_rests
 from becalm.identification.trust.tuning_spread import tuning_spread
 from becalm.identification.wishes.dial import Dial, may_judge, turn
 from becalm.installation import load_scipy, version
+
+if TYPE_CHECKING:
+    from becalm.sensors.record import Calibration
 
 _NEARLY_EMPTY = 64  # readings: a channel with fewer may have too few at rest
 
@@ -309,3 +312,27 @@ def listed(channels: Sequence[str]) -> list[str]:
 
 def _silent(_: str) -> None:
     """Ignore progress."""
+
+
+# Add the calibration uncertainty and the tare of sensors to the recipes of their channels.
+
+
+def calibrated(channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]) -> tuple[ChannelRecipe, ...]:
+    """Return the recipes with the calibrations of their sensors; `calibrations` are by channel name."""
+    return tuple(_calibrated(channel, calibrations.get(channel.name)) for channel in channels)
+
+
+def with_new_tares(
+    channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]
+) -> tuple[ChannelRecipe, ...]:
+    """Return the recipes with the tares of the present recording, in place of those of the tuning recording."""
+    tares = {name: one for name, one in calibrations.items() if one.tare is not None}
+    return calibrated(channels, tares)
+
+
+def _calibrated(channel: ChannelRecipe, found: Calibration | None) -> ChannelRecipe:
+    if found is None or not (found.relative_std or found.offset_std or found.tare):
+        return channel
+    tare = None if found.tare is None else TareRecipe(**found.tare._asdict())
+    calibration = CalibrationRecipe(relative_std=found.relative_std, offset_std=found.offset_std, tare=tare)
+    return channel.model_copy(update={"calibration": calibration})

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from becalm.cleaning.calibrating import with_new_tares
 from becalm.cleaning.pipeline import fitted, in_mode, joined
+from becalm.cleaning.tuning import with_new_tares
 from becalm.cli.messages import progress, tell, tell_bands, tell_not_removed
 from becalm.cli.opened_file import is_same, load, open_every, recipe_path_of, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.report_files import Done, Picturing

@@ -178,8 +178,7 @@ def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: b
 
 def tuned(source: OpenSource, causal: bool, asked: FilterOptions, lag_s: float | None = None) -> Recipe:
     """Tune a recipe on a file, or on evenly spread stretches of a long one."""
-    from becalm.cleaning.calibrating import calibrated
-    from becalm.cleaning.tuning import Wishes, tune
+    from becalm.cleaning.tuning import Wishes, calibrated, tune
     from becalm.cli.messages import progress
     from becalm.files.portions import beginning, rest_within, rows_to_tune_on
 

@@ -7,10 +7,9 @@ from time import monotonic
 
 import numpy as np
 
-from becalm.cleaning.calibrating import calibrated
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.tuning import tune
+from becalm.cleaning.tuning import calibrated, tune
 from becalm.core.recording import Recording
 from becalm.files.opening import OpenSource, open_source
 from becalm.files.portions import rows_to_tune_on

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from becalm.cleaning.calibrating import calibrated
 from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import Origin
-from becalm.cleaning.tuning import Tuned, Wishes, explore, tuned_as_filter
+from becalm.cleaning.tuning import Tuned, Wishes, calibrated, explore, tuned_as_filter
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.files.opening import OpenSource
