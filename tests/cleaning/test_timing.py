@@ -10,8 +10,7 @@ from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.recipe_parts import TimingRecipe
 from becalm.cleaning.slopes import Slopes, TimingNoise
-from becalm.cleaning.timing import time_std_of, with_timing
-from becalm.cleaning.tuning import Wishes, tune
+from becalm.cleaning.tuning import Wishes, time_std_of, tune, with_timing
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.rows import EstimatedRows
 from becalm.core.time.timebase import Timebase
