@@ -14,8 +14,6 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.app_command import open_app
-from becalm.cli.export_command import export
 from becalm.cli.fleet_command import fleet
 from becalm.cli.journal_command import journal
 from becalm.cli.live_command import live
@@ -23,6 +21,105 @@ from becalm.cli.opened_file import load, open_as, open_every, read_file_options,
 from becalm.cli.stopping import stop_cleanly
 from becalm.errors import NOT_DESCRIBED, BecalmError, UsageError
 from becalm.installation import version
+
+# Define `becalm app` and its options.
+
+Opened = Annotated[Path | None, typer.Argument(metavar="FILE", help="Recording to open first.")]
+Folder = Annotated[
+    Path | None,
+    typer.Option(
+        "--folder", metavar="DIR", help="Folder whose files may be opened; by default FILE's, or the current one."
+    ),
+]
+Port = Annotated[
+    int | None, typer.Option("--port", metavar="PORT", help="Port of the page; 8765 by default, 0 for any free port.")
+]
+Host = Annotated[
+    str, typer.Option("--host", metavar="HOST", help="Address to listen on; this machine only by default.")
+]
+TokenFile = Annotated[
+    Path | None,
+    typer.Option("--token-file", metavar="FILE", help="File of the access token, so that it survives a restart."),
+]
+UploadLimit = Annotated[str, typer.Option("--upload-limit", metavar="2GB", help="Largest file that may be uploaded.")]
+NoBrowser = Annotated[bool, typer.Option("--no-browser", help="Do not open a browser; print the address only.")]
+
+
+def open_app(  # noqa: PLR0913  (one argument for each option)
+    file: Opened = None,
+    rate: o.Rate = None,
+    time: o.Time = None,
+    folder: Folder = None,
+    port: Port = None,
+    host: Host = "127.0.0.1",
+    token_file: TokenFile = None,
+    upload_limit: UploadLimit = "2GB",
+    no_browser: NoBrowser = False,
+) -> None:
+    """Open the tuner in a browser: raw and clean signal, one dial between noise and lag."""
+    from becalm.cli.app import PageAddress, bytes_of, place_of, run
+    from becalm.files.read_options import ReadOptions
+
+    run(
+        place_of(file, folder, ReadOptions(time, rate)),
+        PageAddress(host, port, token_file),
+        bytes_of(upload_limit),
+        browser=not no_browser,
+    )
+
+
+# Define `becalm export` and its options.
+
+Recipe = Annotated[Path, typer.Argument(metavar="R.toml", help="Recipe of becalm tune or becalm clean.")]
+To = Annotated[
+    str,
+    typer.Option(
+        "--to",
+        metavar="c|sos|json|scipy",
+        help="C with its verification; or second-order sections, JSON, a Python module.",
+    ),
+]
+Where = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Output folder for C; else an output file.")]
+PrecisionOf = Annotated[
+    str | None,
+    typer.Option("--precision", metavar="float32|float64|q31", help="Number type of the C code; float32 by default."),
+]
+GainOf = Annotated[
+    str | None,
+    typer.Option(
+        "--gain", metavar="settled|full", help="Settled gain, or full covariance; by default what the recipe needs."
+    ),
+]
+Channels = Annotated[
+    str | None, typer.Option("--channels", metavar="a,b", help="Use these channels of the recipe only.")
+]
+Ranges = Annotated[
+    list[str] | None,
+    typer.Option("--range", metavar="NAME=LOW:HIGH", help="Range of a channel, in its unit; may be repeated."),
+]
+Recorded = Annotated[
+    Path | None, typer.Option("--recording", metavar="FILE", help="Recording for test vectors and --verify.")
+]
+Verify = Annotated[bool, typer.Option("--verify", help="Compile, run and compare the C code, and write a certificate.")]
+
+
+def export(  # noqa: PLR0913  (one argument for each option)
+    recipe: Recipe,
+    output: Where,
+    to: To = "c",
+    precision: PrecisionOf = None,
+    gain: GainOf = None,
+    channels: Channels = None,
+    ranges: Ranges = None,
+    recording: Recorded = None,
+    verify: Verify = False,
+    as_json: o.Json = False,
+) -> None:
+    """Export a recipe's filters as C for a microcontroller, and verify them against becalm."""
+    from becalm.cli.export import CExportOptions, run
+
+    run(recipe, output, to, CExportOptions(precision, gain, channels, ranges, recording, verify), as_json=as_json)
+
 
 app = typer.Typer(
     help="Make noisy sensor signals calm: a recording goes in, the signal comes out with its uncertainty.",
