@@ -17,8 +17,8 @@ from commands import PAGE, written
 
 from becalm.cleaning import judging, steps
 from becalm.core import verdict
-from becalm.core.filter import channel_settings, gate
-from becalm.core.health import noise_change
+from becalm.core.filter import gate
+from becalm.core.health import monitor
 from becalm.core.model import prior
 from becalm.core.time import clock
 from becalm.files import opening
@@ -77,10 +77,10 @@ def spelt(number: float) -> str:
         ("decisions/settled", f"under {gate.LEAST_THRESHOLD:.0f})"),
         (
             "decisions/settled",
-            f"grows to {spelt(channel_settings._FORGOTTEN)} R ({spelt(channel_settings._CARRIED)} where",
+            f"grows to {spelt(settings._FORGOTTEN)} R ({spelt(settings._CARRIED)} where",
         ),
         ("decisions/settled", f"blocks of {scans.WINDOW} innovations and more"),
-        ("decisions/settled", f"by {noise_change._RATIO:g} between them"),
+        ("decisions/settled", f"by {monitor._RATIO:g} between them"),
         ("decisions/settled", f"{lines._GAIN:.0f} in log-likelihood"),
         ("decisions/settled", f"need bring {lines._GAIN_NAMED:.0f} only"),
         ("decisions/settled", f"more than {judging.PREDICTABLE:.0%} of the innovation power".replace("%", " %")),

@@ -101,7 +101,6 @@ _MANY, _NEARER = 8, 3.0  # with this many outliers, others are expected this man
 _JUMPS = 2.0  # limit for a causal jump, over the largest jump in the record
 _HIDDEN = 0.1  # number of outliers hidden in equally large motion, over the number detected
 _RARE = 0.05  # share of readings that equal the one before
-_FEWEST_VALUES = 16  # different readings needed for a rule about 0
 _FAR, _MOVES = 1 / 12, 6.0  # smallest distance from 0: share of the bulk's range, and in median steps
 _BULK = 0.01, 0.99  # quantiles that bound the bulk of the readings
 _BY_CHANCE = 0.05  # expected number of readings rounded to 0, at most, if 0 is not a reading

@@ -211,7 +211,6 @@ def _summed(M: Floats, B: Floats) -> Floats:
 
 # The steady-state gain of a filter, from the Riccati equation.
 
-_DOUBLINGS = 80
 _DECAYS = 1 - 1e-9  # largest eigenvalue of states that decay to 0
 
 
