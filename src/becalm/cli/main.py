@@ -14,11 +14,9 @@ from typing import Annotated
 import typer
 
 from becalm.cli import options as o
-from becalm.cli.fleet_command import fleet
-from becalm.cli.journal_command import journal
-from becalm.cli.stream_commands import live
 from becalm.cli.opened_file import load, open_as, open_every, read_file_options, refuse_overwriting, tuned
 from becalm.cli.stopping import stop_cleanly
+from becalm.cli.stream_commands import fleet, journal, live
 from becalm.errors import NOT_DESCRIBED, BecalmError, UsageError
 from becalm.installation import version
 
