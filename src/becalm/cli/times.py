@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from becalm.cli.messages import stderr, tell_columns, tell_notes
 from becalm.errors import UsageError
-from becalm.files.added_time import with_time
 from becalm.files.registry import format_to_write, holds_times
+from becalm.files.tables import with_time
 
 if TYPE_CHECKING:
     import pyarrow as pa
