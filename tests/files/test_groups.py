@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from becalm.errors import InputError, UsageError
-from becalm.files.groups import TIME, Group, tables
+from becalm.files.groups import TIME, Group, chosen_table, tables
 from becalm.files.library_reader import Foreign
 from becalm.files.numbers import Column
 from becalm.files.opening import OpenSource
 from becalm.files.read_options import ReadOptions
 from becalm.files.source import FormatTime, RawTable
-from becalm.files.time_base_choice import chosen_table
 
 PATH = Path("log.xyz")
 FOREIGN = Foreign(PATH, "XYZ")

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from becalm.errors import UsageError
 from becalm.files.calibrated_rows import Sensed, SensedRows, Thermometer
+from becalm.files.groups import holds, listed
 from becalm.files.read_options import ReadOptions, RequestOrigin
 from becalm.files.roles import refuse_no_numbers, unit_of
 from becalm.files.source import RawTable
 from becalm.files.taring import with_tares
-from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import named_column
 from becalm.files.unit_conversion import Conversion, conversion
 from becalm.files.unit_spelling import parse_header

@@ -19,13 +19,13 @@ from becalm.core.recording import Recording
 from becalm.core.time.clock import Clock
 from becalm.core.time.timebase import Timebase
 from becalm.errors import InputError, TimeError
+from becalm.files.groups import chosen_table
 from becalm.files.other_units import convert_units
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.roles import SIGMA, choose_channels, missing_in, refuse_uncertainties, unit_of, values_of
 from becalm.files.rows import HeldRows, block_rows, rebatched
 from becalm.files.source import Layout, RawTable, SourceFile, TimeLayout, layout_of
-from becalm.files.time_base_choice import chosen_table
 from becalm.files.timing.clock import clock_of
 from becalm.files.timing.times import Stamps, row_times
 

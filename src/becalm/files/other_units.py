@@ -10,11 +10,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.errors import UsageError
+from becalm.files.groups import holds, listed
 from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
 from becalm.files.roles import SIGMA, unit_of
 from becalm.files.rows import TableRows
 from becalm.files.source import RawTable
-from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import is_time_name, named_column
 from becalm.files.unit_conversion import Conversion, conversion
 from becalm.files.unit_spelling import parse_header, tidy_unit

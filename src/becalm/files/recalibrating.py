@@ -19,10 +19,10 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.recipe_parts import CalibrationRecipe
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
+from becalm.files.groups import holds, listed
 from becalm.files.read_options import RequestOrigin
 from becalm.files.roles import SIGMA, unit_of, values_of
 from becalm.files.source import RawTable
-from becalm.files.time_base_choice import holds, listed
 from becalm.files.timing.time_column import named_column
 from becalm.files.unit_spelling import parse_header
 from becalm.sensors.bridge import Bridge

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
+from becalm.files.groups import chosen_table, holds, listed
 from becalm.files.opening import OpenSource, close, in_chosen_units, open_table
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.source import RawTable
-from becalm.files.time_base_choice import chosen_table, holds, listed
 
 
 class PassedThroughTable(NamedTuple):
