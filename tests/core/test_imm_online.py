@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.gate import Gate
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels
-from becalm.core.model.magnitudes import largest_magnitude_for_noise
+from becalm.core.model.parts import largest_magnitude_for_noise
 from becalm.core.online import Online
 from becalm.errors import ModelError
 from bits import same_bits

@@ -13,7 +13,7 @@ from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.health.faults import Faults, fault_messages
 from becalm.core.health.limits import find_limits
 from becalm.core.model.components import motion
-from becalm.core.model.magnitudes import find_largest, largest_magnitude_for_noise, level_from_first_reading
+from becalm.core.model.parts import find_largest, largest_magnitude_for_noise, level_from_first_reading
 from becalm.core.online import Online
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict

@@ -20,9 +20,8 @@ from becalm.core.filter.gate import Gate
 from becalm.core.health.limits import Limits
 from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.covariances import covariance_ahead
-from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.model.model import Model
-from becalm.core.model.parts import Component
+from becalm.core.model.parts import Component, largest_magnitude_for_noise
 from becalm.core.steady.opening_gains import Opening, determine_state
 from becalm.core.steady.response import Response, describe
 from becalm.core.steady.steady_filter import SteadyFilter, rows_until_decayed, steady

@@ -16,7 +16,7 @@ from becalm.core.filter.channel_settings import ChannelSettings, StepTable, pack
 from becalm.core.health.faults import FaultCount
 from becalm.core.health.monitor import HOPS
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_magnitude_for_noise
+from becalm.core.model.parts import largest_magnitude_for_noise
 from becalm.core.rows import EstimatedRows
 from becalm.core.verdict import Verdict
 from becalm.native import loaded, process, reduced, reset_counts, saved, score, set_history, start

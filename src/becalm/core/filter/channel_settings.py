@@ -15,8 +15,8 @@ from becalm.core.filter.gate import Gate, level_of
 from becalm.core.health.limits import Limits
 from becalm.core.health.monitor import NEVER, NO_ALARMS, Alarms
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.model.model import Model
+from becalm.core.model.parts import largest_magnitude_for_noise
 from becalm.core.model.prior import flat_prior, refuse_singular, root_of
 from becalm.core.model.step_matrices import StepMatrices, model_system
 from becalm.errors import ModelError

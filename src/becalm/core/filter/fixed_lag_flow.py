@@ -19,7 +19,7 @@ from becalm.core.filter.channel import Estimates, log_densities, parts_of
 from becalm.core.filter.channel_settings import ChannelSettings, StepTable, packed_coefficients, packed_settings
 from becalm.core.filter.gate import Gate
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_magnitude_for_noise
+from becalm.core.model.parts import largest_magnitude_for_noise
 from becalm.core.rows import EstimatedRows, Judge, Rows
 from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.verdict import judge as judge_readings

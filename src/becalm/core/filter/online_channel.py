@@ -13,8 +13,8 @@ from becalm.core.filter.channel import Estimates
 from becalm.core.filter.channel_settings import model_coefficients, model_settings
 from becalm.core.filter.fixed_lag_flow import LateRows
 from becalm.core.filter.gate import Gate
-from becalm.core.model.magnitudes import largest_magnitude_for_noise
 from becalm.core.model.model import Model
+from becalm.core.model.parts import largest_magnitude_for_noise
 from becalm.core.model.prior import WIDE, refuse_singular, root_of, wide_prior
 from becalm.core.model.step_matrices import model_system
 from becalm.core.rows import Rows

@@ -14,7 +14,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.model.components import Component
-from becalm.core.model.magnitudes import largest_level, largest_magnitude_for_noise
+from becalm.core.model.parts import largest_level, largest_magnitude_for_noise
 from becalm.core.steady.steady_filter import steady
 from becalm.errors import ModelError
 from becalm.native.imm import MOST_MODES, Bank, Steps
