@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.identification.modes.rejection import stand_out
+from becalm.identification.modes.banks import stand_out
 
 ROWS = 4000
 

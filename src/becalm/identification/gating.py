@@ -19,7 +19,7 @@ from becalm.core.verdict import Verdict
 from becalm.identification.choose import NOTHING_KNOWN, Choice, PriorKnowledge, choose
 from becalm.identification.imputation import imputed
 from becalm.identification.likelihood import Tuning
-from becalm.identification.modes.rejection import stand_out
+from becalm.identification.modes.banks import stand_out
 
 ROUNDS = 12
 """Largest number of tunings. Each reduces the noise that huge spikes add by the root of their share."""

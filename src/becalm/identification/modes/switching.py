@@ -33,9 +33,9 @@ from becalm.identification.modes.banks import (
     resting,
     searched,
     spiky,
+    stand_out,
 )
 from becalm.identification.modes.bursts import find_bursting
-from becalm.identification.modes.rejection import stand_out
 
 _FEWEST = 256  # least number of readings; fewer cannot distinguish modes from noise
 _SURPRISING = 6.0  # standard deviations: a larger difference of means is not due to Gaussian noise or motion
