@@ -7,7 +7,7 @@ import pytest
 
 from becalm.cleaning.judging import InnovationJudge, Judgement
 from becalm.core.arrays import Floats
-from becalm.metrics.misplaced import ScoreCount
+from becalm.metrics.whiteness import ScoreCount
 
 
 def judged(scores: Floats, *, many_modes: bool = True) -> Judgement:

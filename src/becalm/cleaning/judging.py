@@ -12,8 +12,16 @@ from becalm.cleaning.recipe_parts import CalibrationRecipe, LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
 from becalm.identification.trust.tuning_spread import Colour
-from becalm.metrics.misplaced import ScoreCount
-from becalm.metrics.whiteness import PIECE, BlockCount, LaggedSums, Power, Running, Whiteness, judge_whiteness
+from becalm.metrics.whiteness import (
+    PIECE,
+    BlockCount,
+    LaggedSums,
+    Power,
+    Running,
+    ScoreCount,
+    Whiteness,
+    judge_whiteness,
+)
 
 PREDICTABLE = 0.10
 """Share of the innovation power that may still be predictable: 10 % costs 5 % in rms prediction."""
