@@ -17,6 +17,7 @@ from commands import PAGE, written
 
 from becalm.cleaning import judging, steps
 from becalm.core import verdict
+from becalm.core.filter import channel_settings as settings
 from becalm.core.filter import gate
 from becalm.core.health import monitor
 from becalm.core.model import prior

@@ -1,4 +1,4 @@
-"""Define `becalm live` and its options."""
+"""Define `becalm live`, `becalm journal` and `becalm fleet`, and their options."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ Exported = Annotated[
     Path | None,
     typer.Option("-o", "--output", metavar="OUT", help="Output of export; format by file ending."),
 ]
-From = Annotated[
+FromTime = Annotated[
     str | None,
     typer.Option("--from", metavar="TIME", help="First time stamp to export: seconds, or a date: 2026-05-01T12:00."),
 ]
@@ -121,7 +121,7 @@ def journal(  # noqa: PLR0913  (one argument for each option)
     folder: Folder,
     action: Action = "list",
     output: Exported = None,
-    start: From = None,
+    start: FromTime = None,
     stop: To = None,
     older: Older = None,
     as_json: o.Json = False,
@@ -227,12 +227,14 @@ def tune(  # noqa: PLR0913  (one argument for each option)
     tune_lake(lake, output, options, SparkAddress(master, conf), as_json=as_json)
 
 
-From = Annotated[str, typer.Argument(metavar="SOURCE", help="Growing lake, kafka://HOST:PORT/TOPIC or nats://HOST/S.")]
+FleetSource = Annotated[
+    str, typer.Argument(metavar="SOURCE", help="Growing lake, kafka://HOST:PORT/TOPIC or nats://HOST/S.")
+]
 Streamed = Annotated[str, typer.Option("-o", "--output", metavar="OUT", help="Output folder.")]
 Key = Annotated[str, typer.Option("--by", metavar="COLUMN", help="Column that identifies the sensor.")]
 Stamped = Annotated[str, typer.Option("--time", metavar="COLUMN", help="Column of time stamps.")]
 Lateness = Annotated[str, typer.Option("--lateness", metavar="5s", help="How long to wait for late rows; s, ms or us.")]
-Silent = Annotated[
+SilentSensors = Annotated[
     str | None,
     typer.Option("--silent", metavar="60s", help="Report a sensor as silent after so long without a row."),
 ]
@@ -245,14 +247,14 @@ Checkpoint = Annotated[
 
 @fleet.command()
 def stream(  # noqa: PLR0913  (one argument for each option)
-    source: From,
+    source: FleetSource,
     output: Streamed,
     recipe: o.RecipeIn = None,
     recipes: Book = None,
     by: Key = "sensor",
     time: Stamped = "time",
     lateness: Lateness = "0s",
-    silent: Silent = None,
+    silent: SilentSensors = None,
     every: Every = "60s",
     once: Once = False,
     checkpoint: Checkpoint = "",
