@@ -194,7 +194,7 @@ def test_mistakes_are_said() -> None:
     for cutoff_hz in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(UsageError, match="not a cut-off"):
             report_noise(recording, cutoff_hz=cutoff_hz)
-    for span, words in {(30.0, 0.0): "no stretch", (400.0, 500.0): "0 samples", (0.0, 0.1): "20 samples"}.items():
+    for span, words in {(30.0, 0.0): "is not a stretch", (400.0, 500.0): "0 samples", (0.0, 0.1): "20 samples"}.items():
         with pytest.raises(RecordingError, match=words):
             report_noise(recording, still=[span])
 

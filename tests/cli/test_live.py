@@ -150,8 +150,8 @@ def test_hanging_up_reads_the_recipe_again(drive: Path, recipe: Path, tmp_path: 
 
 MISTAKES: dict[str, tuple[list[str], str]] = {
     "no kind": (["drive.csv"], "KIND:"),
-    "unknown kind": (["carrier:pigeon"], "no source"),
-    "unknown sink": (["stdin:", "--sink", "abacus:"], "no sink"),
+    "unknown kind": (["carrier:pigeon"], "is not a source"),
+    "unknown sink": (["stdin:", "--sink", "abacus:"], "is not a sink"),
     "unknown option": (["stdin:?colour=red"], "colour"),
     "two keepers": (["stdin:", "--sink", "journal:a", "--sink", "journal:b"], "Only one"),
     "no such file": (["replay:nowhere.csv"], "nowhere.csv"),
@@ -161,7 +161,7 @@ MISTAKES: dict[str, tuple[list[str], str]] = {
     "no queue": (["stdin:", "--queue", "0"], "--queue 0"),
     "no policy": (["stdin:", "--when-full", "panic"], "panic"),
     "no folder for a status": (["stdin:", "--status", "nowhere/s.json"], "nowhere"),
-    "nothing came": (["stdin:"], "64 are needed"),
+    "nothing came": (["stdin:"], "needs 64"),
 }
 
 

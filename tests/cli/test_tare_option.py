@@ -121,4 +121,7 @@ def test_a_stretch_that_is_not_quiet_is_refused_and_nothing_written(log: Path, r
 
 def test_rows_that_hold_more_than_the_sensor_tells_right_are_told(log: Path, run: Run) -> None:
     shown = run("inspect", log, "--sensors", "s.toml")
-    assert "pull (N): its rows, at 100 Hz, hold up to 50 Hz, but its sensor, with a resonance at 40 Hz" in shown.stderr
+    assert (
+        "pull (N): its rows, at 100 Hz, contain frequencies up to 50 Hz, but its sensor, with a resonance at 40 Hz"
+        in shown.stderr
+    )

@@ -204,3 +204,11 @@ def test_a_threshold_that_nothing_reaches_tells_no_drift(threshold: float) -> No
 def test_steps_of_other_rows_are_refused() -> None:
     with pytest.raises(UsageError, match="5 elapsed steps came with 100 rows"):
         InnovationMonitor(ALARMS).push(noise(100), np.ones(5))
+
+
+def test_a_step_that_is_not_finite_is_refused_and_leaves_a_state_that_can_be_restored() -> None:
+    monitor = InnovationMonitor(ALARMS)
+    monitor.push(noise(100))
+    with pytest.raises(UsageError, match="An elapsed step of nan came with row 61"):
+        monitor.push(noise(100), np.where(np.arange(100) == 61, np.nan, 1.0))
+    InnovationMonitor(ALARMS).restore(monitor.saved())

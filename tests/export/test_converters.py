@@ -23,7 +23,7 @@ def converter(tmp_path_factory: pytest.TempPathFactory) -> tuple[ctypes.CDLL, Dr
     """Compile a filter of readings in volts beside the products that its header shows."""
     made = fixed(channel("ax", 1, 0.2, unit="V", noise_std=0.01), span=RANGE)
     said = " ".join(made.files["drive.h"].replace("\n *", " ").split())
-    assert "of 24 bits whose codes span this range a reading is code * 256, of one of 16 bits code * 65536" in said
+    assert "24-bit converter whose codes span this range a reading is code * 256, for a 16-bit one code * 65536" in said
     assert "(code - 32768) * 65536" in said
     assert "least code as INT32_MIN + 1 and its greatest as INT32_MAX" in said
     assert not re.search(r"<<|a shift to the left", said)

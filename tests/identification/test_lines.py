@@ -110,9 +110,7 @@ def test_a_tone_too_quick_for_a_recording_is_refused() -> None:
     z = np.sin(0.9 * T) + 0.2 * np.random.default_rng(4).normal(size=ROWS)
     recipe = tune(Recording(z, rate_hz=1000.0))
     assert recipe.channel[0].tone
-    with pytest.raises(
-        RecipeError, match=r"a tone at 143\.\d+ Hz, \S+ Hz wide, which 100 readings a second cannot tell"
-    ):
+    with pytest.raises(RecipeError, match=r"a tone at 143\.\d+ Hz, \S+ Hz wide, which a rate of 100 Hz cannot resolve"):
         clean(Recording(z, rate_hz=100.0), recipe)
 
 
