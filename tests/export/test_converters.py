@@ -25,7 +25,7 @@ def converter(tmp_path_factory: pytest.TempPathFactory) -> tuple[ctypes.CDLL, Dr
     said = " ".join(made.files["drive.h"].replace("\n *", " ").split())
     assert "24-bit converter whose codes span this range a reading is code * 256, for a 16-bit one code * 65536" in said
     assert "(code - 32768) * 65536" in said
-    assert "least code as INT32_MIN + 1 and its greatest as INT32_MAX" in said
+    assert "least code as INT32_MIN + 1 and the greatest as INT32_MAX" in said
     assert not re.search(r"<<|a shift to the left", said)
     shown = {f"signed_{bits}": f"code * {factor}" for bits, factor in FACTORS.items()}
     shown["unsigned_16"] = "(code - 32768) * 65536"
