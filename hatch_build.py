@@ -61,8 +61,8 @@ class FetchError(Exception):
 
 NATIVE = Path("src/becalm/native")
 SOURCES = (
-    *("channel.c", "checkpoint.c", "filter.c", "smoother.c", "fixed_lag.c", "likelihood.c"),
-    *("multivariate.c", "imm.c", "imm_smoother.c", "scans.c", "clock.c", "layout.c"),
+    *("channel.c", "state_packing.c", "filter.c", "smoother.c", "fixed_lag.c", "likelihood.c"),
+    *("multivariate.c", "imm.c", "imm_smoother.c", "scans.c", "outliers.c", "clock.c", "layout.c"),
 )
 PLATFORMS = {  # of wheels that are built on any machine, and what ziglang calls them
     "manylinux_2_17_x86_64": "x86_64-linux-gnu.2.17",

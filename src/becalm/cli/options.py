@@ -1,4 +1,4 @@
-"""Define the options that several commands have, and read their values."""
+"""Define the options that several commands have, and read their values; `opened_file.tuned` makes wishes of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clean one sensor in one task: the worker reads, filters and writes it chunk by chunk."""
+"""Clean one sensor in one task, chunk by chunk; `batch` gives the tasks to Spark through `spark_tasks`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-/* The innovation gate: it rejects implausible measurements, and detects jumps of the signal. */
+/* The innovation gate: it rejects implausible measurements, and detects jumps of the signal. Gross outliers do not
+   reach it: `limits.h` or `outliers.c` leaves them out. */
 #ifndef BECALM_GATE_H
 #define BECALM_GATE_H
 

@@ -1,4 +1,7 @@
-"""Find from a record how far the readings of a channel jump, and detect gross outliers, which jump farther."""
+"""Find from a record how far the readings of a channel jump: gross outliers jump farther.
+
+Each row is decided in C: of a file in `native/outliers.c`, of a stream in `native/limits.h`.
+"""
 
 from __future__ import annotations
 
