@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from becalm.cleaning.recipe_parts import Finite, FrozenSettings, NotNegative, Positive
-from becalm.cleaning.tuning import stretch_s
+from becalm.cleaning.stretches import stretch_s
 from becalm.sensors.accelerometer import FullScale, volts_per_count
 from becalm.sensors.record import SensorRecord, Sheet
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -391,24 +389,3 @@ def _calibrated(channel: ChannelRecipe, found: Calibration | None) -> ChannelRec
     tare = None if found.tare is None else TareRecipe(**found.tare._asdict())
     calibration = CalibrationRecipe(relative_std=found.relative_std, offset_std=found.offset_std, tare=tare)
     return channel.model_copy(update={"calibration": calibration})
-
-
-# Read a stretch of time as a person writes it: START:STOP after the first row.
-
-_TIME = re.compile(r"(?P<number>(\d+\.?\d*|\.\d+)(e[-+]?\d+)?)\s*(?P<unit>ms|s|min|h)?", re.IGNORECASE)
-_SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
-
-
-def stretch_s(text: str) -> tuple[float, float] | None:
-    """Return the start and stop of a stretch of time, in seconds; None if the text is not one.
-
-    Parameters
-    ----------
-    text : str
-        START:STOP, each in seconds or with a unit: "0:30", "1min:2min".
-    """
-    ends = [_TIME.fullmatch(end.strip()) for end in text.split(":")]
-    times_s = [float(end["number"]) * _SECONDS[(end["unit"] or "s").lower()] for end in ends if end]
-    if len(ends) != 2 or len(times_s) != 2 or not times_s[0] < times_s[1] < inf:
-        return None
-    return times_s[0], times_s[1]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from becalm.cleaning.tuning import stretch_s
+from becalm.cleaning.stretches import stretch_s
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:

@@ -23,12 +23,15 @@ from becalm.native.scans import (
 
 # Find the value that marks missing readings in a log.
 
-_FEWEST, _SHARE = 20, 0.05  # least number and share of readings that have the marker
+_FEWEST_MARKED, _SHARE = 20, 0.05  # least number and share of readings that have the marker
 _FEWEST_VALUES = 16  # least number of different readings
 _OFTENER, _NEIGHBOURS = 10.0, 5  # how often it comes, over the median of this many values on each side
 _RUN = 3  # rows: most runs of the marker are no longer
-_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around it, over their noise and over their difference
-_OF_NOISE = 0.6745 * np.sqrt(2.0)  # median distance of two readings, for white noise of variance 1
+_MARKER_NOISES, _SPREADS = (
+    4.0,
+    2.0,
+)  # least distance from readings around it, over their noise and over their difference
+_PAIR_OF_NOISE = 0.6745 * np.sqrt(2.0)  # median distance of two readings, for white noise of variance 1
 
 
 def find_blank(z: Floats) -> float:
@@ -48,15 +51,15 @@ def find_blank(z: Floats) -> float:
     place = int(counts.argmax())
     blank, count = float(values[place]), int(counts[place])
     neighbours = np.delete(counts[max(place - _NEIGHBOURS, 0) : place + _NEIGHBOURS + 1], min(place, _NEIGHBOURS))
-    if count < max(_FEWEST, _SHARE * len(z), _OFTENER * float(np.median(neighbours))):
+    if count < max(_FEWEST_MARKED, _SHARE * len(z), _OFTENER * float(np.median(neighbours))):
         return np.inf
     first, last = _runs_inside(z == blank)
     if not len(first) or np.quantile(last - first + 1, 0.9) > _RUN:
         return np.inf
     steps = np.abs(np.diff(z[z != blank]))
-    noise = float(np.median(steps[steps > 0])) / _OF_NOISE if (steps > 0).any() else np.inf
+    noise = float(np.median(steps[steps > 0])) / _PAIR_OF_NOISE if (steps > 0).any() else np.inf
     before, after = z[first - 1], z[last + 1]
-    least = np.maximum(_SPREADS * np.abs(after - before), _NOISES * noise)
+    least = np.maximum(_SPREADS * np.abs(after - before), _MARKER_NOISES * noise)
     return blank if np.mean(np.abs(blank - (before + after) / 2) > least) > 0.5 else np.inf
 
 
