@@ -27,10 +27,7 @@ _FEWEST_MARKED, _SHARE = 20, 0.05  # least number and share of readings that hav
 _FEWEST_VALUES = 16  # least number of different readings
 _OFTENER, _NEIGHBOURS = 10.0, 5  # how often it comes, over the median of this many values on each side
 _RUN = 3  # rows: most runs of the marker are no longer
-_MARKER_NOISES, _SPREADS = (
-    4.0,
-    2.0,
-)  # least distance from readings around it, over their noise and over their difference
+_MARKER_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around it, over their noise and their difference
 _PAIR_OF_NOISE = 0.6745 * np.sqrt(2.0)  # median distance of two readings, for white noise of variance 1
 
 
