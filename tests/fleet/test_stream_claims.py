@@ -38,7 +38,7 @@ def test_a_checkpoint_is_of_one_stream(stage: Stage, spark: SparkSession, tmp_pa
     stage.write("sensor=s/1.parquet", rows[1])
     other = str(tmp_path / "other" / "_checkpoint")
     refused(stage, spark, r"started into .*out', not .*other'; start it as before", output=str(tmp_path / "other"))
-    refused(stage, spark, "was begun with --by 'sensor', not 'plant'", {"key": "plant"})
+    refused(stage, spark, "was started with --by 'sensor', not 'plant'", {"key": "plant"})
     refused(stage, spark, "was begun from", source=str(tmp_path))
     refused(stage, spark, r"is a file; name a folder", checkpoint=str(stage.recipe))
     refused(stage, spark, r"is a file; name a folder", output=str(stage.recipe))
@@ -84,4 +84,4 @@ def test_a_name_too_long_for_a_folder_stops_nobody(stage: Stage) -> None:
     assert told_in(stage.out, "good").num_rows == 100
     (event,) = told_in(stage.out, "__HIVE_DEFAULT_PARTITION__", "events").to_pylist()
     assert (event["event"], event["event_rows"]) == ("refused", 100)
-    assert "so long a name as that of 'ssss" in event["says"]
+    assert "The sensor name that begins with 'ssss" in event["says"]

@@ -240,9 +240,9 @@ def test_a_dial_is_moved_by_no_news_of_before_its_last_turn(live: LiveApp, look:
     page.wait_for_function("() => !document.querySelector('.strip input').disabled")
     here, waiting, refused = page.evaluate("""() => {
       const strip = becalmLive.strips[0];
-      const [filter, dial] = strip.told;
+      const [filter, dial] = strip.known;
       const places = [strip.dial.input.value];
-      strip.asked = 7;
+      strip.pending = 7;
       strip.tune(filter, { ...dial, at: dial.at / 8 });
       strip.answered(6, true);
       places.push(strip.dial.input.value);

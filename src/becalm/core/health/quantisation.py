@@ -1,5 +1,7 @@
 """Estimate the effect of a converter's step: a noise that averaging reduces, and an error that it does not.
 
+`limits.find_resolution` finds the step.
+
 Source: Widrow and Kollar, Quantization Noise (2008), chapters 4 and 9. The mean of many readings of x with a Gaussian
 noise of standard deviation s errs, by a step h, by
 

@@ -1,5 +1,7 @@
 """Remove estimates that ran away, and estimates within long holes, from the output of a filter.
 
+In a causal channel `native/sensor.h` does the same, row by row.
+
 The first is an alarm for unexpected faults. An estimate is a runaway if it lies outside the plausible bounds and is
 farther from the last used reading than these bounds are apart. The bounds are those of the record that the filter was
 tuned on, extended by its range on both sides; the second condition allows for a sensor that was zeroed since.
