@@ -39,7 +39,7 @@ def test_a_checkpoint_is_of_one_stream(stage: Stage, spark: SparkSession, tmp_pa
     other = str(tmp_path / "other" / "_checkpoint")
     refused(stage, spark, r"started into .*out', not .*other'; start it as before", output=str(tmp_path / "other"))
     refused(stage, spark, "was started with --by 'sensor', not 'plant'", {"key": "plant"})
-    refused(stage, spark, "was begun from", source=str(tmp_path))
+    refused(stage, spark, "was started from", source=str(tmp_path))
     refused(stage, spark, r"is a file; name a folder", checkpoint=str(stage.recipe))
     refused(stage, spark, r"is a file; name a folder", output=str(stage.recipe))
     (tmp_path / "third").mkdir()

@@ -19,11 +19,11 @@ from becalm.errors import ModelError
 from becalm.identification.likelihood import Tuning
 
 POSITIONS = 81
-"""Number of positions of a dial, at even ratios of the cut-off."""
+"""Number of positions of a dial; the cut-offs of neighbours have the same ratio everywhere."""
 
 _FASTEST = 4.0  # radians a step: higher cut-offs pass everything
 _SLOWEST = {1: 3e-6, 2: 3e-6, 3: 1e-5, 4: 3e-4, 5: 3e-4}  # by order: float64 finds no steady state for lower ones
-_CYCLES = 0.2  # of the record: with a lower cut-off the signal is a polynomial
+_CYCLES = 0.2  # cycles in the record: with a lower cut-off the filter only fits a polynomial
 
 
 class Positions(NamedTuple):

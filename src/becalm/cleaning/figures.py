@@ -25,7 +25,7 @@ _GREATEST_RATIO = 1e30  # of q/r: above, rounding destroys the state
 
 
 def modes_in_seconds(kind: Kind, bank: InteractingModels, step_s: float) -> SwitchingRecipe:
-    """Return the modes of a channel, in steps of `step_s` seconds, in the form of a recipe."""
+    """Convert the modes of a channel from steps of `step_s` seconds to seconds, as a recipe has them."""
     return SwitchingRecipe(
         kind=kind,
         wild_std=float(np.sqrt(bank.wild_variance)),
@@ -106,7 +106,10 @@ _NOTHING_REMOVED = 0.8
 
 
 class Figures(NamedTuple):
-    """The figures of a filter, see `ChannelReport`; a filter with a fixed lag has neither bandwidth nor lag here."""
+    """The figures of a filter, see `ChannelReport`.
+
+    For a filter with a fixed lag, bandwidth_hz, lag_s and independence_s are None.
+    """
 
     bandwidth_hz: float | None = None
     lag_s: float | None = None

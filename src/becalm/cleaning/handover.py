@@ -68,7 +68,10 @@ class Handover:
         return self._rows_done >= 2 * self._rows
 
     def push(self, values: Floats, elapsed: Floats) -> Streamed:
-        """Take the next rows; see `StreamCleaner.push`. Rows from before the later filter come from the former one."""
+        """Take the next rows; see `StreamCleaner.push`.
+
+        With a lag, the first estimates are of rows pushed before the later filter started; the former gives them.
+        """
         before, after = self.former.push(values, elapsed), self.later.push(values, elapsed)
         return self._joined(before, after)
 

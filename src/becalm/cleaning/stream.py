@@ -25,7 +25,7 @@ from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
 
-_VERSION = 8  # changed: 2 gross outliers, 3 filters, 4 to 7 order of the states, 8 when readings are judged
+_VERSION = 8  # version 2 changed gross outliers; 3 filters; 4 to 7 the states; 8 when readings are judged
 _LONGEST = 2.0**52  # steps: longer than any clock runs
 _NOT_A_SNAPSHOT = "These bytes are not a snapshot of a stream"
 

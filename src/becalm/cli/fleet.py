@@ -56,14 +56,15 @@ class SparkAddress(NamedTuple):
         for setting in self.settings or ():
             name, equals, value = setting.partition("=")
             if not (name and equals):
-                raise UsageError(f"--conf {setting} has no value; write it like --conf spark.executor.memory=4g.")
+                missing = "value" if name else "name"
+                raise UsageError(f"--conf {setting} has no {missing}; write it like --conf spark.executor.memory=4g.")
             settings[name.strip()] = value.strip()
         return settings
 
 
 @contextmanager
 def spark_at(where: SparkAddress, *, schedules: bool = True) -> Iterator[SparkSession]:
-    """Start Spark; a signal still stops at once, with a message on the work of its workers.
+    """Start Spark. A signal still ends the process at once, with a message on the unfinished work of Spark.
 
     Raises
     ------

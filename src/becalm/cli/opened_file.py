@@ -36,7 +36,7 @@ class FileOptions(NamedTuple):
     stamps: str | None = None
 
     def or_as(self, recipe: Recipe) -> FileOptions:
-        """Return the options with the time of a recipe, unless there are time options."""
+        """Return the options with this recipe, and with its rate, time column and stamps where no option gives them."""
         if self.rate_hz is None and self.time is None:
             rate_hz = None if self.stamps == AS_WRITTEN else recipe.rate_hz
             stamps = self.stamps or recipe.stamps

@@ -98,15 +98,15 @@ def autoregressive_power(coefficients: Sequence[float] | Floats, innovation_vari
     Parameters
     ----------
     coefficients : (p,) sequence of float
-        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; empty for white noise.
+        phi_1 to phi_p of e[k] = sum phi_l e[k-l] + u[k]; empty for white noise.
     innovation_variance : float
-        Variance of w, in unit^2; a *small* one means less noise at all frequencies.
+        Variance of u, in unit^2; a *small* one means less noise at all frequencies.
     angle : (k,) float array
         Angles in radians per step.
 
     Notes
     -----
-    The power is the variance of w over |1 - sum phi_l exp(-i w l)|^2.
+    The power is the variance of u, divided by |1 - sum phi_l exp(-j w l)|^2, with w the angle.
     """
     lags = np.arange(1, len(coefficients) + 1)
     denominator = 1 - np.exp(-1j * np.outer(angle, lags)) @ np.asarray(coefficients)
@@ -138,8 +138,9 @@ def butterworth_noise_gain(order: int, cutoff: float) -> float:
     Notes
     -----
     With W = tan(pi cutoff) and v = frequency / prewarped cut-off, the share is
-    (2 W / pi) int dv / ((1 + v^2n) (1 + W^2 v^2)) over v > 0. The shares for W and for 1 / W add up to 1, because
-    the low-pass for one is the high-pass for the other, mirrored about a quarter of the sampling rate. As a function
+    (2 W / pi) int dv / ((1 + v^2n) (1 + W^2 v^2)) over v > 0. The shares for W and for 1 / W add up to 1: the
+    low-pass for 1 / W is the mirror image, about a quarter of the sampling rate, of the high-pass for W, and low-pass
+    and high-pass for the same W share all the power. As a function
     of log v the integrand is analytic and decays exponentially at both ends, so a plain sum is accurate to nearly all
     digits.
     """

@@ -21,7 +21,7 @@ class Thermometer(NamedTuple):
     Attributes
     ----------
     column : str
-        Its name after conversion by its own sensor, if it has one.
+        Its name; of a temperature that a calibrated sensor measured, the name of the converted column.
     size : Conversion
         From the column's unit to degC.
     """

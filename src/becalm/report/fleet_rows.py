@@ -83,7 +83,9 @@ class FleetRow:
 
 
 def row_of(sensor: str, report: ChannelReport, *, recipe: str, rate_hz: float | None) -> FleetRow:
-    """Return the row of a cleaned channel; `dataclasses.replace` can add the comparison with its class later.
+    """Return the row of a cleaned channel.
+
+    `outlying`, the comparison with sensors of the same class, is empty; `dataclasses.replace` can add it.
 
     Parameters
     ----------

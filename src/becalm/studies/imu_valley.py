@@ -1,4 +1,4 @@
-"""Minimise the IMU paper's cost: a valley over R and Q, of which only Q/R is determined; its figure 8 and table 2."""
+"""Minimise the cost of the IMU paper (figure 8, table 2): over R and Q it is a valley, only Q/R is determined."""
 
 from __future__ import annotations
 
@@ -128,13 +128,14 @@ def colours() -> tuple[ColouredRecord, ...]:
 
 
 def least_ratio(low_hz: float = _SHOWN_HZ[0], high_hz: float = _SHOWN_HZ[1], step: float = 0.2) -> float:
-    """Return approximately the least Q/R that noise of the accelerometer's variance within a band can require.
+    """Return about the smallest optimal Q/R over all noise spectra in a band with the accelerometer's variance.
 
     Notes
     -----
-    For a low-pass of w = sqrt(Q/R), far below the band, J = S^2 / (2 w) + w / (2 pi) int A(f) / f df, with A the
-    amplitude density; its least is at w^2 = pi S^2 / int A / f df. By Cauchy and Schwarz the integral is at most
-    the root of the variance times (1 / low - 1 / high), which A = c / f reaches.
+    S is the height of the step (`step`), A(f) the amplitude density of the noise. For a low-pass with cut-off
+    w = sqrt(Q/R), far below the band, J = S^2 / (2 w) + w / (2 pi) int A(f) / f df; its minimum is at
+    w^2 = pi S^2 / int A / f df. By Cauchy-Schwarz the integral is at most sqrt(variance (1 / low - 1 / high)), with
+    equality for A = c / f.
     """
     variance = PRINTED["accelerometer"].measured_noise
     return float(np.pi * step**2 / np.sqrt(variance * (1 / low_hz - 1 / high_hz)))
