@@ -60,13 +60,6 @@ def test_steps_of_other_rows_are_refused() -> None:
         Faults(LIMITS).push(np.zeros(100), np.ones(5))
 
 
-@pytest.mark.parametrize("step", [np.nan, np.inf, -np.inf])
-def test_a_step_that_is_not_finite_is_refused(step: float) -> None:
-    elapsed = np.where(np.arange(100) == 61, step, 1.0)
-    with pytest.raises(UsageError, match=f"An elapsed step of {step} came with row 61"):
-        Faults(LIMITS).push(np.zeros(100), elapsed)
-
-
 def test_readings_and_limits_may_be_of_any_number() -> None:
     z = np.array([1, 2, 2, 2, 2, 5])
     expected = Faults(LIMITS).push(z.astype(np.float64), np.ones(6))

@@ -206,9 +206,12 @@ def test_steps_of_other_rows_are_refused() -> None:
         InnovationMonitor(ALARMS).push(noise(100), np.ones(5))
 
 
-def test_a_step_that_is_not_finite_is_refused_and_leaves_a_state_that_can_be_restored() -> None:
-    monitor = InnovationMonitor(ALARMS)
-    monitor.push(noise(100))
-    with pytest.raises(UsageError, match="An elapsed step of nan came with row 61"):
-        monitor.push(noise(100), np.where(np.arange(100) == 61, np.nan, 1.0))
-    InnovationMonitor(ALARMS).restore(monitor.saved())
+@pytest.mark.parametrize(("odd", "usual"), [(np.nan, 1.0), (np.inf, float(1 << 31)), (-3.0, 0.0)])
+def test_a_step_that_no_clock_gives_leaves_a_state_that_can_be_restored(odd: float, usual: float) -> None:
+    one, other = InnovationMonitor(ALARMS), InnovationMonitor(ALARMS)
+    rows = np.arange(100)
+    one.push(noise(100), np.where(rows == 61, odd, 1.0))
+    other.push(noise(100), np.where(rows == 61, usual, 1.0))
+    restored = InnovationMonitor(ALARMS)
+    restored.restore(one.saved())
+    assert restored.saved()["monitor_state"].tobytes() == other.saved()["monitor_state"].tobytes()

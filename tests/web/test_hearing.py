@@ -66,7 +66,7 @@ def test_a_number_is_one(number: object, read: int | None) -> None:
 )
 def test_both_pages_hear_in_the_same_words_what_is_wrong(room: Any, said: dict[str, Any], wrong: str) -> None:
     with pytest.raises(UsageError) as refused:
-        room.understood(said)
+        room.parse_message(said)
     assert str(refused.value).startswith(f"A page sent a message that becalm does not know ({wrong}")
     assert str(refused.value).endswith("); reload it.")
 

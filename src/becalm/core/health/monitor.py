@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
-from becalm.core.health.faults import FaultCount, require_steps
+from becalm.core.health.faults import FaultCount, possible_steps, require_steps
 from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, UsageError
 from becalm.native.library import SETTINGS
@@ -352,6 +352,7 @@ class InnovationMonitor:
         """
         elapsed = np.ones(len(normalised)) if elapsed is None else elapsed
         require_steps(elapsed, len(normalised))
+        elapsed = possible_steps(elapsed)
         codes, open_before = np.zeros(len(normalised), dtype=np.int8), int(self._watch.state["hop_count"])
         now = float(self._watch.state["now"])
         hops = self._watch.push(normalised, elapsed, codes)
