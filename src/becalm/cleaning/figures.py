@@ -90,7 +90,7 @@ def _mode_in_steps(recipe: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
     if not (_LEAST < variance < _GREATEST and density / variance < _GREATEST_RATIO):
         raise ModelError(
             f"mode {recipe.name!r} has process_noise_density = {recipe.process_noise_density:.3g} and noise_std ="
-            f" {recipe.noise_std:.3g}, which is out of range; correct one of them, or choose a unit closer to its size."
+            f" {recipe.noise_std:.3g}: out of range; correct one, or choose a unit in which noise_std is nearer 1."
         )
     damping = 0.0 if recipe.damped_below_hz is None else 2 * np.pi * recipe.damped_below_hz * step_s
     component = returning_motion(recipe.order, density, damping) if damping else motion(recipe.order, density)

@@ -59,7 +59,7 @@ class Handover:
 
     @property
     def has_begun(self) -> bool:
-        """Return whether the estimates already contain a share of the later filter."""
+        """Return whether the next estimates contain a share of the later filter."""
         return self._rows_done >= self._rows
 
     @property
