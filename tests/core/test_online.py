@@ -268,3 +268,29 @@ def test_sigma_of_exact_readings_is_a_number_throughout() -> None:
     Q = np.diag([0.08245130993450477, 38.57787580730414])
     model = Model(np.eye(2), H, Q, [[0.0]], x0=[-0.1096, -1.1679], P0=1e-6 * np.eye(2))
     assert np.isfinite(kalman_smoother(model, np.zeros(300)).sigma).all()
+
+
+def unstable(rng: np.random.Generator, n: int) -> tuple[Model, Floats]:
+    """Return a model that grows by about 3 from row to row, and its readings, of which most are missing."""
+    F = np.eye(n) + rng.normal(size=(n, n))
+    model = Model(3.0 / np.abs(np.linalg.eigvals(F)).max() * F, rng.normal(size=(1, n)), np.eye(n), [[1e-6]])
+    z = rng.normal(size=200)
+    z[rng.random(200) < 0.7] = np.nan
+    return model, z
+
+
+@pytest.mark.parametrize("lag", [0, 4])
+@pytest.mark.parametrize("gate", [None, Gate(4.0, 3, 6)])
+def test_a_filter_that_loses_its_digits_starts_anew(gate: Gate | None, lag: int) -> None:
+    restarts = 0
+    for seed in range(20):
+        model, z = unstable(np.random.default_rng(seed), 6)
+        online = Online(model, lag, gate)
+        signal, sigma = online.run(z)
+        known = np.isfinite(signal)
+        assert (sigma[known] > 0).all()
+        assert np.isinf(sigma[~known]).all()
+        restarts += int((np.diff(known[lag:, 0].astype(int)) == -1).sum())
+        Online.resume(online.snapshot())  # nothing in it is impossible
+        assert_same_bits(in_chunks(Online(model, lag, gate), z[:, np.newaxis], [3, 50, 51, 120])[0], signal)
+    assert restarts

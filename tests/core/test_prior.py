@@ -64,3 +64,21 @@ def test_an_opening_that_never_ends_is_still_smoothed() -> None:
     found = kalman_smoother(track(1e8, 1e-8), np.array([3.0]))
     assert found.signal[0, 0] == pytest.approx(3.0, abs=1e-9)
     assert found.sigma[0, 0] == pytest.approx(1e-4, rel=1e-9)
+
+
+def test_the_units_of_the_states_do_not_matter() -> None:
+    z = np.random.default_rng(2).normal(size=200)
+    one_unit = Model(F=[[1, 1], [0, 1]], H=[[1, 0]], Q=1e-3 * np.eye(2), R=1e-4, x0=[1, 2], P0=1e16 * np.eye(2))
+    scale = np.diag([1.0, 1e8])  # the speed in another unit
+    other = Model(
+        F=scale @ one_unit.F @ np.linalg.inv(scale),
+        H=one_unit.H,
+        Q=scale @ one_unit.process_covariance @ scale,
+        R=1e-4,
+        x0=[1, 2e8],
+        P0=1e16 * scale @ scale,
+    )
+    for run in (kalman_filter, kalman_smoother):
+        found, expected = run(other, z), run(one_unit, z)
+        np.testing.assert_allclose(found.sigma, expected.sigma, rtol=1e-9)
+        np.testing.assert_allclose(found.signal, expected.signal, rtol=0, atol=1e-9)

@@ -11,7 +11,9 @@
 #include "settling.h"
 
 
-/* Filter one row and its covariance; return the gate's verdict on the measurement. */
+enum { LOST = -1 }; /* no digit is left of what was known: the filter restarts at this row */
+
+/* Filter one row and its covariance; return the gate's verdict on the measurement, or LOST. */
 INLINE int filter_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                       const real *F, const real *Q, const real elapsed, const real z, const int jumps, real *innovation,
                       real *deviation) {
@@ -38,6 +40,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
         const real nu = z - dot(n, h, state->x); /* (3) */
         times(n, state->P, h, Ph);
         real hPh = dot(n, h, Ph);
+        if (loses_digits(n, model->R, Q, hPh)) return LOST;
         state->S = hPh + model->R; /* (4) */
         if (settings->gated) {
             if (state->since_jump < 0 || !(fabs(nu) > settings->gate_threshold * sqrt(state->S)))
@@ -65,6 +68,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     real Pc[N_MAX];
     times(n, state->P, model->c, Pc);
     const real variance = dot(n, model->c, Pc);
+    if (arrived && loses_digits(n, model->R, Q, variance)) return LOST;
     state->sigma = variance > 0 ? sqrt(variance) : 0;
     notice(n, h, F, state, verdict == STEP ? -2 : elapsed, complete);
     if (verdict == STEP) state->last_step = -1; /* no other row has this covariance */
@@ -167,28 +171,30 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
     for (int64_t row = 0; row < block->rows;) {
         const int64_t at = (int64_t)block->step[row] * n * n;
         const real *F = block->F + at, *Q = block->Q + at;
-        if (pass->starts[row] == ANEW) {
-            filter_forget(state);
-            pass->starts[row] = 0;
-        }
+        if (pass->starts[row] == ANEW) filter_forget(state);
         if (state->settled && state->phase == DETERMINED) {
             const int64_t taken = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
             row += taken;
             if (taken) continue;
             unsettle(state); /* so that later rows do not depend on when the gain settled */
         }
-        if (state->phase != DETERMINED) {
-            estimate->innovation[row] = estimate->deviation[row] = NOT_A_NUMBER;
-            open_row(n, settings, model, state, F, Q, block->elapsed[row], pass->usable[row], estimate->signal + row,
-                     estimate->sigma + row);
-        } else {
+        if (state->phase == DETERMINED) {
             const real z = pass->usable[row] - state->level;
             const int verdict = filter_row(n, settings, model, state, F, Q, block->elapsed[row], z,
                                            pass->starts[row] == JUMPS, estimate->innovation + row,
                                            estimate->deviation + row);
-            if (verdict) estimate->verdict[row] = (int8_t)verdict;
+            if (verdict == LOST) {
+                filter_forget(state);
+                pass->starts[row] = ANEW;
+            } else if (verdict)
+                estimate->verdict[row] = (int8_t)verdict;
             estimate->signal[row] = dot(n, model->c, state->x) + state->level;
             estimate->sigma[row] = state->sigma;
+        }
+        if (state->phase != DETERMINED) {
+            estimate->innovation[row] = estimate->deviation[row] = NOT_A_NUMBER;
+            open_row(n, settings, model, state, F, Q, block->elapsed[row], pass->usable[row], estimate->signal + row,
+                     estimate->sigma + row);
         }
         if (estimate->x)
             for (int i = 0; i < n; i++)
@@ -203,9 +209,10 @@ void filter_block(const settings_t *settings, const coefficients_t *model, filte
 }
 
 void filter_part(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *part,
-                 const estimate_t *estimate, const int8_t *starts) {
+                 const estimate_t *estimate, int8_t *starts) {
     pass_t pass;
     memcpy(pass.usable, part->z, sizeof(real) * (size_t)part->rows);
     memcpy(pass.starts, starts, (size_t)part->rows);
     filter_block(settings, model, state, part, estimate, &pass);
+    memcpy(starts, pass.starts, (size_t)part->rows);
 }

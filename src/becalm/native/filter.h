@@ -46,8 +46,9 @@ static inline estimate_t estimate_from(const estimate_t *estimate, const int64_t
 /* Filter at most BLOCK rows. */
 void filter_block(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
                   const estimate_t *estimate, pass_t *pass);
-/* The same for a part whose measurements may all enter, and whose restarts and jumps are already known. */
+/* The same for a part whose measurements may all enter, and whose restarts and jumps are already known; where the filter
+   loses all digits, it restarts, and this is marked, too. */
 void filter_part(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *part,
-                 const estimate_t *estimate, const int8_t *starts);
+                 const estimate_t *estimate, int8_t *starts);
 
 #endif

@@ -12,7 +12,7 @@ typedef struct {
     const coefficients_t *model;
     const block_t *block;
     const estimate_t *estimate;
-    const int8_t *starts;
+    int8_t *starts;
     real *states;    /* packed, one per place */
     int64_t *place;  /* for each row, the row whose gain and covariance it has */
     int64_t *alike;  /* for each row, how many rows up to it used one steady-state gain */

@@ -277,7 +277,7 @@ int64_t smoother_forward(const settings_t *settings, const coefficients_t *model
                          const block_t *block, const estimate_t *estimate, real *room, int8_t *starts, int ends);
 /* Pass back over a block. With `only_future` its estimates stay those of the forward pass. */
 void smoother_backward(const settings_t *settings, const coefficients_t *model, future_t *future,
-                       const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
+                       const block_t *block, const estimate_t *estimate, real *room, int8_t *starts,
                        int only_future);
 
 /* Smooth with a fixed lag. A block has the waiting rows again, and then the new ones; `forward` is the state before

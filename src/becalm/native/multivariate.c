@@ -130,21 +130,23 @@ INLINE void score_row(const int m, const parts_t *p, score_t *score) {
     }
 }
 
-/* Write the standard deviation of each channel's signal, sqrt(H P H'). */
-INLINE void spread_of(const int n, const int m, const real *H, const real *P, real *sigma) {
+/* Write the standard deviation of each channel's signal, sqrt(H P H'); inf if P has lost its digits. */
+INLINE void spread_of(const int n, const int m, const multivariate_t *model, const real *P, real *sigma) {
     for (int c = 0; c < m; c++) {
+        const real *h = model->H + c * n;
         real Ph[N_MAX];
-        times(n, P, H + c * n, Ph);
-        const real variance = dot(n, H + c * n, Ph);
-        sigma[c] = variance > 0 ? sqrt(variance) : 0;
+        times(n, P, h, Ph);
+        const real variance = dot(n, h, Ph);
+        sigma[c] = variance > 0 ? sqrt(variance) : is_below_0(variance, model->R[c * m + c]) ? INFINITE : 0;
     }
 }
 
 /* Compare with the last check, and store for the next; return what has settled. */
-static int compare(const int n, const int m, const real *H, const parts_t *p) {
+static int compare(const int n, const int m, const multivariate_t *model, const parts_t *p) {
+    const real *H = model->H;
     int gain = 1, covariance = 1;
     real sigma[M_MAX], sigma_then[M_MAX]; /* a gain near 0 settles before they do */
-    spread_of(n, m, H, p->P, sigma), spread_of(n, m, H, p->P_then, sigma_then);
+    spread_of(n, m, model, p->P, sigma), spread_of(n, m, model, p->P_then, sigma_then);
     for (int a = 0; a < m; a++) {
         real apart = 0; /* variance of the signal for independent states: the scale of rounding */
         for (int i = 0; i < n; i++) apart += H[a * n + i] * H[a * n + i] * p->P[i * n + i];
@@ -179,7 +181,7 @@ INLINE void notice_row(const int n, const int m, const multivariate_t *model, kn
         if (complete && F) state->last_step = length;
     }
     if (++state->steady < state->next_check || !F) return;
-    int same = compare(n, m, model->H, p);
+    int same = compare(n, m, model, p);
     if (same && !forgets(n, m, model->H, F, p->K, p->P, (real)0.125 * (real)state->steady)) same = 0;
     state->proven = state->agreed && state->proven < same ? state->proven : same;
     state->agreed = same ? state->agreed + 1 : 0;
@@ -195,7 +197,7 @@ INLINE void notice_row(const int n, const int m, const multivariate_t *model, kn
 INLINE void write_belief(const int n, const int m, const multivariate_t *model, const real *x, const real *P,
                          const beliefs_t *beliefs, const int64_t row) {
     for (int c = 0; c < m && beliefs->signal; c++) beliefs->signal[row * m + c] = dot(n, model->H + c * n, x);
-    if (beliefs->sigma) spread_of(n, m, model->H, P, beliefs->sigma + row * m);
+    if (beliefs->sigma) spread_of(n, m, model, P, beliefs->sigma + row * m);
     if (beliefs->x) copy(n, x, beliefs->x + row * n);
     if (beliefs->P) copy(n * n, P, beliefs->P + row * n * n);
 }
@@ -318,7 +320,7 @@ INLINE int64_t take_settled(const int n, const int m, const multivariate_t *mode
     real sigma[M_MAX] = {0}, deviation[M_MAX], x[N_MAX], nu[M_MAX];
     lay_out(n, n, p->A, 1, A), lay_out(n, m, p->K, 1, K), lay_out(m, n, p->g, -1, g), lay_out(m, n, model->H, 1, H);
     copy(m * m, p->L, L), copy(n, p->x, x), copy(m, p->deviation, deviation), copy(m, p->nu, nu);
-    if (beliefs->sigma) spread_of(n, m, model->H, p->P, sigma);
+    if (beliefs->sigma) spread_of(n, m, model, p->P, sigma);
     score_t score = state->score;
     int64_t scale = 0, live = 0, row = from;
     real determinant = 1;
@@ -618,8 +620,10 @@ INLINE void smooth_settled(const int n, const int m, const multivariate_t *model
     future->later = NOTHING_LATER;
     for (int64_t row = to - 1; spread && row >= from; row--) {
         if (!future->settled || row == to - 1) {
+            spread_of(n, m, model, p.P, sigma);
             for (int c = 0; c < m; c++)
-                sigma[c] = sqrt(smoothed_variance(n, model->H + c * n, p.P, future->M, NULL)); /* (10) */
+                if (sigma[c] < INFINITE)
+                    sigma[c] = sqrt(smoothed_variance(n, model->H + c * n, p.P, future->M, NULL)); /* (10) */
             if (beliefs->P && !(smooth_covariance(n, p.P, future->M, future->P) > HARDLY))
                 copy(n * n, p.P, future->P);
         }
@@ -665,7 +669,7 @@ INLINE void smooth_row(const int n, const int m, const multivariate_t *model, co
         future->later = STATE_TOO;
     }
     for (int c = 0; c < m && beliefs->signal; c++) beliefs->signal[row * m + c] = dot(n, model->H + c * n, future->x);
-    if (beliefs->sigma) spread_of(n, m, model->H, future->P, beliefs->sigma + row * m);
+    if (beliefs->sigma) spread_of(n, m, model, future->P, beliefs->sigma + row * m);
     if (beliefs->x) copy(n, future->x, beliefs->x + row * n);
     if (beliefs->P) copy(n * n, future->P, beliefs->P + row * n * n);
 }

@@ -9,6 +9,7 @@
 
 #define WELL_DETERMINED ((real)1e-6) /* smallest eigenvalue of information scaled to a unit diagonal */
 #define FAR ((real)1e15)             /* covariance over R, or over Q: beyond, no digit of R is left */
+#define BELOW_0 ((real)1e-6)         /* part of R: a variance that is negative by more has lost its digits */
 #define LIVE ((real)3e-5)            /* least diagonal element of U with information, over the length of its column */
 
 static inline void add_information(const int n, const real *h, const real R, const real z, real *U, real *b) {
@@ -92,14 +93,28 @@ static inline int is_determined(const int n, const real *U, const real *V) {
     return squares * WELL_DETERMINED < 1;
 }
 
+/* Return the largest variance from which a covariance may be measured with all of its digits: R, or one of Q. */
+static inline real usual_variance(const int n, const real R, const real *Q) {
+    real usual = R;
+    for (int i = 0; i < n; i++) usual = Q[i * n + i] > usual ? Q[i * n + i] : usual;
+    return usual;
+}
+
 /* Write V = U^-1; return whether the information determines the state, with some digits of R or Q. */
 static inline int tells_state(const int n, const real R, const real *Q, const real *U, real *V) {
-    real usual = R;
+    const real usual = usual_variance(n, R, Q);
     if (!invert_root(n, U, V) || !is_determined(n, U, V)) return 0;
-    for (int i = 0; i < n; i++) usual = Q[i * n + i] > usual ? Q[i * n + i] : usual;
     for (int i = 0; i < n; i++)
         if (!(dot(n, V + i * n, V + i * n) < FAR * usual)) return 0;
     return 1;
+}
+
+/* Return whether a variance of what is measured is negative, beyond rounding, or NaN. Without R it has no scale. */
+static inline int is_below_0(const real variance, const real R) { return R > 0 && !(variance >= -BELOW_0 * R); }
+
+/* Return whether a variance of what is measured, before or after a measurement, has no digit of R or Q left. */
+static inline int loses_digits(const int n, const real R, const real *Q, const real variance) {
+    return is_below_0(variance, R) || (R > 0 && variance >= FAR * usual_variance(n, R, Q));
 }
 
 /* Turn information into a state and its covariance, in place, given V. */

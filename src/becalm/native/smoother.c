@@ -151,7 +151,7 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
 
 /* Filter a block again, row by row, and smooth it. */
 INLINE void smooth_again(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
-                         const block_t *part, future_t *future, const estimate_t *estimate, const int8_t *starts,
+                         const block_t *part, future_t *future, const estimate_t *estimate, int8_t *starts,
                          real *room, const int only_future) {
     for (int64_t row = 0; row < part->rows; row++) {
         const block_t one = rows_from(part, row, 1);
@@ -177,7 +177,7 @@ INLINE void smooth_again(const int n, const settings_t *settings, const coeffici
 }
 
 INLINE void backward_rows(const int n, const settings_t *settings, const coefficients_t *model, future_t *future,
-                          const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
+                          const block_t *block, const estimate_t *estimate, real *room, int8_t *starts,
                           const int only_future) {
     const int64_t parts = (block->rows + SMOOTHED - 1) / SMOOTHED, size = packed_size(n);
     for (int64_t k = parts - 1; k >= 0; k--) {
@@ -198,7 +198,7 @@ INLINE void backward_rows(const int n, const settings_t *settings, const coeffic
 }
 
 void smoother_backward(const settings_t *settings, const coefficients_t *model, future_t *future,
-                       const block_t *block, const estimate_t *estimate, real *room, const int8_t *starts,
+                       const block_t *block, const estimate_t *estimate, real *room, int8_t *starts,
                        const int only_future) {
     FOR_STATES(settings->states, backward_rows, settings, model, future, block, estimate, room, starts, only_future)
 }

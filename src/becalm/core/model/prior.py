@@ -52,7 +52,7 @@ def wide_prior(model: Model) -> PriorInformation | None:
     process = np.diag(model.H @ noise @ model.H.T)
     if not (prior > WIDE * np.diag(model.R)).any() or (process > 0.1 * WIDE * np.diag(model.R)).any():
         return None
-    if any(not np.linalg.cond(matrix) < _INVERTIBLE for matrix in (model.P0, model.F, model.R)):
+    if any(not np.linalg.cond(A) < _INVERTIBLE for A in (_unit_diagonal(model.P0), model.F, _unit_diagonal(model.R))):
         return None
     Y = _symmetric_inverse(model.P0)
     return PriorInformation(Y, Y @ model.x0)
@@ -84,7 +84,7 @@ def refuse_singular(system: System) -> None:
 
 
 def _unit_diagonal(R: Floats) -> Floats:
-    """Return R as correlations, independent of units; a channel without noise keeps a row of zeros."""
+    """Return a covariance as correlations, independent of units; what has no variance keeps a row of zeros."""
     sigma = np.sqrt(np.diag(R))
     scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
     return R * scale[:, np.newaxis] * scale

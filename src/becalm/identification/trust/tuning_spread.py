@@ -64,7 +64,8 @@ def excess_error(tuning: Tuning, colour: Colour) -> float:
     still_noise = np.minimum(noise, total)
     moved = total - still_noise
     own = (1 - passed) ** 2 * moved + passed**2 * still_noise
-    best = _mean(moved * (still_noise / total))
+    share = np.divide(still_noise, total, out=np.zeros_like(total), where=total > 0)
+    best = _mean(moved * share)
     return float(np.sqrt(_mean(own) / best)) - 1 if best > 0 else 0.0
 
 
