@@ -270,11 +270,11 @@ def test_sigma_of_exact_readings_is_a_number_throughout() -> None:
     assert np.isfinite(kalman_smoother(model, np.zeros(300)).sigma).all()
 
 
-def unstable(rng: np.random.Generator, n: int) -> tuple[Model, Floats]:
+def unstable(rng: np.random.Generator, n: int, m: int = 1) -> tuple[Model, Floats]:
     """Return a model that grows by about 3 from row to row, and its readings, of which most are missing."""
     F = np.eye(n) + rng.normal(size=(n, n))
-    model = Model(3.0 / np.abs(np.linalg.eigvals(F)).max() * F, rng.normal(size=(1, n)), np.eye(n), [[1e-6]])
-    z = rng.normal(size=200)
+    model = Model(3.0 / np.abs(np.linalg.eigvals(F)).max() * F, rng.normal(size=(m, n)), np.eye(n), 1e-6 * np.eye(m))
+    z = rng.normal(size=(200, m))
     z[rng.random(200) < 0.7] = np.nan
     return model, z
 
@@ -292,5 +292,23 @@ def test_a_filter_that_loses_its_digits_starts_anew(gate: Gate | None, lag: int)
         assert np.isinf(sigma[~known]).all()
         restarts += int((np.diff(known[lag:, 0].astype(int)) == -1).sum())
         Online.resume(online.snapshot())  # nothing in it is impossible
-        assert_same_bits(in_chunks(Online(model, lag, gate), z[:, np.newaxis], [3, 50, 51, 120])[0], signal)
+        assert_same_bits(in_chunks(Online(model, lag, gate), z, [3, 50, 51, 120])[0], signal)
     assert restarts
+
+
+@pytest.mark.parametrize("lag", [0, 4])
+def test_a_filter_of_two_channels_that_loses_its_digits_says_nothing_any_more(lag: int) -> None:
+    lost = 0
+    for seed in range(20):
+        model, z = unstable(np.random.default_rng(seed), 6, 2)
+        online = Online(model, lag)
+        signal, sigma = online.run(z)
+        known = np.isfinite(signal)
+        assert (sigma[known] > 0).all()
+        assert np.isinf(sigma[~known]).all()
+        lost += not known[-1].any()
+        Online.resume(online.snapshot())
+        assert_same_bits(in_chunks(Online(model, lag), z, [3, 50, 51, 120])[0], signal)
+        smoothed = kalman_smoother(model, z)
+        assert np.array_equal(np.isfinite(smoothed.signal), np.isfinite(smoothed.sigma))
+    assert lost

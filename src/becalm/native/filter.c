@@ -11,9 +11,9 @@
 #include "settling.h"
 
 
-enum { LOST = -1 }; /* no digit is left of what was known: the filter restarts at this row */
+enum { NO_DIGITS = -1 }; /* nothing is left of what was known: the filter restarts at this row */
 
-/* Filter one row and its covariance; return the gate's verdict on the measurement, or LOST. */
+/* Filter one row and its covariance; return the gate's verdict on the measurement, or NO_DIGITS. */
 INLINE int filter_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                       const real *F, const real *Q, const real elapsed, const real z, const int jumps, real *innovation,
                       real *deviation) {
@@ -40,7 +40,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
         const real nu = z - dot(n, h, state->x); /* (3) */
         times(n, state->P, h, Ph);
         real hPh = dot(n, h, Ph);
-        if (loses_digits(n, model->R, Q, hPh)) return LOST;
+        if (loses_digits(n, model->R, Q, hPh)) return NO_DIGITS;
         state->S = hPh + model->R; /* (4) */
         if (settings->gated) {
             if (state->since_jump < 0 || !(fabs(nu) > settings->gate_threshold * sqrt(state->S)))
@@ -68,7 +68,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     real Pc[N_MAX];
     times(n, state->P, model->c, Pc);
     const real variance = dot(n, model->c, Pc);
-    if (arrived && loses_digits(n, model->R, Q, variance)) return LOST;
+    if (arrived && loses_digits(n, model->R, Q, variance)) return NO_DIGITS;
     state->sigma = variance > 0 ? sqrt(variance) : 0;
     notice(n, h, F, state, verdict == STEP ? -2 : elapsed, complete);
     if (verdict == STEP) state->last_step = -1; /* no other row has this covariance */
@@ -183,7 +183,7 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
             const int verdict = filter_row(n, settings, model, state, F, Q, block->elapsed[row], z,
                                            pass->starts[row] == JUMPS, estimate->innovation + row,
                                            estimate->deviation + row);
-            if (verdict == LOST) {
+            if (verdict == NO_DIGITS) {
                 filter_forget(state);
                 pass->starts[row] = ANEW;
             } else if (verdict)

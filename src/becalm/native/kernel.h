@@ -182,7 +182,7 @@ typedef struct {
     filter_t filter;
 } state_t;
 
-enum { UNKNOWN, GATHERING, DETERMINED };
+enum { UNKNOWN, GATHERING, DETERMINED, LOST }; /* LOST: of several channels, for good */
 
 /* A block of rows. */
 typedef struct {

@@ -67,6 +67,9 @@ static void load(const multivariate_t *model, const void *room, knowledge_t *sta
     state->closed = 0;
 }
 
+/* Return how many numbers of a state later rows depend on: x, P, K, L, D and nu. */
+static int64_t numbers_in(const int64_t n, const int64_t m) { return n + n * n + n * m + m * m + 2 * m; }
+
 static void lose_gain(knowledge_t *state, real *D_then) {
     state->settled = state->agreed = state->closed = 0;
     state->steady = -1, state->next_check = FIRST_CHECK, state->last_step = -1;
@@ -85,16 +88,27 @@ void multivariate_start(const multivariate_t *model, const real *x, const real *
     copy(n, x, p.x), copy(n * n, P, p.P);
 }
 
+/* Forget a state whose covariance has no digits left. A prior is of another time; without one, gathering again might
+   never end: nothing is known from here on. */
+static void lose_state(const multivariate_t *model, knowledge_t *state) {
+    const int64_t n = model->states, m = model->channels;
+    const parts_t p = parts_of((int)n, (int)m, state);
+    memset(state->numbers, 0, sizeof(real) * (size_t)numbers_in(n, m));
+    for (int64_t c = 0; c < m; c++) p.deviation[c] = NOT_A_NUMBER;
+    lose_gain(state, p.D_then);
+    state->phase = LOST;
+}
+
 int multivariate_is_sound(const multivariate_t *model, const knowledge_t *state) {
     const int64_t n = model->states, m = model->channels;
     const int64_t counts[] = {state->rows, state->opened, state->settled_row, state->steady, state->next_check,
                               state->agreed, state->score.used};
-    int sound = state->phase >= UNKNOWN && state->phase <= DETERMINED && state->settled >= 0 &&
+    int sound = state->phase >= UNKNOWN && state->phase <= LOST && state->settled >= 0 &&
                 state->settled <= COVARIANCE && state->proven >= 0 && state->proven <= COVARIANCE;
     for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);
     sound = sound && is_count(state->score.exponent, EVER);
-    for (int64_t k = 0; sound && k < n + n * n + n * m + m * m + 2 * m; k++) sound = isfinite(state->numbers[k]) != 0;
-    return sound && isfinite(state->score.squares); /* x, P, K, L, D and nu; a deviation may be NaN */
+    for (int64_t k = 0; sound && k < numbers_in(n, m); k++) sound = isfinite(state->numbers[k]) != 0;
+    return sound && isfinite(state->score.squares); /* a deviation may be NaN */
 }
 
 /* Factor S = L D L'. */
@@ -130,15 +144,18 @@ INLINE void score_row(const int m, const parts_t *p, score_t *score) {
     }
 }
 
-/* Write the standard deviation of each channel's signal, sqrt(H P H'); inf if P has lost its digits. */
-INLINE void spread_of(const int n, const int m, const multivariate_t *model, const real *P, real *sigma) {
+/* Write the standard deviation of each channel's signal, sqrt(H P H'); return whether P has lost its digits. */
+INLINE int spread_of(const int n, const int m, const multivariate_t *model, const real *P, real *sigma) {
+    int lost = 0;
     for (int c = 0; c < m; c++) {
         const real *h = model->H + c * n;
         real Ph[N_MAX];
         times(n, P, h, Ph);
         const real variance = dot(n, h, Ph);
-        sigma[c] = variance > 0 ? sqrt(variance) : is_below_0(variance, model->R[c * m + c]) ? INFINITE : 0;
+        sigma[c] = variance > 0 ? sqrt(variance) : 0;
+        lost |= is_below_0(variance, model->R[c * m + c]);
     }
+    return lost;
 }
 
 /* Compare with the last check, and store for the next; return what has settled. */
@@ -250,12 +267,13 @@ INLINE void predict(const int n, const real *F, const real *Q, real *x, real *P)
     }
 }
 
-/* Filter one row and its covariance; F is NULL if there is no step before it. */
-INLINE void filter_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
+/* Filter one row and its covariance; F is NULL if there is no step before it. Return whether digits are left. */
+INLINE int filter_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
                        const real *F, const real *Q, const real length, const real *z) {
     const real *H = model->H, *R = model->R;
     real PH[N_MAX * M_MAX], S[M_MAX * M_MAX];
-    int count = 0;
+    int count = 0, lost = 0;
+    real sigma[M_MAX];
     if (F) predict(n, F, Q, p->x, p->P);
     for (int a = 0; a < m; a++) {
         const int arrived = has_arrived(z[a]);
@@ -269,7 +287,9 @@ INLINE void filter_row(const int n, const int m, const multivariate_t *model, kn
         }
         p->nu[a] = arrived ? z[a] - dot(n, H + a * n, p->x) : 0; /* (3) */
         p->deviation[a] = arrived ? sqrt(S[a * m + a]) : NOT_A_NUMBER;
+        lost |= F && arrived && loses_digits(n, R[a * m + a], Q, S[a * m + a]);
     }
+    if (lost) return 0;
     factor(m, S, p->L, p->D);
     for (int i = 0; i < n; i++) {
         copy(m, PH + i * m, p->K + i * m);
@@ -277,8 +297,10 @@ INLINE void filter_row(const int n, const int m, const multivariate_t *model, kn
         p->x[i] += dot(m, p->K + i * m, p->nu);                        /* (6) */
     }
     if (count) joseph_of(n, m, H, R, p->K, PH, p->P);
+    if (spread_of(n, m, model, p->P, sigma)) return 0;
     score_row(m, p, &state->score);
     notice_row(n, m, model, state, p, F, length, count == m);
+    return 1;
 }
 
 /* Return the padded length of a column, for four numbers side by side; one or two numbers are not padded. */
@@ -460,7 +482,7 @@ static void write_opening(const int n, const int m, const multivariate_t *model,
                           const parts_t *p, const beliefs_t *beliefs, const int64_t row) {
     for (int c = 0; c < m; c++) {
         real signal = NOT_A_NUMBER, sigma = INFINITE;
-        if (model->foretells) {
+        if (model->foretells && state->phase != LOST) {
             real w[N_MAX];
             weigh(n, model->H + c * n, p->P, w);
             signal = dot(n, w, p->x), sigma = sqrt(dot(n, w, w));
@@ -538,10 +560,14 @@ INLINE void filter_rows(const int n, const int m, const multivariate_t *model, k
             if (taken) continue;
             lose_gain(state, p.D_then); /* so that later rows do not depend on when the gain settled */
         }
-        if (state->phase == DETERMINED) {
-            filter_row(n, m, model, state, &p, F, Q, length, record->z + row * m);
+        if (state->phase == DETERMINED && !filter_row(n, m, model, state, &p, F, Q, length, record->z + row * m))
+            lose_state(model, state);
+        if (state->phase == DETERMINED || state->phase == LOST) {
             write_innovation(m, &p, beliefs, row);
-            write_belief(n, m, model, p.x, p.P, beliefs, row);
+            if (state->phase == LOST)
+                write_opening(n, m, model, state, &p, beliefs, row);
+            else
+                write_belief(n, m, model, p.x, p.P, beliefs, row);
         } else
             open_row(n, m, model, state, &p, record, F, Q, row, beliefs);
         state->rows++, row++;
@@ -620,10 +646,8 @@ INLINE void smooth_settled(const int n, const int m, const multivariate_t *model
     future->later = NOTHING_LATER;
     for (int64_t row = to - 1; spread && row >= from; row--) {
         if (!future->settled || row == to - 1) {
-            spread_of(n, m, model, p.P, sigma);
             for (int c = 0; c < m; c++)
-                if (sigma[c] < INFINITE)
-                    sigma[c] = sqrt(smoothed_variance(n, model->H + c * n, p.P, future->M, NULL)); /* (10) */
+                sigma[c] = sqrt(smoothed_variance(n, model->H + c * n, p.P, future->M, NULL)); /* (10) */
             if (beliefs->P && !(smooth_covariance(n, p.P, future->M, future->P) > HARDLY))
                 copy(n * n, p.P, future->P);
         }
@@ -640,6 +664,11 @@ INLINE void smooth_row(const int n, const int m, const multivariate_t *model, co
                        const parts_t *p, const beliefs_t *beliefs, const int64_t row, future_t *future) {
     const int spread = beliefs->sigma || beliefs->P;
     real change[N_MAX];
+    if (state->phase == LOST) {
+        forget_future(n, future);
+        write_opening(n, m, model, state, p, beliefs, row);
+        return;
+    }
     if (state->phase != DETERMINED) {
         const int unknown = state->phase == UNKNOWN;
         const real *U = unknown ? model->prior : p->P, *b = unknown ? model->right : p->x;

@@ -37,7 +37,7 @@ typedef struct {
 
 /* Everything that later rows depend on. */
 typedef struct {
-    int64_t phase;                /* UNKNOWN, GATHERING, DETERMINED */
+    int64_t phase;                /* UNKNOWN, GATHERING, DETERMINED, LOST */
     int64_t rows, opened, settled_row; /* so far; until determined; the first with the steady-state gain, -1 */
     int64_t settled, steady, next_check, agreed, proven; /* 0, GAIN or COVARIANCE; see filter_t */
     real last_step;               /* its length; -1: none */

@@ -43,7 +43,7 @@ def flat_prior(model: Model) -> PriorInformation:
 
 def wide_prior(model: Model) -> PriorInformation | None:
     """Return x0 and P0 as information if P0 is so wide that covariances would lose digits; otherwise None."""
-    if model.x0 is None or model.P0 is None or model.unobservable.size:
+    if model.x0 is None or model.P0 is None:
         return None
     prior = np.diag(model.H @ model.P0 @ model.H.T)
     noise = np.zeros_like(model.P0)
