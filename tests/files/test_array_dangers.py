@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 import pickle
 import struct
@@ -16,7 +15,6 @@ import pytest
 from scipy.io import savemat
 
 from becalm.errors import BecalmError, InputError
-from becalm.files import library_reader
 from becalm.files.registry import read_tables
 
 COUNT = 60
@@ -118,19 +116,6 @@ def test_large_chunks_of_noise_are_read(tmp_path: Path) -> None:
         file.create_dataset("x", data=noise, chunks=(1 << 18,), compression="gzip", shuffle=True, fletcher32=True)
     (table,) = read_tables(tmp_path / "a.h5")
     np.testing.assert_array_equal(np.concatenate([block["x"] for block in table.blocks(["x"])]), noise)
-
-
-def test_a_library_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["x"] = VALUES
-
-    def missing(name: str) -> object:
-        raise ModuleNotFoundError(name) if name == "h5py" else AssertionError(name)
-
-    importlib.import_module("becalm.files.arrays.hdf5")
-    monkeypatch.setattr(library_reader, "import_module", missing)
-    with pytest.raises(InputError, match=r"pip install 'becalm\[formats\]'"):
-        read_tables(tmp_path / "a.h5")
 
 
 def test_npz_is_never_unpickled_and_never_leads_out(tmp_path: Path) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from becalm.errors import BecalmError, InputError
+from becalm.errors import BecalmError
 from robot_logs import EPOCH_NS, bag1, bag2, drone, json_log, mutant, read_through
 from test_real_files import real
 
@@ -82,14 +81,3 @@ def test_a_log_that_is_cut_off_is_read_or_told(name: str, kept: int, tmp_path: P
     path = tmp_path / "cut.bin"
     path.write_bytes(data[: len(data) * kept // 100])
     assert _readable(path) or kept < ENOUGH_PERCENT.get(name, 60)
-
-
-@pytest.mark.parametrize(
-    ("name", "library"),
-    [("ulog", "pyulog"), ("ide", "idelib.importer"), ("ros1", "rosbags.typesys"), ("json", "mcap.stream_reader")],
-)
-def test_a_missing_library_is_named(name: str, library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = LOGS[name](tmp_path / "log.bag")
-    monkeypatch.setitem(sys.modules, library, None)
-    with pytest.raises(InputError, match=rf"is read by {library.partition('.')[0]}.*pip install 'becalm\[formats\]'"):
-        read_through(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -27,13 +26,6 @@ def test_no_word_of_the_library_reaches_the_person(
         becalm.read(path)
     assert capsys.readouterr() == ("", "")
     assert not caplog.records
-
-
-def test_a_library_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = written(tmp_path, [signal("a", SIGNAL)])
-    monkeypatch.setitem(sys.modules, "asammdf", None)
-    with pytest.raises(InputError, match=r"pip install 'becalm\[formats\]'"):
-        becalm.read(path)
 
 
 def raw_blocks(path: Path, kind: bytes) -> list[int]:

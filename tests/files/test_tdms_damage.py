@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import struct
-import sys
 import tracemalloc
 from contextlib import suppress
 from pathlib import Path
@@ -73,13 +72,6 @@ def test_no_word_of_the_library_reaches_the_person(
     tables(path)
     assert not caplog.records
     assert not logging.getLogger("nptdms.reader").disabled
-
-
-def test_a_library_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = written(tmp_path, [channel("a", SIGNAL, **WAVE)])
-    monkeypatch.setitem(sys.modules, "nptdms", None)
-    with pytest.raises(InputError, match=r"pip install 'becalm\[formats\]'"):
-        becalm.read(path)
 
 
 def test_mutants_are_read_or_refused(tmp_path: Path, tables: Tables) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -213,13 +212,6 @@ def test_a_head_that_promises_otherwise(points: bytes, tmp_path: Path) -> None:
     first = read_tables(path)[0]
     assert first.count == min(ROWS, int(points))
     np.testing.assert_array_equal(first.head["front left"].to_numpy(), SIGNAL[: first.count])
-
-
-def test_a_library_that_is_not_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = written(tmp_path, one_set())
-    monkeypatch.setitem(sys.modules, "pyuff", None)
-    with pytest.raises(InputError, match=r"pip install 'becalm\[formats\]'"):
-        becalm.read(path)
 
 
 @pytest.mark.parametrize("binary", [0, 1])

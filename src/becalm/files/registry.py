@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -88,8 +86,9 @@ def _read_file(path: Path, original: Original) -> tuple[RawTable, ...]:
 
 
 def _library_tables(module: str, path: Path) -> tuple[RawTable, ...]:
-    read: Callable[[Path], tuple[RawTable, ...]] = import_module(f"becalm.files.{module}").read
-    return read(path)
+    from becalm.files.library_process import read_apart  # only where such a file is read
+
+    return read_apart(f"becalm.files.{module}", path)
 
 
 def _library_format(head: bytes) -> LibraryFormat | None:

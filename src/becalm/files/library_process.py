@@ -1,0 +1,229 @@
+"""Read formats of other libraries in a process of its own, which a damaged file may crash, hang or fill, becalm not.
+
+The process takes requests as lines of JSON and answers with a line of JSON, then with rows as an Arrow stream. It is
+kept for the next file, because it takes longer to start than to read a small file.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from threading import Lock, Timer
+from typing import Any
+
+import pyarrow as pa
+
+from becalm import errors
+from becalm.errors import InputError
+from becalm.files.source import FormatTime, RawTable
+from becalm.installation import MODULE, environment
+
+LONGEST_S, BYTES_PER_S = 60.0, 1e6
+"""How long an answer may take: a fixed time, and more for a large file."""
+
+_PIPE_BYTES = 1 << 20
+
+_FEW_THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
+"""Each thread reserves addresses, which count as memory."""
+
+
+def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
+    """Read the tables of a file in a process of its own.
+
+    Parameters
+    ----------
+    module : str
+        The module that reads the format: its `read` takes the path and returns the tables.
+    path : Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or the process crashes, hangs, or needs too much memory.
+    """
+    process = _LibraryProcess.take()
+    try:
+        answer = process.ask(path, {"module": module, "path": str(path), "folder": str(Path.cwd())})
+    except BaseException:
+        process.put_back()
+        raise
+    tables = answer["tables"]
+    shared = _OpenFile(process, path, len(tables))
+    return tuple(_table(shared, number, table) for number, table in enumerate(tables))
+
+
+def _table(shared: _OpenFile, number: int, table: Mapping[str, Any]) -> RawTable:
+    schema = pa.ipc.read_schema(pa.py_buffer(bytes.fromhex(table["schema"])))
+    time = None if table["time"] is None else FormatTime(*table["time"])
+    return RawTable(
+        _RowsApart(shared, number, schema, table["rows"]),
+        table["count"],
+        table["format"],
+        table["units"],
+        group=table["group"],
+        time=time,
+        notes=tuple(table["notes"]),
+    )
+
+
+class _RowsApart:
+    """The rows of a table that another process reads."""
+
+    def __init__(self, shared: _OpenFile, number: int, schema: pa.Schema, count: int) -> None:
+        self._shared, self._number, self.schema, self.count = shared, number, schema, count
+        self._closed = False
+
+    def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
+        """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
+        while start < self.count:
+            block = self._shared.rows({"table": self._number, "names": [*names], "most": most_rows, "start": start})
+            if block is None:
+                return
+            yield block
+            start += block.num_rows
+
+    def close(self) -> None:
+        """Close the table."""
+        if not self._closed:
+            self._closed = True
+            self._shared.close_one()
+
+
+class _OpenFile:
+    """A file that a process holds open, until the last of its tables is closed."""
+
+    def __init__(self, process: _LibraryProcess, path: Path, tables: int) -> None:
+        self._process, self._path, self._left = process, path, tables
+
+    def rows(self, request: Mapping[str, Any]) -> pa.Table | None:
+        """Return the requested rows, or None after the last."""
+        answer: pa.Table | None = self._process.ask(self._path, request)["rows"]
+        return answer
+
+    def close_one(self) -> None:
+        """Close a table; with the last one the process is free for another file."""
+        self._left -= 1
+        if not self._left:
+            self._process.put_back()
+
+    def __del__(self) -> None:
+        """Free the process of a file that nobody closed."""
+        if self._left:
+            self._process.put_back()
+
+
+class _LibraryProcess:
+    """A process that reads one file at a time."""
+
+    _idle: _LibraryProcess | None = None
+    _lock = Lock()
+
+    def __init__(self) -> None:
+        self._owner = os.getpid()
+        self._asking = Lock()
+        self._process = subprocess.Popen(
+            [*MODULE, "becalm.files.library_server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pipesize=_PIPE_BYTES,
+            stderr=subprocess.DEVNULL,
+            env=environment() | _FEW_THREADS,
+        )
+
+    @classmethod
+    def take(cls) -> _LibraryProcess:
+        """Return the idle process, or a new one; a process that forked has none of its parent's."""
+        with cls._lock:
+            idle, cls._idle = cls._idle, None
+        if idle is not None and idle._owner == os.getpid() and idle._process.poll() is None:
+            return idle
+        return cls()
+
+    def put_back(self) -> None:
+        """Keep the process for another file, which closes this one; end it if one is kept already."""
+        with self._lock:
+            if self._idle is None and self._owner == os.getpid() and self._process.poll() is None:
+                _LibraryProcess._idle = self
+                return
+        self.end()
+
+    def end(self) -> None:
+        """End the process."""
+        if self._owner == os.getpid():
+            self._process.kill()
+            self._process.communicate()
+
+    def ask(self, path: Path, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the answer to a request about a file; its rows are a table.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be read, or the process ended, or took too long.
+        """
+        limit_s = LONGEST_S + _size(path) / BYTES_PER_S
+        late = Timer(limit_s, self._process.kill)
+        with self._asking:
+            late.start()
+            try:
+                answer = self._answer(request)
+            except (OSError, ValueError, pa.ArrowException):
+                answer = None
+            finally:
+                waited = late.finished.is_set()
+                late.cancel()
+        if answer is None:
+            raise InputError(self._why_it_ended(path, waited, limit_s))
+        if "error" in answer:
+            raise getattr(errors, answer["error"])(answer["says"])
+        return answer
+
+    def _answer(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
+        requests, answers = self._process.stdin, self._process.stdout
+        if requests is None or answers is None:
+            return None
+        requests.write(json.dumps(request).encode() + b"\n")
+        requests.flush()
+        line = answers.readline()
+        if not line.endswith(b"\n"):
+            return None
+        answer: dict[str, Any] = json.loads(line)
+        if answer.get("rows") is True:
+            with pa.ipc.open_stream(answers) as stream:
+                answer["rows"] = stream.read_all()
+        return answer
+
+    def _why_it_ended(self, path: Path, waited: bool, limit_s: float) -> str:
+        code = self._process.wait()
+        if waited:
+            return (
+                f"{path} was not read within {limit_s:.0f} s; its library hangs, as with a damaged file. Copy or"
+                " download it again."
+            )
+        return (
+            f"{path} cannot be read: its library crashed ({_ending(code)}), as with a damaged file. Copy or download"
+            " it again."
+        )
+
+
+def _ending(code: int) -> str:
+    return f"signal {-code}" if code < 0 else f"exit code {code}"
+
+
+def _size(path: Path) -> int:
+    """Return the number of bytes of a file, or of a folder's files."""
+    try:
+        return sum(one.stat().st_size for one in (path.iterdir() if path.is_dir() else [path]))
+    except OSError:  # reading it says why
+        return 0
+
+
+@atexit.register
+def _end_idle() -> None:
+    if _LibraryProcess._idle is not None:
+        _LibraryProcess._idle.end()

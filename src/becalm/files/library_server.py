@@ -1,0 +1,129 @@
+"""The process in which formats of other libraries are read; `library_process` starts it, and says how they talk."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import pyarrow as pa
+
+from becalm.errors import BecalmError
+from becalm.files.source import RawTable
+
+_LEAST_BYTES = 2 << 30  # of memory, whatever the size of the file
+_BYTES_PER_BYTE = 64  # of memory, per byte of the file: it may be packed, and is held more than once
+
+
+class _Ahead(NamedTuple):
+    """A request that is expected, the blocks from its first row on, and the first of them."""
+
+    request: dict[str, Any]
+    blocks: Iterator[pa.Table]
+    block: pa.Table | None
+
+
+class _Server:
+    """Answers requests about one file at a time."""
+
+    def __init__(self, answers: BinaryIO) -> None:
+        self._answers = answers
+        self._tables: tuple[RawTable, ...] = ()
+        self._ahead: _Ahead | None = None
+
+    def answer(self, request: dict[str, Any]) -> None:
+        """Answer a request: open a file, or read rows of a table."""
+        try:
+            if "module" in request:
+                self._send({"tables": [_described(table) for table in self._open(request)]})
+            else:
+                self._send_rows(self._rows(request))
+                self._read_ahead()
+        except BecalmError as cause:
+            self._send({"error": type(cause).__name__, "says": str(cause)})
+        except MemoryError:
+            says = f"{self._path} needs too much memory to be read; it is damaged, or made to fill the memory."
+            self._send({"error": "InputError", "says": says})
+
+    def _open(self, request: Mapping[str, Any]) -> tuple[RawTable, ...]:
+        for table in self._tables:
+            table.rows.close()
+        self._tables, self._ahead, self._path = (), None, request["path"]
+        os.chdir(request["folder"])
+        _limit_memory(Path(self._path))
+        self._tables = import_module(request["module"]).read(Path(self._path))
+        return self._tables
+
+    def _rows(self, request: dict[str, Any]) -> pa.Table | None:
+        """Return the next block of rows; blocks that follow each other come from one pass over the file."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is None or ahead.request != request:
+            rows = self._tables[request["table"]].rows
+            blocks = rows.blocks(request["names"], request["most"], request["start"])
+            ahead = _Ahead(request, blocks, next(blocks, None))
+        if ahead.block is not None:
+            start = request["start"] + ahead.block.num_rows
+            self._ahead = ahead._replace(request=request | {"start": start}, block=None)
+        return ahead.block
+
+    def _read_ahead(self) -> None:
+        """Read the block that will be asked for next, while the last one is worked on."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None:
+            with suppress(BecalmError, MemoryError):  # whoever asks for it gets the error
+                self._ahead = ahead._replace(block=next(ahead.blocks, None))
+
+    def _send(self, answer: Mapping[str, Any]) -> None:
+        self._answers.write(json.dumps(answer).encode() + b"\n")
+        self._answers.flush()
+
+    def _send_rows(self, block: pa.Table | None) -> None:
+        self._send({"rows": None if block is None else True})
+        if block is not None:
+            with pa.ipc.new_stream(self._answers, block.schema) as stream:
+                stream.write_table(block)
+            self._answers.flush()
+
+
+def _described(table: RawTable) -> dict[str, Any]:
+    return {
+        "schema": table.rows.schema.serialize().to_pybytes().hex(),
+        "rows": table.rows.count,
+        "count": table.count,
+        "format": table.format,
+        "units": table.units,
+        "group": table.group,
+        "time": table.time,
+        "notes": table.notes,
+    }
+
+
+def _limit_memory(path: Path) -> None:
+    """Limit the memory of this process by the size of a file, where the system can."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return
+    size = sum(one.stat().st_size for one in (path.iterdir() if path.is_dir() else [path]))
+    machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    most = _LEAST_BYTES + size + min(_BYTES_PER_BYTE * size, machine)
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
+def main() -> None:
+    """Answer requests until there are no more; nothing that a library prints may mix with the answers."""
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    server = _Server(answers)
+    for line in sys.stdin.buffer:
+        server.answer(json.loads(line))
+
+
+if __name__ == "__main__":
+    main()
