@@ -94,6 +94,8 @@ ENOUGH = {
     "parquet": 1,
     "packed.mat": 1,
     "new.h5": 1,
+    "plain.npz": 1,
+    "packed.npz": 1,
     "plain.mat": 0.8,
     "ros1-lz4": 0.8,
     "mf4": 0.7,

@@ -255,10 +255,10 @@ CLAIMS: dict[str, Callable[[Path], None]] = {
     "a.ide": _ide,
 }
 
-READ = {"one.npy", "values.tdms", "rows.mf4", "a.wav", "size.uff", "spaces.uff", "message.ulg"}
+READ = {"one.npy", "text.h5", "values.tdms", "rows.mf4", "a.wav", "size.uff", "spaces.uff", "message.ulg"}
 """Those of which the beginning can be read."""
 
-WHOLE = {"size.uff", "spaces.uff"}
+WHOLE = {"size.uff", "spaces.uff", "values.tdms"}
 """Those of which all is there, whatever their size is said to be."""
 
 Told = dict[str, tuple[int, int, str]]

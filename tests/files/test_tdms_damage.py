@@ -10,7 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
 import becalm
@@ -88,32 +87,6 @@ def test_mutants_are_read_or_refused(tmp_path: Path, tables: Tables) -> None:
         with suppress(BecalmError):
             for table in tables(path):
                 assert len(table.head) <= len(data)
-
-
-@pytest.mark.parametrize("interleaved", [False, True])
-@pytest.mark.parametrize("cut", [0, 8 * 60 * 3 + 5])
-def test_a_large_chunk_is_read_in_pieces(
-    interleaved: bool, cut: int, tmp_path: Path, tables: Tables, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    counts = np.arange(ROWS, dtype=np.int16)
-    if interleaved:
-        path = written(tmp_path, [channel("a", SIGNAL), channel("b", counts)])
-        data = bytearray(path.read_bytes())
-        data[4] |= 1 << 5
-        values = np.rec.fromarrays([SIGNAL, counts]).tobytes()
-        data[-len(values) :] = values
-    else:
-        path = written(tmp_path, *[[channel("a", SIGNAL), channel("s", ["x"] * ROWS), channel("b", counts)]] * 4)
-        data = bytearray(path.read_bytes())
-    path.write_bytes(data[: len(data) - (cut if not interleaved else min(cut, 205))])
-    (whole,) = tables(path)
-    (expected,) = whole.blocks(whole.names)
-    monkeypatch.setattr("becalm.files.recorders.tdms_pieces._PIECE_BYTES", 56)
-    (table,) = tables(path)
-    assert table.count == whole.count
-    for block in (1, 7, 60, 1000):
-        got = pa.concat_tables(table.blocks(table.names, most_rows=block))
-        assert got.to_pydict() == expected.to_pydict()
 
 
 @pytest.mark.slow

@@ -11,9 +11,11 @@ import json
 import os
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock, Timer
 from typing import Any
+from weakref import finalize
 
 import pyarrow as pa
 
@@ -25,7 +27,7 @@ from becalm.installation import MODULE, environment
 LONGEST_S, BYTES_PER_S = 60.0, 1e6
 """How long an answer may take: a fixed time, and more for a large file."""
 
-_PIPE_BYTES = 1 << 20
+_PIPE_BYTES, _ENDS_WITHIN_S = 1 << 20, 2.0
 
 _FEW_THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
 """Each thread reserves addresses, which count as memory."""
@@ -99,6 +101,7 @@ class _OpenFile:
 
     def __init__(self, process: _LibraryProcess, path: Path, tables: int) -> None:
         self._process, self._path, self._left = process, path, tables
+        self._free = finalize(self, process.put_back)  # also where nobody closes the tables
 
     def rows(self, request: Mapping[str, Any]) -> pa.Table | None:
         """Return the requested rows, or None after the last."""
@@ -109,12 +112,7 @@ class _OpenFile:
         """Close a table; with the last one the process is free for another file."""
         self._left -= 1
         if not self._left:
-            self._process.put_back()
-
-    def __del__(self) -> None:
-        """Free the process of a file that nobody closed."""
-        if self._left:
-            self._process.put_back()
+            self._free()
 
 
 class _LibraryProcess:
@@ -145,18 +143,25 @@ class _LibraryProcess:
         return cls()
 
     def put_back(self) -> None:
-        """Keep the process for another file, which closes this one; end it if one is kept already."""
+        """Close its file and keep it for another one; end it if one is kept already."""
         with self._lock:
             if self._idle is None and self._owner == os.getpid() and self._process.poll() is None:
+                self._send({})
                 _LibraryProcess._idle = self
                 return
         self.end()
 
     def end(self) -> None:
-        """End the process."""
+        """End the process: it ends by itself if there are no more requests, and is killed if it does not."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with suppress(OSError):  # it may hold a request that nobody takes any more
+                    pipe.close()
         if self._owner == os.getpid():
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_ENDS_WITHIN_S)
             self._process.kill()
-            self._process.communicate()
+            self._process.wait()
 
     def ask(self, path: Path, request: Mapping[str, Any]) -> dict[str, Any]:
         """Return the answer to a request about a file; its rows are a table.
@@ -184,11 +189,9 @@ class _LibraryProcess:
         return answer
 
     def _answer(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
-        requests, answers = self._process.stdin, self._process.stdout
-        if requests is None or answers is None:
+        answers = self._process.stdout
+        if not self._send(request) or answers is None:
             return None
-        requests.write(json.dumps(request).encode() + b"\n")
-        requests.flush()
         line = answers.readline()
         if not line.endswith(b"\n"):
             return None
@@ -197,6 +200,18 @@ class _LibraryProcess:
             with pa.ipc.open_stream(answers) as stream:
                 answer["rows"] = stream.read_all()
         return answer
+
+    def _send(self, request: Mapping[str, Any]) -> bool:
+        """Send a request, an empty one to close the file; return whether the process still takes it."""
+        requests = self._process.stdin
+        if requests is None:
+            return False
+        try:
+            requests.write(json.dumps(request).encode() + b"\n")
+            requests.flush()
+        except (OSError, ValueError):
+            return False
+        return True
 
     def _why_it_ended(self, path: Path, waited: bool, limit_s: float) -> str:
         code = self._process.wait()

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from warnings import catch_warnings, simplefilter
 
 from becalm.errors import BecalmError, InputError
 
@@ -34,7 +32,6 @@ class Foreign:
 
     def __init__(self, path: Path, name: str) -> None:
         self.path, self.name = path, name
-        self._libraries: set[str] = set()
         self._unpacked = 0
         self.cut = False
 
@@ -46,7 +43,6 @@ class Foreign:
         InputError
             If the library is not installed.
         """
-        self._libraries.add(module.partition(".")[0])
         try:
             return import_module(module)
         except ModuleNotFoundError as cause:
@@ -57,7 +53,7 @@ class Foreign:
 
     @contextmanager
     def explain_damage(self) -> Iterator[None]:
-        """Turn any error of a library into an InputError about a damaged file, and silence the library's output.
+        """Turn any error of a library into an InputError about a damaged file.
 
         Raises
         ------
@@ -65,9 +61,7 @@ class Foreign:
             Instead of any exception other than becalm's own errors and a MemoryError.
         """
         try:
-            with catch_warnings(), _silent(self._libraries):
-                simplefilter("ignore")
-                yield
+            yield
         except (BecalmError, MemoryError):
             raise
         except Exception as cause:  # a damaged file can make a library raise any exception
@@ -121,17 +115,3 @@ def refuse_claim(path: Path, wanted_bytes: int, size: int) -> None:
             f"{path} claims to hold {wanted_bytes:,} bytes in a file of {size:,}; it is damaged, or made to fill the"
             " memory, and is not read."
         )
-
-
-@contextmanager
-def _silent(libraries: Container[str]) -> Iterator[None]:
-    """Disable the loggers of libraries; becalm reports the same facts in notes and errors."""
-    names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in libraries]
-    enabled = [logger for logger in map(logging.getLogger, names) if not logger.disabled]
-    for logger in enabled:
-        logger.disabled = True
-    try:
-        yield
-    finally:
-        for logger in enabled:
-            logger.disabled = False

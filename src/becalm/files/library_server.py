@@ -37,9 +37,11 @@ class _Server:
         self._ahead: _Ahead | None = None
 
     def answer(self, request: dict[str, Any]) -> None:
-        """Answer a request: open a file, or read rows of a table."""
+        """Answer a request: open a file, or read rows of a table; an empty one closes the file, without an answer."""
         try:
-            if "module" in request:
+            if not request:
+                self._close()
+            elif "module" in request:
                 self._send({"tables": [_described(table) for table in self._open(request)]})
             else:
                 self._send_rows(self._rows(request))
@@ -50,10 +52,14 @@ class _Server:
             says = f"{self._path} needs too much memory to be read; it is damaged, or made to fill the memory."
             self._send({"error": "InputError", "says": says})
 
-    def _open(self, request: Mapping[str, Any]) -> tuple[RawTable, ...]:
+    def _close(self) -> None:
         for table in self._tables:
             table.rows.close()
-        self._tables, self._ahead, self._path = (), None, request["path"]
+        self._tables, self._ahead = (), None
+
+    def _open(self, request: Mapping[str, Any]) -> tuple[RawTable, ...]:
+        self._close()
+        self._path = request["path"]
         os.chdir(request["folder"])
         _limit_memory(Path(self._path))
         self._tables = import_module(request["module"]).read(Path(self._path))

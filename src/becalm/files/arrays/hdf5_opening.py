@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 
 from becalm.files.arrays.hdf5_gaps import WrittenChunks, is_there
-from becalm.files.arrays.hdf5_heaps import damaged_heap
-from becalm.files.arrays.hdf5_packing import check_unpacked_size
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _CACHE_BYTES = 8 << 20
@@ -41,8 +39,6 @@ class Hdf5File:
 
     def __init__(self, h5py: ModuleType, path: Path, base: int = 0) -> None:
         self._h5py = h5py
-        if damaged_heap(path, base):
-            raise OSError("its texts are not where its pointers lead, or not as long")
         self.size: int | None = None
         self._base, self._length = base, path.stat().st_size - base
         self._stretched: _Stretched | None = None
@@ -66,14 +62,7 @@ class Hdf5File:
             self._stretched.close()
 
     def whole_rows(self, dataset: Any) -> int:
-        """Return the number of entries on a dataset's first axis that are before the end of the file.
-
-        Raises
-        ------
-        ValueError
-            If a chunk would unpack to more bytes than its rows need.
-        """
-        check_unpacked_size(dataset)
+        """Return the number of entries on a dataset's first axis that are before the end of the file."""
         rows = dataset.shape[0] if dataset.shape else 1
         if self.size is None:
             return self._written_rows(dataset, int(rows))

@@ -1,21 +1,22 @@
-"""Read MAT files of versions 4 and 5 into memory, one variable after another; version 7.3 is HDF5."""
+"""Read MAT files of versions 4 and 5 with SciPy, one variable after another; version 7.3 is HDF5."""
 
 from __future__ import annotations
 
 import io
 import struct
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.exceptions import ComplexWarning
 from numpy.typing import NDArray
 
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.array_labels import take_labels
 from becalm.files.arrays.arrays import FileArrays, Leaf
-from becalm.files.arrays.mat_elements import Variable, variables4, variables5
-from becalm.files.arrays.mat_values import Opaque, value_of
 from becalm.files.groups import tables
 from becalm.files.library_reader import Foreign
 from becalm.files.signatures import is_mat5
@@ -26,6 +27,20 @@ MOST_ELEMENTS = 1024
 
 SAVE_AS = "; save it from MATLAB as plain arrays: S = table2struct(T, 'ToScalar', true)"
 """Advice for objects that only MATLAB can open."""
+
+SPARSE = "it is a sparse matrix; save it from MATLAB as full(A)"
+"""Message: why a sparse matrix is not read, and what to do."""
+
+_HEAD5, _TAG, _COMPRESSED = 128, 8, 15
+_NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of a type in version 4
+_CUT = "the file ends in it"
+
+
+class _Variable(NamedTuple):
+    """A file with one variable of the file; and why it is not read, "" if it is."""
+
+    file: bytes
+    why: str = ""
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
@@ -39,8 +54,8 @@ def read(path: Path) -> tuple[RawTable, ...]:
     foreign = Foreign(path, "MAT")
     contents = FileArrays()
     with foreign.explain_damage():
-        data = memoryview(path.read_bytes())
-        for variable in variables5(foreign, data) if is_mat5(bytes(data[:128])) else variables4(data):
+        data = path.read_bytes()
+        for variable in _variables5(data) if is_mat5(data[:_HEAD5]) else _variables4(data):
             _add(contents, variable)
     take_labels(contents)
     groups = Grouping(contents, ".", apart=False).groups()
@@ -49,42 +64,102 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return tables(foreign, "mat", groups)
 
 
-def _add(contents: FileArrays, variable: Variable) -> None:
+def _variables5(data: bytes) -> Iterator[_Variable]:
+    """Yield the variables of version 5: each is an element, which begins with its type and length."""
+    order, at = "<" if data[126:128] == b"IM" else ">", _HEAD5
+    while at < len(data):
+        if at + _TAG > len(data):
+            yield _Variable(b"", _CUT)
+            return
+        kind, length = struct.unpack(order + "II", data[at : at + _TAG])
+        end = at + _TAG + length
+        yield _Variable(data[:_HEAD5] + data[at:end], _CUT if end > len(data) else "")
+        at = end if kind == _COMPRESSED else end + -length % 8
+
+
+def _variables4(data: bytes) -> Iterator[_Variable]:
+    """Yield the variables of version 4, each a file of its own."""
+    at, order = 0, "<" if struct.unpack("<I", data[:4])[0] < 5000 else ">"
+    while at < len(data):
+        if at + 20 > len(data):
+            yield _Variable(b"", _CUT)
+            return
+        kind, rows, columns, imaginary, letters = struct.unpack(order + "IIIII", data[at : at + 20])
+        stored = kind // 10 % 10
+        if kind >= 5000 or stored >= len(_NUMBERS4) or kind % 10 > 2 or letters > 256 or imaginary > 1:
+            yield _Variable(b"", "it begins with a type that does not exist")
+            return
+        end = at + 20 + letters + rows * columns * (1 + imaginary) * _NUMBERS4[stored]
+        yield _Variable(data[at:end], _CUT if end > len(data) else "")
+        at = end
+
+
+def _add(contents: FileArrays, variable: _Variable) -> None:
     """Add one variable, or a note if it cannot be read."""
-    if not variable.name and not variable.why:
-        return  # internal data of MATLAB
-    label = repr(variable.name) if variable.name else "A variable"
     why = variable.why
     if not why:
         try:
-            held = _values(variable)
-        except Exception as cause:  # scipy raises many types for a damaged variable
+            named = _loaded(variable)
+        except MemoryError:
+            raise
+        except Exception as cause:  # SciPy raises many types for a damaged variable
             why = " ".join(str(cause).split())[:100] or type(cause).__name__
         else:
-            _hold(contents, (variable.name,), held)
+            for name, value in named.items():
+                if not name.startswith("__"):  # data of SciPy and MATLAB
+                    _hold(contents, (name,), value)
     if why:
-        contents.notes.append(f"{label} is not read: {why}{SAVE_AS if 'only MATLAB' in why else ''}.")
+        name = _name(variable)
+        contents.notes.append(f"{repr(name) if name else 'A variable'} is not read: {why}.")
 
 
-def _values(variable: Variable) -> Any:
-    if variable.order:
-        data = memoryview(variable.data)
-        return value_of(data, 8, 8 + struct.unpack(variable.order + "4xI", data[:8])[0], variable.order)
+def _loaded(variable: _Variable) -> dict[str, Any]:
+    """Return the values by name, in MATLAB's types; SciPy can give complex ones only in the type that stores them."""
     from scipy.io import loadmat
 
-    return loadmat(io.BytesIO(variable.data))[variable.name]  # type: ignore[arg-type]  # takes files
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ComplexWarning)
+        try:
+            return dict(loadmat(io.BytesIO(variable.file), mat_dtype=True))  # type: ignore[arg-type]  # takes files
+        except ComplexWarning:
+            return dict(loadmat(io.BytesIO(variable.file)))  # type: ignore[arg-type]
+
+
+def _name(variable: _Variable) -> str:
+    """Return the name of a variable that cannot be read; "" if damage makes it unreadable."""
+    from scipy.io import whosmat
+
+    try:
+        return str(whosmat(io.BytesIO(variable.file))[0][0])  # type: ignore[arg-type]  # takes files
+    except Exception:  # as above
+        return ""
 
 
 def _hold(contents: FileArrays, path: tuple[str, ...], value: Any) -> None:
     """Add the arrays of a value, also those nested in structs and cells."""
-    if isinstance(value, Opaque):
-        contents.notes.append(f"{'.'.join(path)!r} is not read: only MATLAB can open it{SAVE_AS}.")
+    if why := _why_not(value):
+        contents.notes.append(f"{'.'.join(path)!r} is not read: {why}.")
     elif value.dtype.names:
         _hold_struct(contents, path, value)
     elif value.dtype.kind == "O":
         _hold_cells(contents, path, value)
+    elif value.dtype.kind == "U":
+        contents.add(Leaf.of(path, np.char.rstrip(value, " \0")))  # lines of a char matrix are of one length
     else:
         contents.add(Leaf.of(path, value))
+
+
+def _why_not(value: Any) -> str:
+    """Return why a value is not read, "" if it is."""
+    from scipy.io.matlab import MatlabFunction, MatlabOpaque
+    from scipy.sparse import issparse
+
+    if isinstance(value, MatlabOpaque):
+        kinds = [one.decode("latin-1") if isinstance(one, bytes) else str(one) for one in value.ravel()[:1]["s2"]]
+        return f"it is a MATLAB {kinds[0] if kinds else 'object'}, which only MATLAB opens{SAVE_AS}"
+    if isinstance(value, MatlabFunction):
+        return f"it is a MATLAB function, which only MATLAB opens{SAVE_AS}"
+    return SPARSE if issparse(value) else "" if isinstance(value, np.ndarray) else f"it is {type(value).__name__}"
 
 
 def _hold_struct(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:

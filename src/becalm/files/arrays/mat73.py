@@ -15,8 +15,7 @@ from becalm.files.arrays.arrays import Path as Where
 from becalm.files.arrays.hdf5 import read_tree
 from becalm.files.arrays.hdf5_opening import Hdf5File
 from becalm.files.arrays.hdf5_tree import DEEPEST, Tree
-from becalm.files.arrays.mat import MOST_ELEMENTS, SAVE_AS
-from becalm.files.arrays.mat_elements import SPARSE
+from becalm.files.arrays.mat import MOST_ELEMENTS, SAVE_AS, SPARSE
 from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import zlib
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile, ZipFile, is_zipfile
 
 import numpy as np
 from numpy.lib import format as npy
@@ -14,7 +16,6 @@ from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.array_labels import NAME, VARIABLES, take_labels
 from becalm.files.arrays.arrays import FileArrays, Leaf
-from becalm.files.arrays.npz_members import Member, content, members
 from becalm.files.groups import tables
 from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
@@ -38,7 +39,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         with path.open("rb") as file:
             alone = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
         if alone:
-            _take(contents, (path.stem or "array",), path.read_bytes(), whole=True)
+            _take(contents, (path.stem or "array",), path.read_bytes())
         else:
             _take_members(contents, foreign)
         take_labels(contents)
@@ -49,31 +50,31 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 
 def _take_members(contents: FileArrays, foreign: Foreign) -> None:
-    listed, whole = members(foreign.path)
-    if not whole:
-        contents.notes.append("The archive is cut short; what is before its end was read.")
-    foreign.refuse_claim(sum(member.bytes for member in listed))
-    own = {folder for member in listed if (folder := member.name.removesuffix(f"/{VARIABLES}.npy")) != member.name}
-    for member in listed:
-        if member.why:
-            contents.notes.append(f"{member.name!r} is not read: {member.why}.")
-        elif member.name.endswith(".npy"):
-            name = member.name.removesuffix(".npy")
+    if not is_zipfile(foreign.path):  # its index is at its end
+        foreign.cut = True
+        raise foreign.holds_nothing()
+    with ZipFile(foreign.path) as archive:
+        listed = archive.infolist()
+        foreign.refuse_claim(sum(member.file_size for member in listed))
+        named = [member.filename for member in listed]
+        own = {folder for name in named if (folder := name.removesuffix(f"/{VARIABLES}.npy")) != name}
+        for member in listed:
+            name = member.filename.removesuffix(".npy")
+            if name == member.filename:
+                continue
             path = tuple(name.split("/"))  # each folder may have its own times
             if len(path) > 1 and "/".join(path[:-1]) not in own:
                 contents.words[(*path, NAME)] = (name,)
-            _take_member(contents, foreign, member, path)
+            try:
+                data = archive.read(member)
+            except (BadZipFile, NotImplementedError, OSError, RuntimeError, zlib.error) as cause:
+                why = " ".join(str(cause).split())[:100] or type(cause).__name__
+                contents.notes.append(f"{member.filename!r} is not read: {why}.")
+            else:
+                _take(contents, path, data)
 
 
-def _take_member(contents: FileArrays, foreign: Foreign, member: Member, path: tuple[str, ...]) -> None:
-    data, undamaged = content(foreign, member)
-    if not undamaged and len(data) == member.bytes:
-        contents.notes.append(f"{member.name!r} is not read: it is damaged.")
-        return
-    _take(contents, path, data, undamaged)
-
-
-def _take(contents: FileArrays, path: tuple[str, ...], data: bytes, whole: bool) -> None:
+def _take(contents: FileArrays, path: tuple[str, ...], data: bytes) -> None:
     """Read one array, or its complete rows."""
     name = "/".join(path)
     file = io.BytesIO(data)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -35,24 +34,13 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "IDE")
     library = foreign.library("idelib.importer")
-    with foreign.explain_damage(), path.open("rb") as file, _without_logging():
+    with foreign.explain_damage(), path.open("rb") as file:
         opened = WatchedFile(file)
         recording = library.openFile(opened, quiet=True)
         notes = _cut_off(recording.ebmldoc, opened)
         library.readData(recording)  # loads all blocks undecoded; they are decoded when their rows are read
         groups = _groups(recording, notes)
     return tables(foreign, "ide", groups)
-
-
-@contextmanager
-def _without_logging() -> Iterator[None]:
-    """Suppress the library's log messages, because becalm reports the same as a note."""
-    before = logging.root.manager.disable
-    logging.disable(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logging.disable(before)
 
 
 def _cut_off(document: Any, opened: WatchedFile) -> tuple[str, ...]:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import gc
-import io
 import re
-import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, redirect_stdout, suppress
+from contextlib import ExitStack, suppress
 from datetime import UTC, timedelta
 from pathlib import Path
-from traceback import clear_frames
-from types import ModuleType
 from typing import Any
 
 import pyarrow as pa
@@ -44,7 +39,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     with ExitStack() as stack, foreign.explain_damage():
         mending = check_blocks(foreign)
         file = stack.enter_context(mending.opened(path))
-        log = _opened(library, file)
+        log = library.MDF(file, raise_on_multiple_occurrences=False, add_array_components=False)
         stack.callback(log.close)
         _refuse_outside(log)
         foreign.cut = mending.cut
@@ -60,20 +55,6 @@ def read(path: Path) -> tuple[RawTable, ...]:
         notes += [note for one in groups if set(one.columns) <= {TIME} for note in one.notes]  # groups without channels
         held = stack.pop_all()
         return tables(foreign, "mf4", [one._replace(notes=(*one.notes, *notes)) for one in groups], held.close)
-
-
-def _opened(library: ModuleType, file: Any) -> Any:
-    try:
-        with redirect_stdout(io.StringIO()):
-            return library.MDF(file, raise_on_multiple_occurrences=False, add_array_components=False)
-    except Exception as cause:  # asammdf raises many types for a damaged file
-        hook, sys.unraisablehook = sys.unraisablehook, lambda _: None  # the partial object prints errors when deleted
-        try:
-            clear_frames(cause.__traceback__)
-            gc.collect()
-        finally:
-            sys.unraisablehook = hook
-        raise ValueError(str(cause)) from None
 
 
 def _refuse_outside(log: Any) -> None:
@@ -95,8 +76,7 @@ def _decoded(foreign: Foreign, log: Any, more: bool) -> tuple[Any, list[str]]:
     databases = sorted(one for one in path.parent.iterdir() if one.suffix.lower() == ".dbc")
     why = f"{path} is a log of a CAN bus; put the .dbc file that describes its frames into the same folder."
     if databases:
-        with redirect_stdout(io.StringIO()):
-            decoded = log.extract_bus_logging(database_files={"CAN": [(str(one), 0) for one in databases]})
+        decoded = log.extract_bus_logging(database_files={"CAN": [(str(one), 0) for one in databases]})
         if decoded.groups:
             return decoded, []
         decoded.close()

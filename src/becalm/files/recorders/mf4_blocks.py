@@ -20,12 +20,12 @@ _FLAGS = 60  # offset of two bytes of flags for what the recorder did not finish
 _VERSION = 8
 _COUNTERS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10
 _MOST_BLOCKS = 1_000_000
-_COUNTED = (3, 6)  # kinds of channels that are not in the rows
-_MAY_BE_INVALID = 2
-_NUMBERS = (b"##DT", b"##DV", b"##DI", b"##SD", b"##RD", b"##RV", b"##RI")
 _PACKED = struct.Struct("<B5xQQ")  # at byte 26 of a ##DZ: method, unpacked and packed size
 _PACKED_AT, _PACKED_HEAD = 26, 48
 _PACKINGS = ("deflate", "deflate", "zstd", "zstd", "lz4", "lz4")  # every second one is transposed
+_COUNTED = (3, 6)  # kinds of channels that are not in the rows
+_MAY_BE_INVALID = 2
+_NUMBERS = (b"##DT", b"##DV", b"##DI", b"##SD", b"##RD", b"##RV", b"##RI")
 _ALL = -1
 _FOLLOWED: dict[bytes, tuple[int, ...]] = {
     b"##DG": (0, 1, 2),
@@ -143,25 +143,21 @@ def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes])
         elif length > available:
             patches[link.place], cut = bytes(8), True
         else:
-            if kind == b"##DZ":
-                _check_packed(foreign, data, address)
-            _check_claims(data, address, kind, link.channels)
+            _check_claims(foreign, data, address, kind, link.channels)
             todo += _links(data, address, kind, link)
     return cut, chained
 
 
-def _check_claims(data: mmap, address: int, kind: bytes, channels: int) -> None:
-    """Raise an error for claims that asammdf does not check: a channel outside its rows, a text beyond its block."""
-    if kind == b"##CN":
+def _check_claims(foreign: Foreign, data: mmap, address: int, kind: bytes, channels: int) -> None:
+    """Raise an error for claims that asammdf does not check, and reads other numbers for."""
+    if kind == b"##DZ":
+        _check_packed(foreign, data, address)
+    elif kind == b"##CN":
         _check_channel(data, address, channels)
-    elif kind == b"##SD":
-        end = address + _length(data, address)
-        if _whole_texts(data, address + _HEAD, end)[0] + 4 <= end:
-            raise ValueError(f"a text in the block at {address:#x} is longer than the block")
 
 
 def _check_packed(foreign: Foreign, data: mmap, address: int) -> None:
-    """Raise an error if a packed block has another size than it claims; asammdf would unpack any size."""
+    """Raise an error if a packed block has another size than it claims; asammdf reads other numbers from it."""
     how, plain, packed = _PACKED.unpack_from(data, address + _PACKED_AT)
     if how >= len(_PACKINGS) or packed > _length(data, address) - _PACKED_HEAD:
         raise ValueError(f"the block at {address:#x} is packed in an unknown way, or beyond its end")

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import io
-import os
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 from becalm.files.groups import GROUP, START, TIME, Group, tables
 from becalm.files.library_reader import Foreign
 from becalm.files.numbers import Column, least_bytes
-from becalm.files.recorders.tdms_pieces import in_pieces
 from becalm.files.recorders.tdms_writer import FILL
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.timing.time_column import is_time_name
@@ -46,33 +44,21 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "TDMS")
     library = foreign.library("nptdms")
-    file = _File(path)  # an open file, so that npTDMS does not use an index file, which may be outdated
-    try:
-        with foreign.explain_damage():
-            held = library.TdmsFile.open(file, raw_timestamps=True)
-            status = held.file_status
-            missing = {
-                name: one.expected_length - one.read_length
-                for name, one in ((status.channel_statuses or {}) if status.incomplete_final_segment else {}).items()
-            }
-            whole = not status.incomplete_final_segment and _ends_whole(path) and not _overpromised(held)
-            in_pieces(held)
-            groups = [one for group in held.groups() for one in _groups(foreign, group, missing)]
-            if not whole:
-                groups = [one._replace(notes=(*one.notes, _cut(one.rows))) for one in groups]
-            return tables(foreign, "tdms", groups, file.close)
-    except BaseException:
-        file.close()
-        raise
-
-
-class _File(io.FileIO):
-    """A file whose reads never allocate more than the file holds."""
-
-    def read(self, size: int | None = -1) -> bytes:
-        """Read up to `size` bytes, all by default."""
-        left = max(0, os.fstat(self.fileno()).st_size - self.tell())
-        return super().read(left if size is None or size < 0 else min(size, left)) or b""
+    with (
+        foreign.explain_damage(),
+        TemporaryDirectory(ignore_cleanup_errors=True) as folder,  # of arrays, which stay while they are used
+        path.open("rb") as file,  # an open file, so that npTDMS does not use an index file, which may be outdated
+    ):
+        held = library.TdmsFile.read(file, raw_timestamps=True, memmap_dir=folder)
+        status = held.file_status
+        missing = {
+            name: one.expected_length - one.read_length
+            for name, one in ((status.channel_statuses or {}) if status.incomplete_final_segment else {}).items()
+        }
+        groups = [one for group in held.groups() for one in _groups(foreign, group, missing)]
+    if status.incomplete_final_segment or not _ends_whole(path):
+        groups = [one._replace(notes=(*one.notes, _cut(one.rows))) for one in groups]
+    return tables(foreign, "tdms", groups)
 
 
 def _cut(rows: int) -> str:
@@ -93,12 +79,6 @@ def _ends_whole(path: Path) -> bool:
                 return False
             at += _LEAD_IN.size + length
     return at == size
-
-
-def _overpromised(held: Any) -> bool:
-    """Return whether a segment promises more values than fit into it; this uses internals of the library."""
-    segments = getattr(getattr(held, "_reader", None), "_segments", ())
-    return any(getattr(one, "final_chunk_lengths_override", None) for one in segments)
 
 
 def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[Group]:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -40,7 +37,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "ULog")
     library = foreign.library("pyulog")
-    with foreign.explain_damage(), path.open("rb") as file, _without_printing():
+    with foreign.explain_damage(), path.open("rb") as file:
         opened = WatchedFile(file)
         heading = library.ULog(_KeptOpen(opened), parse_header_only=True)
         sizes = _sizes(foreign, heading.message_formats)
@@ -61,13 +58,6 @@ class _KeptOpen:
 
     def close(self) -> None:
         """Do nothing, so that the file stays open."""
-
-
-@contextmanager
-def _without_printing() -> Iterator[None]:
-    """Suppress what the library prints."""
-    with redirect_stdout(io.StringIO()):
-        yield
 
 
 def _sizes(foreign: Foreign, formats: dict[str, Any]) -> dict[str, int]:
