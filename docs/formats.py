@@ -14,11 +14,13 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import NamedTuple
+from unittest.mock import patch
 
 import pyarrow as pa
 from format_files import files_table, table
@@ -27,8 +29,9 @@ from format_units import units_table
 from real_recordings import DATA
 
 from becalm.errors import BecalmError
-from becalm.files import registry
+from becalm.files import library_process, registry
 from becalm.files.library_reader import Foreign
+from becalm.files.source import RawTable
 from becalm.files.time_bases import open_file
 
 IDE = "endaq/test1.IDE"
@@ -73,18 +76,27 @@ def _libraries() -> Iterator[list[str]]:
         loaded.append(module.partition(".")[0])
         return theirs(self, module)
 
-    Foreign.library = library  # type: ignore[method-assign]
-    try:
+    with patch.object(Foreign, "library", library), _in_this_process():
         yield loaded
-    finally:
-        Foreign.library = theirs  # type: ignore[method-assign]
+
+
+@contextmanager
+def _in_this_process() -> Iterator[None]:
+    """Read formats of other libraries in this process, so that it can be seen what they load and hold."""
+
+    def read_here(module: str, path: Path) -> tuple[RawTable, ...]:
+        tables: tuple[RawTable, ...] = import_module(module).read(path)
+        return tables
+
+    with patch.object(library_process, "read_apart", read_here):
+        yield
 
 
 def held_bytes(small: Path, large: Path) -> int:
     """Return by how many bytes memory grows when a large file is opened; a small one comes first, for the libraries."""
     read(small)
     before = _memory_bytes()
-    with open_file(large):
+    with _in_this_process(), open_file(large):
         return _memory_bytes() - before
 
 
