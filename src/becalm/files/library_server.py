@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from importlib import import_module
@@ -18,6 +20,7 @@ from becalm.files.source import RawTable
 
 _LEAST_BYTES = 2 << 30  # of memory, whatever the size of the file
 _BYTES_PER_BYTE = 64  # of memory, per byte of the file: it may be packed, and is held more than once
+_LONGEST_S, _LEAST_BYTES_PER_S = 3600.0, 1e5  # of computing: a fixed time, and more for a large file
 
 
 class _Ahead(NamedTuple):
@@ -61,7 +64,7 @@ class _Server:
         self._close()
         self._path = request["path"]
         os.chdir(request["folder"])
-        _limit_memory(Path(self._path))
+        _set_limits(Path(self._path))
         self._tables = import_module(request["module"]).read(Path(self._path))
         return self._tables
 
@@ -109,8 +112,11 @@ def _described(table: RawTable) -> dict[str, Any]:
     }
 
 
-def _limit_memory(path: Path) -> None:
-    """Limit the memory of this process by the size of a file, where the system can."""
+def _set_limits(path: Path) -> None:
+    """Limit memory and time of this process by the size of a file, where the system can.
+
+    The time is longer than anybody waits: it ends a process that hangs after becalm has ended.
+    """
     try:
         import resource
     except ImportError:  # Windows
@@ -118,12 +124,15 @@ def _limit_memory(path: Path) -> None:
     size = sum(one.stat().st_size for one in (path.iterdir() if path.is_dir() else [path]))
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     most = _LEAST_BYTES + size + min(_BYTES_PER_BYTE * size, machine)
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+    until_s = time.process_time() + _LONGEST_S + size / _LEAST_BYTES_PER_S
+    for what, limit in ((resource.RLIMIT_AS, most), (resource.RLIMIT_CPU, int(until_s))):
+        _, hard = resource.getrlimit(what)
+        resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
 def main() -> None:
     """Answer requests until there are no more; nothing that a library prints may mix with the answers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks decides when it ends
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     server = _Server(answers)
