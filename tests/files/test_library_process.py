@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable
@@ -17,7 +18,8 @@ from becalm.errors import InputError
 from becalm.files import library_process
 from becalm.files.library_process import read_apart
 from becalm.files.registry import read_tables
-from mdf_logs import SIGNAL, signal
+from mdf_logs import SIGNAL
+from mdf_logs import signal as mdf_signal
 from mdf_logs import written as mdf
 from tdms_logs import channel
 from tdms_logs import written as tdms
@@ -49,7 +51,8 @@ def read(path):
     opening, reading = path.read_text().split()
     misbehave(opening)
     def rows(first, last):
-        misbehave(reading)
+        if first or not reading.startswith("later-"):
+            misbehave(reading.removeprefix("later-"))
         return np.arange(first, last)
     foreign = Foreign(path, "TEST")
     return tables(foreign, "test", [Group("", {"a": Column(pa.int64(), rows)}, 10)])
@@ -61,6 +64,12 @@ SAYS = {
     "hang": "was not read within 2 s",
     "fill": "needs too much memory",
 }
+
+
+def _array(path: Path, values: list[float]) -> Path:
+    with h5py.File(path, "w") as file:
+        file["x"] = values
+    return path
 
 
 @pytest.fixture
@@ -96,17 +105,49 @@ def test_a_library_that_misbehaves_when_it_reads_rows(how: str, reader: str) -> 
     table.rows.close()
 
 
+@pytest.mark.parametrize("how", ["crash", "hang"])
+def test_the_next_file_is_not_blamed(how: str, reader: str) -> None:
+    Path("bad.test").write_text(f"not later-{how}")
+    (table,) = read_apart(reader, Path("bad.test"))
+    assert next(iter(table.blocks(["a"], 0, 5)))["a"].to_pylist() == [0, 1, 2, 3, 4]
+    table.rows.close()  # while the process reads ahead
+    Path("good.test").write_text("not not")
+    (table,) = read_apart(reader, Path("good.test"))
+    assert next(iter(table.blocks(["a"])))["a"].to_pylist() == list(range(10))
+    table.rows.close()
+
+
+def test_an_interrupted_read_leaves_no_answer_for_the_next(reader: str) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    Path("slow.test").write_text("hang not")
+    Path("good.test").write_text("not not")
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.3)
+        with pytest.raises(KeyboardInterrupt):
+            read_apart(reader, Path("slow.test"))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    (table,) = read_apart(reader, Path("good.test"))
+    table.rows.close()
+
+
+def test_a_closed_table_is_refused(tmp_path: Path) -> None:
+    (table,) = read_tables(_array(tmp_path / "a.h5", [1.0, 2.0]))
+    table.rows.close()
+    read_tables(_array(tmp_path / "b.h5", [3.0, 4.0]))[0].rows.close()
+    with pytest.raises(InputError, match="is closed"):
+        list(table.blocks(["x"]))
+
+
 def test_what_a_library_prints_is_not_seen(reader: str, capfd: pytest.CaptureFixture[str]) -> None:
     Path("a.test").write_text("not not")
     (table,) = read_apart(reader, Path("a.test"))
     assert [value for block in table.blocks(["a"], 3, 2) for value in block["a"].to_pylist()] == list(range(3, 10))
     assert capfd.readouterr() == ("", "")
-
-
-def _array(path: Path, values: list[float]) -> Path:
-    with h5py.File(path, "w") as file:
-        file["x"] = values
-    return path
 
 
 def test_files_that_are_open_together_and_closed_in_any_order(tmp_path: Path) -> None:
@@ -151,21 +192,25 @@ def test_blocks_of_several_threads_do_not_mix(tmp_path: Path) -> None:
 def test_a_process_that_forked_has_one_of_its_own(tmp_path: Path) -> None:
     (table,) = read_tables(_array(tmp_path / "a.h5", [1.0, 2.0, 3.0]))
     table.rows.close()
+    (kept,) = read_tables(tmp_path / "a.h5")
     child = os.fork()
     if not child:
+        with pytest.raises(InputError, match="forked"):
+            list(kept.blocks(["x"]))
         (other,) = read_tables(tmp_path / "a.h5")
         right = next(iter(other.blocks(["x"])))["x"].to_pylist() == [1.0, 2.0, 3.0]
         other.rows.close()
         library_process._end_idle()
         os._exit(0 if right else 1)
     assert os.waitpid(child, 0)[1] == 0
+    kept.rows.close()
     (again,) = read_tables(tmp_path / "a.h5")
     assert next(iter(again.blocks(["x"])))["x"].to_pylist() == [1.0, 2.0, 3.0]
     again.rows.close()
 
 
 FILES: dict[str, tuple[str, Callable[[Path], Path]]] = {
-    "asammdf": ("recorders.mf4", lambda folder: mdf(folder, [signal("a", SIGNAL)])),
+    "asammdf": ("recorders.mf4", lambda folder: mdf(folder, [mdf_signal("a", SIGNAL)])),
     "h5py": ("arrays.hdf5", lambda folder: _array(folder / "a.h5", [1.0, 2.0])),
     "idelib.importer": ("recorders.ide", lambda folder: LOGS["ide"](folder / "a.ide")),
     "mcap.stream_reader": ("robots.mcap", lambda folder: LOGS["json"](folder / "a.mcap")),

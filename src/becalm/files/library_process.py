@@ -10,11 +10,13 @@ import atexit
 import json
 import os
 import subprocess
+import sys
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from threading import Lock, Timer
-from typing import Any
+from threading import Event, RLock, Timer
+from typing import IO, Any, ClassVar
 from weakref import finalize
 
 import pyarrow as pa
@@ -48,15 +50,21 @@ def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
     InputError
         If the file cannot be read, or the process crashes, hangs, or needs too much memory.
     """
-    process = _LibraryProcess.take()
+    process = _LibraryProcess.take(path)
+    folder = "" if path.is_absolute() else str(Path.cwd())
     try:
-        answer = process.ask(path, {"module": module, "path": str(path), "folder": str(Path.cwd())})
+        answer = process.ask(path, {"module": module, "path": _own_name(path), "folder": folder})
     except BaseException:
         process.put_back()
         raise
     tables = answer["tables"]
     shared = _OpenFile(process, path, len(tables))
     return tuple(_table(shared, number, table) for number, table in enumerate(tables))
+
+
+def _own_name(path: Path) -> str:
+    """Return a name of the file that another process understands, too: /dev/stdin is another one there."""
+    return os.path.realpath(path) if path.parts[1:2] in (("dev",), ("proc",)) else str(path)
 
 
 def _table(shared: _OpenFile, number: int, table: Mapping[str, Any]) -> RawTable:
@@ -101,10 +109,12 @@ class _OpenFile:
 
     def __init__(self, process: _LibraryProcess, path: Path, tables: int) -> None:
         self._process, self._path, self._left = process, path, tables
-        self._free = finalize(self, process.put_back)  # also where nobody closes the tables
+        self._free = finalize(self, process.put_back)  # where nobody closes the tables
 
     def rows(self, request: Mapping[str, Any]) -> pa.Table | None:
         """Return the requested rows, or None after the last."""
+        if not self._free.alive:
+            raise InputError(f"{self._path} is closed; open it again.")
         answer: pa.Table | None = self._process.ask(self._path, request)["rows"]
         return answer
 
@@ -112,44 +122,66 @@ class _OpenFile:
         """Close a table; with the last one the process is free for another file."""
         self._left -= 1
         if not self._left:
+            self._process.close_file()
             self._free()
 
 
 class _LibraryProcess:
     """A process that reads one file at a time."""
 
-    _idle: _LibraryProcess | None = None
-    _lock = Lock()
+    _idle: ClassVar[deque[_LibraryProcess]] = deque()  # appending is safe wherever the garbage collector runs
 
     def __init__(self) -> None:
         self._owner = os.getpid()
-        self._asking = Lock()
+        self._asking = RLock()
+        self._closing = False  # whether an answer to the last request, to close the file, is still to come
         self._process = subprocess.Popen(
             [*MODULE, "becalm.files.library_server"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            pipesize=_PIPE_BYTES,
             stderr=subprocess.DEVNULL,
             env=environment() | _FEW_THREADS,
         )
+        _widen(self._process.stdout)
 
     @classmethod
-    def take(cls) -> _LibraryProcess:
-        """Return the idle process, or a new one; a process that forked has none of its parent's."""
-        with cls._lock:
-            idle, cls._idle = cls._idle, None
-        if idle is not None and idle._owner == os.getpid() and idle._process.poll() is None:
-            return idle
-        return cls()
+    def take(cls, path: Path) -> _LibraryProcess:
+        """Return a process that waits for a file, or a new one; a process that forked has none of its parent's.
+
+        Raises
+        ------
+        InputError
+            If no process can be started.
+        """
+        found = None
+        while cls._idle:
+            idle = cls._idle.pop()
+            if found is None and idle._is_free():
+                found = idle
+            else:
+                idle.end()
+        if found is not None:
+            return found
+        try:
+            return cls()
+        except OSError as cause:
+            raise InputError(f"{path} is read in a process of its own, which cannot be started: {cause}.") from cause
+
+    def _is_free(self) -> bool:
+        """Return whether the process has closed its file, and waits; one that hangs or crashed in it does not."""
+        if self._owner != os.getpid():
+            return False
+        self.close_file()
+        return self._closing and self._limited({"wait": True}, _ENDS_WITHIN_S)[0] is not None
+
+    def close_file(self) -> None:
+        """Let the process close its file."""
+        if not self._closing and self._owner == os.getpid() and self._process.poll() is None:
+            self._closing = self._send({})
 
     def put_back(self) -> None:
-        """Close its file and keep it for another one; end it if one is kept already."""
-        with self._lock:
-            if self._idle is None and self._owner == os.getpid() and self._process.poll() is None:
-                self._send({})
-                _LibraryProcess._idle = self
-                return
-        self.end()
+        """Keep the process for another file."""
+        self._idle.append(self)
 
     def end(self) -> None:
         """End the process: it ends by itself if there are no more requests, and is killed if it does not."""
@@ -171,26 +203,44 @@ class _LibraryProcess:
         InputError
             If the file cannot be read, or the process ended, or took too long.
         """
-        limit_s = LONGEST_S + _size(path) / BYTES_PER_S
-        late = Timer(limit_s, self._process.kill)
-        with self._asking:
-            late.start()
-            try:
-                answer = self._answer(request)
-            except (OSError, ValueError, pa.ArrowException):
-                answer = None
-            finally:
-                waited = late.finished.is_set()
-                late.cancel()
+        if self._owner != os.getpid():
+            raise InputError(f"{path} was opened before this process was forked from another; open it here.")
+        limit_s = LONGEST_S + file_bytes(path) / BYTES_PER_S
+        answer, late = self._limited(request, limit_s)
         if answer is None:
-            raise InputError(self._why_it_ended(path, waited, limit_s))
+            raise InputError(self._why_it_ended(path, late, limit_s))
         if "error" in answer:
             raise getattr(errors, answer["error"])(answer["says"])
         return answer
 
+    def _limited(self, request: Mapping[str, Any], limit_s: float) -> tuple[dict[str, Any] | None, bool]:
+        """Return the answer to a request, or None if the process does not give it, and whether it took too long."""
+        late = Event()
+
+        def stop() -> None:
+            late.set()
+            self._process.kill()
+
+        timer = Timer(limit_s, stop)
+        timer.daemon = True
+        with self._asking:
+            try:
+                timer.start()
+                return self._answer(request), late.is_set()
+            except (OSError, ValueError, pa.ArrowException):
+                self._process.kill()
+                return None, late.is_set()
+            except BaseException:  # an answer that is not read would be taken for the next one
+                self._process.kill()
+                raise
+            finally:
+                timer.cancel()
+
     def _answer(self, request: Mapping[str, Any]) -> dict[str, Any] | None:
         answers = self._process.stdout
-        if not self._send(request) or answers is None:
+        if answers is None:
+            return None
+        if "wait" not in request and not self._send(request):
             return None
         line = answers.readline()
         if not line.endswith(b"\n"):
@@ -199,6 +249,7 @@ class _LibraryProcess:
         if answer.get("rows") is True:
             with pa.ipc.open_stream(answers) as stream:
                 answer["rows"] = stream.read_all()
+        self._closing = False
         return answer
 
     def _send(self, request: Mapping[str, Any]) -> bool:
@@ -213,9 +264,10 @@ class _LibraryProcess:
             return False
         return True
 
-    def _why_it_ended(self, path: Path, waited: bool, limit_s: float) -> str:
+    def _why_it_ended(self, path: Path, late: bool, limit_s: float) -> str:
+        self._process.kill()
         code = self._process.wait()
-        if waited:
+        if late:
             return (
                 f"{path} was not read within {limit_s:.0f} s; its library hangs, as with a damaged file. Copy or"
                 " download it again."
@@ -226,19 +278,30 @@ class _LibraryProcess:
         )
 
 
+def _widen(pipe: IO[bytes] | None) -> None:
+    """Let a pipe hold more, where the system allows it: rows then come in fewer parts."""
+    if pipe is not None and sys.platform == "linux":
+        import fcntl
+
+        with suppress(OSError):
+            fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+
+
 def _ending(code: int) -> str:
     return f"signal {-code}" if code < 0 else f"exit code {code}"
 
 
-def _size(path: Path) -> int:
+def file_bytes(path: Path) -> int:
     """Return the number of bytes of a file, or of a folder's files."""
-    try:
-        return sum(one.stat().st_size for one in (path.iterdir() if path.is_dir() else [path]))
-    except OSError:  # reading it says why
-        return 0
+    size = 0
+    with suppress(OSError):  # reading it says why
+        for one in path.iterdir() if path.is_dir() else [path]:
+            with suppress(OSError):
+                size += one.stat().st_size
+    return size
 
 
 @atexit.register
 def _end_idle() -> None:
-    if _LibraryProcess._idle is not None:
-        _LibraryProcess._idle.end()
+    while _LibraryProcess._idle:
+        _LibraryProcess._idle.pop().end()

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, NamedTuple
 import pyarrow as pa
 
 from becalm.errors import BecalmError
+from becalm.files.library_process import file_bytes
 from becalm.files.source import RawTable
 
 _LEAST_BYTES = 2 << 30  # of memory, whatever the size of the file
@@ -36,14 +37,16 @@ class _Server:
 
     def __init__(self, answers: BinaryIO) -> None:
         self._answers = answers
+        self._path = ""
         self._tables: tuple[RawTable, ...] = ()
         self._ahead: _Ahead | None = None
 
     def answer(self, request: dict[str, Any]) -> None:
-        """Answer a request: open a file, or read rows of a table; an empty one closes the file, without an answer."""
+        """Answer a request: open a file, or read rows of a table; an empty one closes the file."""
         try:
             if not request:
                 self._close()
+                self._send({})
             elif "module" in request:
                 self._send({"tables": [_described(table) for table in self._open(request)]})
             else:
@@ -54,16 +57,21 @@ class _Server:
         except MemoryError:
             says = f"{self._path} needs too much memory to be read; it is damaged, or made to fill the memory."
             self._send({"error": "InputError", "says": says})
+        except Exception as cause:  # such as a folder that is gone
+            says = f"{self._path} cannot be read ({type(cause).__name__}: {cause})."
+            self._send({"error": "InputError", "says": says})
 
     def _close(self) -> None:
         for table in self._tables:
             table.rows.close()
         self._tables, self._ahead = (), None
+        os.chdir(os.sep)  # it may hold no folder that others want to remove
 
     def _open(self, request: Mapping[str, Any]) -> tuple[RawTable, ...]:
         self._close()
         self._path = request["path"]
-        os.chdir(request["folder"])
+        if request["folder"]:
+            os.chdir(request["folder"])
         _set_limits(Path(self._path))
         self._tables = import_module(request["module"]).read(Path(self._path))
         return self._tables
@@ -121,7 +129,7 @@ def _set_limits(path: Path) -> None:
         import resource
     except ImportError:  # Windows
         return
-    size = sum(one.stat().st_size for one in (path.iterdir() if path.is_dir() else [path]))
+    size = file_bytes(path)
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     most = _LEAST_BYTES + size + min(_BYTES_PER_BYTE * size, machine)
     until_s = time.process_time() + _LONGEST_S + size / _LEAST_BYTES_PER_S
@@ -132,7 +140,9 @@ def _set_limits(path: Path) -> None:
 
 def main() -> None:
     """Answer requests until there are no more; nothing that a library prints may mix with the answers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks decides when it ends
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # whoever asks decides when it ends
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     server = _Server(answers)

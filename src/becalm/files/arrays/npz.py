@@ -97,7 +97,7 @@ def _take(contents: FileArrays, path: tuple[str, ...], data: bytes) -> None:
             return
         contents.notes.append(_CUT.format(name, rows, shape[0]))
         claimed, shape = shape, (rows, *shape[1:])
-    elif available < kind.itemsize:
+    elif not shape and available < kind.itemsize:
         contents.notes.append(f"{name!r} is not read: the file ends in it.")
         return
     count = int(np.prod(shape, dtype=object))
