@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from becalm.files.unit_spelling import tidy_unit
 _LEAD_IN = struct.Struct("<4siiQQ")
 _UNFINISHED = 0xFFFFFFFFFFFFFFFF
 _BIG_ENDIAN = 1 << 6
+_HELD_BYTES = 1 << 22  # of a channel, in memory
 _PRESET_S = 1.0  # default time step of LabVIEW; a channel of times in the same group is more reliable
 _NOT_SET_BEFORE = np.datetime64("1905-01-01")  # the zero of TDMS times is 1904
 
@@ -44,21 +45,22 @@ def read(path: Path) -> tuple[RawTable, ...]:
     """
     foreign = Foreign(path, "TDMS")
     library = foreign.library("nptdms")
-    with (
-        foreign.explain_damage(),
-        TemporaryDirectory(ignore_cleanup_errors=True) as folder,  # of arrays, which stay while they are used
-        path.open("rb") as file,  # an open file, so that npTDMS does not use an index file, which may be outdated
-    ):
-        held = library.TdmsFile.read(file, raw_timestamps=True, memmap_dir=folder)
-        status = held.file_status
-        missing = {
-            name: one.expected_length - one.read_length
-            for name, one in ((status.channel_statuses or {}) if status.incomplete_final_segment else {}).items()
-        }
-        groups = [one for group in held.groups() for one in _groups(foreign, group, missing)]
-    if status.incomplete_final_segment or not _ends_whole(path):
-        groups = [one._replace(notes=(*one.notes, _cut(one.rows))) for one in groups]
-    return tables(foreign, "tdms", groups)
+    file = path.open("rb")  # an open file, so that npTDMS does not use an index file, which may be outdated
+    try:
+        with foreign.explain_damage():
+            held = library.TdmsFile.open(file, raw_timestamps=True)
+            status = held.file_status
+            missing = {
+                name: one.expected_length - one.read_length
+                for name, one in ((status.channel_statuses or {}) if status.incomplete_final_segment else {}).items()
+            }
+            groups = [one for group in held.groups() for one in _groups(foreign, group, missing)]
+            if status.incomplete_final_segment or not _ends_whole(path):
+                groups = [one._replace(notes=(*one.notes, _cut(one.rows))) for one in groups]
+            return tables(foreign, "tdms", groups, file.close)
+    except BaseException:
+        file.close()
+        raise
 
 
 def _cut(rows: int) -> str:
@@ -157,10 +159,29 @@ def _unit(properties: dict[str, Any]) -> str:
 
 
 def _reader(channel: Any, tidy: Callable[[Any], NDArray[np.generic]]) -> Callable[[int, int], NDArray[np.generic]]:
+    held: Any = None
+
     def read_rows(first: int, last: int) -> NDArray[np.generic]:
-        values = tidy(channel[first:last])
+        nonlocal held
+        if held is None:
+            held = _values(channel)
+        values = tidy(held[first:last])
         if len(values) != last - first:
             raise ValueError(f"{channel.name} has {first + len(values)} values, not {len(channel)}")
         return values
 
     return read_rows
+
+
+def _values(channel: Any) -> Any:
+    """Return all values of a channel, many of them in a temporary file: npTDMS reads a chunk anew for each slice."""
+    kind = np.dtype(channel.dtype)
+    if kind.kind not in "iufbc" or len(channel) * kind.itemsize <= _HELD_BYTES:
+        return channel[:]
+    at = 0
+    with TemporaryFile() as file:  # the array keeps what is in it
+        values = np.memmap(file, kind, "w+", shape=(len(channel),))
+    for chunk in channel.data_chunks():
+        values[at : at + len(chunk)] = chunk[:]
+        at += len(chunk)
+    return values[:at]
