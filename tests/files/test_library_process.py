@@ -6,17 +6,21 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from becalm.errors import InputError
 from becalm.files import library_process
 from becalm.files.library_process import read_apart
+from becalm.files.library_server import _Server
 from becalm.files.registry import read_tables
 from mdf_logs import SIGNAL
 from mdf_logs import signal as mdf_signal
@@ -55,7 +59,7 @@ def read(path):
             misbehave(reading.removeprefix("later-"))
         return np.arange(first, last)
     foreign = Foreign(path, "TEST")
-    return tables(foreign, "test", [Group("", {"a": Column(pa.int64(), rows)}, 10)])
+    return tables(foreign, "test", [Group("", {"a": Column(pa.int64(), rows), "b": Column.of(np.arange(10))}, 10)])
 '''
 
 SAYS = {
@@ -108,12 +112,24 @@ def test_a_library_that_misbehaves_when_it_reads_rows(how: str, reader: str) -> 
 def test_the_next_file_is_not_blamed(how: str, reader: str) -> None:
     Path("bad.test").write_text(f"not later-{how}")
     (table,) = read_apart(reader, Path("bad.test"))
-    assert next(iter(table.blocks(["a"], 0, 5)))["a"].to_pylist() == [0, 1, 2, 3, 4]
+    assert next(iter(table.blocks(["a", "b"], 0, 5)))["a"].to_pylist() == [0, 1, 2, 3, 4]
     table.rows.close()  # while the process reads ahead
     Path("good.test").write_text("not not")
     (table,) = read_apart(reader, Path("good.test"))
     assert next(iter(table.blocks(["a"])))["a"].to_pylist() == list(range(10))
     table.rows.close()
+
+
+def test_an_error_ahead_is_no_answer() -> None:
+    def blocks(*_: object) -> Iterator[pa.Table]:
+        yield pa.table({"a": [1]})
+        raise RuntimeError
+
+    answers = BytesIO()
+    server = _Server(answers)
+    server._tables = (SimpleNamespace(rows=SimpleNamespace(blocks=blocks)),)  # type: ignore[assignment]
+    server.answer({"table": 0, "names": ["a"], "most": 1, "start": 0})
+    assert b"error" not in answers.getvalue()
 
 
 def test_an_interrupted_read_leaves_no_answer_for_the_next(reader: str) -> None:

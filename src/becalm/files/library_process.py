@@ -23,6 +23,7 @@ import pyarrow as pa
 
 from becalm import errors
 from becalm.errors import InputError
+from becalm.files.library_reader import file_bytes
 from becalm.files.source import FormatTime, RawTable
 from becalm.installation import MODULE, environment
 
@@ -165,7 +166,10 @@ class _LibraryProcess:
         try:
             return cls()
         except OSError as cause:
-            raise InputError(f"{path} is read in a process of its own, which cannot be started: {cause}.") from cause
+            raise InputError(
+                f"{path} is read in a process of its own, which cannot be started"
+                f" ({cause}); close other files or programs, and try again."
+            ) from cause
 
     def _is_free(self) -> bool:
         """Return whether the process has closed its file, and waits; one that hangs or crashed in it does not."""
@@ -289,16 +293,6 @@ def _widen(pipe: IO[bytes] | None) -> None:
 
 def _ending(code: int) -> str:
     return f"signal {-code}" if code < 0 else f"exit code {code}"
-
-
-def file_bytes(path: Path) -> int:
-    """Return the number of bytes of a file, or of a folder's files."""
-    size = 0
-    with suppress(OSError):  # reading it says why
-        for one in path.iterdir() if path.is_dir() else [path]:
-            with suppress(OSError):
-                size += one.stat().st_size
-    return size
 
 
 @atexit.register

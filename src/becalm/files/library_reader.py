@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -86,8 +86,7 @@ class Foreign:
         InputError
             If the file claims to hold far more than its size.
         """
-        parts = self.path.iterdir() if self.path.is_dir() else [self.path]
-        refuse_claim(self.path, wanted_bytes, sum(part.stat().st_size for part in parts))
+        refuse_claim(self.path, wanted_bytes, file_bytes(self.path))
 
     def refuse_unpacking(self, more_bytes: int) -> None:
         """Add the size of another compressed part, and refuse it if the sum is implausible for a file of this size.
@@ -100,6 +99,16 @@ class Foreign:
         self._unpacked += more_bytes
         if self._unpacked > _SMALL:
             self.refuse_claim(self._unpacked)
+
+
+def file_bytes(path: Path) -> int:
+    """Return the number of bytes of a file, or of a folder's files."""
+    size = 0
+    with suppress(OSError):  # reading it says why
+        for one in path.iterdir() if path.is_dir() else [path]:
+            with suppress(OSError):
+                size += one.stat().st_size
+    return size
 
 
 def refuse_claim(path: Path, wanted_bytes: int, size: int) -> None:

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, NamedTuple
 import pyarrow as pa
 
 from becalm.errors import BecalmError
-from becalm.files.library_process import file_bytes
+from becalm.files.library_reader import file_bytes
 from becalm.files.source import RawTable
 
 _LEAST_BYTES = 2 << 30  # of memory, whatever the size of the file
@@ -55,10 +55,12 @@ class _Server:
         except BecalmError as cause:
             self._send({"error": type(cause).__name__, "says": str(cause)})
         except MemoryError:
-            says = f"{self._path} needs too much memory to be read; it is damaged, or made to fill the memory."
+            says = f"{self._path} needs too much memory; it is damaged, or made to fill it. Copy or download it again."
             self._send({"error": "InputError", "says": says})
         except Exception as cause:  # such as a folder that is gone
-            says = f"{self._path} cannot be read ({type(cause).__name__}: {cause})."
+            says = (
+                f"{self._path} cannot be read ({type(cause).__name__}: {cause}); give its whole path, or copy it again."
+            )
             self._send({"error": "InputError", "says": says})
 
     def _close(self) -> None:
@@ -92,7 +94,7 @@ class _Server:
         """Read the block that will be asked for next, while the last one is worked on."""
         ahead, self._ahead = self._ahead, None
         if ahead is not None:
-            with suppress(BecalmError, MemoryError):  # whoever asks for it gets the error
+            with suppress(Exception):  # whoever asks for it gets the error
                 self._ahead = ahead._replace(block=next(ahead.blocks, None))
 
     def _send(self, answer: Mapping[str, Any]) -> None:
