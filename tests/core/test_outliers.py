@@ -63,6 +63,49 @@ def test_two_outliers_side_by_side_do_not_hide_each_other() -> None:
     assert found(z) == found_causally(z, find_outlier_rule(z)) == [500, 501, 1000, 1002]
 
 
+@pytest.mark.parametrize("share", [0.06, 0.1, 0.13])
+def test_one_reading_in_eight_may_be_impossible(share: float) -> None:
+    rng = np.random.default_rng(6)
+    wild = rng.permutation(np.arange(60) < round(share * 60))
+    wild[1:] &= ~wild[:-1]
+    z = np.where(wild, rng.choice([-1.0, 1.0], 60) * 2.0 ** rng.integers(12, 20, 60), 5 + 0.1 * noise(rows=60))
+    assert found(z) == np.flatnonzero(wild).tolist()
+
+
+def test_pulses_are_no_outliers_if_they_are_many() -> None:
+    """A pulse is one reading, a hundred thousand times the noise; all are alike."""
+    z = 0.01 * noise()
+    z[::7] = 1e3 * (1 + 0.2 * np.random.default_rng(7).random(len(z[::7])))
+    assert found(z) == []
+
+
+def test_a_peak_that_motion_leads_up_to_is_no_outlier() -> None:
+    """Bursts of three readings, of very different size, a hundred thousand times the noise."""
+    z, rng = 0.01 * noise(), np.random.default_rng(8)
+    for first in range(20, len(z) - 20, 25):
+        z[first : first + 3] = np.array([0.95, 1.0, 0.97]) * 10 ** rng.uniform(2, 4)
+    assert found(z) == []
+
+
+def test_zeros_in_a_coarse_record_are_missing_readings() -> None:
+    z = np.round(np.linspace(5.0, 3.0, 2000) + 0.02 * noise(rows=2000), 1) + 0.0
+    z = np.round(z / 0.2) * 0.2
+    z[700:710] = 0.0
+    assert found(z) == list(range(700, 710))
+    gears = np.repeat([1.0, 2, 3, 4, 5, 6, 5, 4, 3, 2], 200)
+    gears[700:710] = 0.0
+    assert find_outlier_rule(gears).far_from_0 == 0.0
+
+
+def test_wild_readings_of_either_sign_do_not_support_each_other() -> None:
+    """At the end of a gap, where three of the neighbours are wild."""
+    z = 5 + 0.1 * noise(rows=400)
+    z[:100] = np.nan
+    z[[20, 40, 60, 80, 90]] = -500.0, 1e6, -1e6, 518.0, -250.0
+    rule = Outliers(2.0, 8.0, -4.0, 14.0, True)
+    assert found_by(z, rule) == [20, 40, 60, 80, 90]
+
+
 @pytest.mark.parametrize(("value", "count"), [*product([0.0, -999.0], [1, 4, 10, LONGEST_0 - 1]), (-999.0, 300)])
 def test_equal_readings_far_out_are_outliers(value: float, count: int) -> None:
     z = 9.81 + 0.02 * noise()
@@ -360,7 +403,7 @@ def test_a_causal_rule_tells_the_same_wherever_the_record_is_cut(z: Floats, as_o
 @given(records())
 def test_nothing_is_locked_out(z: Floats) -> None:
     """Of readings that differ, one in three is believed where they agree with the two before them."""
-    rule = Outliers(30.0, 60.0, -1e12, 1e12, False)
+    rule = Outliers(30.0, 60.0, -1e100, 1e100, False)  # no reading is impossible
     codes = Faults(Limits(outliers=rule)).push(z, np.ones(len(z)))
     seen = z[np.isfinite(z)]
     told = codes[np.isfinite(z)] == Verdict.OUTLIER

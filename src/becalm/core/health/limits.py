@@ -36,7 +36,7 @@ _LATTICE = 1e-5  # of a step: text and arithmetic may round a reading off its co
 _ROUNDED = 1e-4  # of a step: the same for a distance, while the step is not yet accurate
 _FEWEST_CODES = 3  # two codes lie on any lattice
 _MOST_CODES = 1 << 16  # values that are searched for a lattice
-_MOST_ALIKE, _FEWEST_ALIKE = 0.95, 8  # share of readings, and number of values, that repeat and so determine the step
+_MOST_ALIKE = 0.95  # share of readings that have a value of another, and so determine the step
 _EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, and the share of rows that come so close, in even time
 _SLOW = 1e-3  # of a step: largest mean deviation of even time
 _LEAVES = 1 / 36  # share of the plausible range: if noise leaves a value by larger jumps, it marks missing readings
@@ -179,7 +179,7 @@ def find_resolution(z: Floats) -> float:
     """
     values, counts = np.unique(z, return_counts=True)
     often = counts > 1
-    are_codes = counts[often].sum() >= _MOST_ALIKE * len(z) and np.count_nonzero(often) >= _FEWEST_ALIKE
+    are_codes = counts[often].sum() >= _MOST_ALIKE * len(z)
     return (_step_of(values[often]) if are_codes else 0.0) or _step_of(values)
 
 

@@ -24,7 +24,7 @@ from becalm.native.scans import (
 # Find the value that marks missing readings in a log.
 
 _FEWEST_MARKED, _SHARE = 20, 0.05  # least number and share of readings that have the marker
-_FEWEST_VALUES = 16  # least number of different readings
+_FEWEST_VALUES, _FEWEST_CODES = 16, 6  # least number of different readings; the same if they are far from 0
 _OFTENER, _NEIGHBOURS = 10.0, 5  # how often it comes, over the median of this many values on each side
 _RUN = 3  # rows: most runs of the marker are no longer
 _MARKER_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around it, over their noise and their difference
@@ -96,6 +96,9 @@ MOST_OUTLIERS = 0.1
 """Largest share of outliers; readings that come more often are not exceptions."""
 
 _FEWEST = 8  # readings needed to measure jumps
+_IMPOSSIBLE, _MOST_IMPOSSIBLE = 1000.0, 0.2  # distance that no motion reaches, over the middle half; largest share
+_ALIKE = 2.0  # largest over smallest pulse of a signal
+_NEAR = 0.1  # difference of readings of one motion, over their distance from the bulk
 _NOISES = 30.0  # smallest distance of a gross outlier, in standard deviations of the noise
 _OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # median and 90 % quantile of the distance from neighbours, for white noise
 _AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # of an outlier's distance; at most this share of moving readings is that far away
@@ -105,6 +108,7 @@ _JUMPS = 2.0  # limit for a causal jump, over the largest jump in the record
 _HIDDEN = 0.1  # number of outliers hidden in equally large motion, over the number detected
 _RARE = 0.05  # share of readings that equal the one before
 _FAR, _MOVES = 1 / 12, 6.0  # smallest distance from 0: share of the bulk's range, and in median steps
+_AMID = 0.5  # the same for a few codes: share of their range
 _BULK = 0.01, 0.99  # quantiles that bound the bulk of the readings
 _BY_CHANCE = 0.05  # expected number of readings rounded to 0, at most, if 0 is not a reading
 _SECOND = 1.732  # second differences of white noise, over first ones
@@ -139,10 +143,11 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     values = seen[~repeats] if held else _without_repeats(seen, repeats) if are_one else seen
     if len(values) < _FEWEST:
         return NO_OUTLIERS
-    distances, spreads = distances_of(values)
-    distance = _least_distance(distances, spreads)
-    kept = _without_outliers(values, distances, spreads, distance)
-    if not 0 < distance < np.inf or len(values) - len(kept) > max(MOST_OUTLIERS * len(values), 1):
+    impossible = _impossible(values)
+    if np.count_nonzero(impossible) > MOST_OUTLIERS / 2 * len(values):  # so many distort the distances of others
+        values = values[~impossible]
+    distance, kept = _split(values)
+    if not distance:
         return NO_OUTLIERS._replace(blank=blank)
     jumps, hidden = measure_jumps(input_of(kept)), int(_HIDDEN * (len(values) - len(kept)))
     largest = float(np.sort(jumps)[: max(len(jumps) - hidden, 1)].max(initial=0.0))
@@ -151,6 +156,37 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     margin = max(high - low, causal)
     far = 0.0 if rests or blank == 0 else _far_from_0(seen, kept, resolution if are_one else np.inf)
     return Outliers(distance, causal, low - margin, high + margin, are_one, blank, far)
+
+
+def _split(values: Floats) -> tuple[float, Floats]:
+    """Return the smallest distance of an outlier from its neighbours, in unit, and the readings that are none.
+
+    The distance is 0 if readings (N,) do not determine it, or if more are outliers than can be exceptions.
+    """
+    if len(values) < _FEWEST:
+        return 0.0, values
+    distances, spreads = distances_of(values)
+    distance = _least_distance(distances, spreads)
+    kept = _without_outliers(values, distances, spreads, distance)
+    too_many = len(values) - len(kept) > max(MOST_OUTLIERS * len(values), 1)
+    return (0.0 if too_many or not distance < np.inf else distance), kept
+
+
+def _impossible(values: Floats) -> Booleans:
+    """Return which readings (N,) no motion reaches: a thousand times as far away as the bulk is wide.
+
+    They differ in size, and each is alone. Pulses of a signal are alike, and motion comes near a peak before and after;
+    if the far readings are like that, or come too often, none is returned.
+    """
+    low, middle, high = np.quantile(values, (0.25, 0.5, 0.75)).tolist()
+    away = np.abs(values - middle)
+    far = away > _IMPOSSIBLE * (high - low)
+    sizes, adjacent = away[far], far[1:] & far[:-1]
+    near = adjacent & (np.abs(np.diff(values)) < _NEAR * np.minimum(away[1:], away[:-1]))
+    differ = len(sizes) > 0 and sizes.max() > _ALIKE * sizes.min()
+    if high == low or not differ or len(sizes) > _MOST_IMPOSSIBLE * len(values) or near.any():
+        return np.zeros(len(values), bool)
+    return np.asarray(far)
 
 
 def _rests_at_0(z: Floats) -> bool:
@@ -178,7 +214,7 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
         The step between two codes, in unit; inf if equal readings in a row do not count as one.
     """
     others = kept[kept != 0]
-    if len(np.unique(others)) < _FEWEST_VALUES:
+    if not _are_measured(np.unique(others)):
         return 0.0
     low, high = np.quantile(others, _BULK).tolist()
     if low < 0 < high:
@@ -196,6 +232,17 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
     if not near:  # no reading is near 0: take half of the smallest magnitude
         far = 0.0 if several and np.isinf(resolution) else 0.5 * float(np.abs(others).min())
     return far
+
+
+def _are_measured(values: Floats) -> bool:
+    """Return whether sorted values (N,), none of them 0, are those of a measurement, and not numbers of states.
+
+    A coarse converter has few, but these are near to each other and far from 0.
+    """
+    if not _FEWEST_CODES <= len(values) < _FEWEST_VALUES:
+        return len(values) >= _FEWEST_VALUES
+    far = max(_AMID * (values[-1] - values[0]), _MOVES * np.diff(values).min())
+    return bool(np.abs(values).min() >= far)
 
 
 def _usual_step(z: Floats) -> float:
