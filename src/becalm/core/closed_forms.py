@@ -108,8 +108,7 @@ def autoregressive_power(coefficients: Sequence[float] | Floats, innovation_vari
     -----
     The power is the variance of u, divided by |1 - sum phi_l exp(-j w l)|^2, with w the angle.
     """
-    lags = np.arange(1, len(coefficients) + 1)
-    denominator = 1 - np.exp(-1j * np.outer(angle, lags)) @ np.asarray(coefficients)
+    denominator = np.polyval(np.append(-np.asarray(coefficients)[::-1], 1.0), np.exp(-1j * angle))
     power: Floats = innovation_variance / np.abs(denominator) ** 2
     return power
 
