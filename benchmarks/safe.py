@@ -141,7 +141,7 @@ def run_all(todo: Sequence[Task], jobs: int) -> Iterator[list[Result]]:
         yield from map(run, todo)
         return
     with get_context("spawn").Pool(jobs) as pool:
-        yield from pool.imap_unordered(run, todo)
+        yield from pool.imap(run, todo)
 
 
 def kept(todo: Sequence[Task], jobs: int, keep: Path | None) -> list[Result]:

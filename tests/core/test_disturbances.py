@@ -38,7 +38,7 @@ def flow(component: Component, z: Floats, causal: bool, rows: int) -> EstimatedR
     if causal:
         channel = Channel(ChannelSettings(component, 1.0, 1.0, Limits(), NO_ALARMS))
         found = [channel.process(piece, np.ones(len(piece)), states=True) for piece in pieces]
-        return EstimatedRows.joined([each.told()._replace(parts=parts_of(component, each)) for each in found])
+        return EstimatedRows.joined([each.to_rows()._replace(parts=parts_of(component, each)) for each in found])
     made = SmoothedFlow(component, 1.0, split=True)
     told = [part for piece in pieces for part in made.push(piece, np.ones(len(piece)))]
     return EstimatedRows.joined([*told, *made.finish()])

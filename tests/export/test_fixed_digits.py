@@ -75,7 +75,7 @@ HELPERS = [
     ("int64_t", "times", ("int64_t v", "int32_t m", "uint32_t shift")),
     ("int64_t", "rounded", ("int64_t v", "uint32_t shift")),
     ("int64_t", "sum", ("int64_t a", "int64_t b")),
-    ("int32_t", "told", ("int64_t v", "uint32_t shift")),
+    ("int32_t", "output", ("int64_t v", "uint32_t shift")),
     ("bool", "is_beyond", ("int64_t v",)),
 ]
 MOST = (1 << 62) - 1
@@ -111,7 +111,7 @@ def test_the_arithmetic_is_that_of_whole_numbers(arithmetic: ctypes.CDLL, v: int
     narrow = min(shift, 62)
     rounded = (v + (1 << (narrow - 1))) >> narrow
     assert arithmetic.rounded(v64, ctypes.c_uint32(narrow)) == rounded
-    assert arithmetic.told(v64, ctypes.c_uint32(narrow)) == kept(rounded, GREATEST)
+    assert arithmetic.output(v64, ctypes.c_uint32(narrow)) == kept(rounded, GREATEST)
     assert arithmetic.is_beyond(v64) == (abs(v) > MOST // 2)
 
 

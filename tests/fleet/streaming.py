@@ -107,7 +107,7 @@ class Walker:
     @property
     def said(self) -> Said:
         """All that was told so far."""
-        told = [step.told for step in self.steps if step.told is not None]
+        told = [step.estimates for step in self.steps if step.estimates is not None]
         return Said(*(np.concatenate([getattr(one, name) for one in told]) for name in Said._fields))
 
     @property

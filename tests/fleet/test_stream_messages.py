@@ -94,7 +94,7 @@ def test_garbled_messages_are_counted() -> None:
 def test_only_rubbish_tells_nothing() -> None:
     one = walker()
     assert [event.kind for event in one.take(entries([b"rubbish"])).events] == ["garbled"]
-    assert one.take(entries([b"rubbish"], 2)).told is None
+    assert one.take(entries([b"rubbish"], 2)).estimates is None
 
 
 def test_first_rows_of_other_channels_are_left_out_and_counted() -> None:

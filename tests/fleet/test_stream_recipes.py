@@ -95,7 +95,7 @@ def test_rows_without_a_recipe_are_left_out_and_counted_until_there_is_one(bad: 
     one = Walker(SensorPlan(shelf))
     first, second = cut(rows, [100])
     step = one.hear(first)
-    assert step.told is None
+    assert step.estimates is None
     assert [(event.kind, event.rows) for event in step.events] == [("refused", 100)]
     assert "100 rows were left out" in step.events[0].says
     shelf.recipe = RECIPE
@@ -106,6 +106,6 @@ def test_rows_without_a_recipe_are_left_out_and_counted_until_there_is_one(bad: 
 def test_a_recipe_may_have_some_of_the_channels() -> None:
     one = walker(recipe_of("b"))
     step = one.hear(rows_of(100))
-    assert step.told is not None
-    assert step.told.places.tolist() == [1]
-    np.testing.assert_array_equal(step.told.signal[:, 0], by_stream(rows_of(100)).signal[:, 1])
+    assert step.estimates is not None
+    assert step.estimates.places.tolist() == [1]
+    np.testing.assert_array_equal(step.estimates.signal[:, 0], by_stream(rows_of(100)).signal[:, 1])

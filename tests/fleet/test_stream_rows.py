@@ -21,7 +21,7 @@ from becalm.fleet.stream.blocks import EstimatedBlock, SensorRows
 from becalm.fleet.stream.gathering import gathered
 from becalm.fleet.stream.shape import StreamSchema, shape_of
 from becalm.fleet.stream.state import SensorState
-from becalm.fleet.stream.telling import told_as
+from becalm.fleet.stream.telling import output_tables
 from becalm.live.block import Block, Checkpoint
 
 SCHEMA = pa.schema(
@@ -133,8 +133,8 @@ def told_of(rows: int) -> EstimatedBlock:
 def test_what_is_told_has_the_shape_that_came(stamps: Any, in_blocks: bool) -> None:
     shape, told = StreamSchema("sensor", "time", ("a", "b"), stamps, in_blocks), told_of(50)
     batch = answers_of({"told": told.packed()}, {"event": "late", "event_rows": 3, "says": "Late."})
-    events, readings = told_as(shape, iter([batch]))
-    assert [name for name, _ in shape.told] == events.schema.names == readings.schema.names
+    events, readings = output_tables(shape, iter([batch]))
+    assert [name for name, _ in shape.output_columns] == events.schema.names == readings.schema.names
     (event,) = events.to_pylist()
     assert (event["kind"], event["event"], event["event_rows"], event["says"]) == ("events", "late", 3, "Late.")
     assert event["noticed"].timestamp() == 1_764_000_000.123
@@ -153,7 +153,7 @@ def test_what_is_told_has_the_shape_that_came(stamps: Any, in_blocks: bool) -> N
 
 def test_a_channel_that_a_sensor_has_not_is_null() -> None:
     shape = StreamSchema("sensor", "time", ("a", "b", "c"))
-    (readings,) = told_as(shape, iter([answers_of({"told": told_of(5).packed()})]))
+    (readings,) = output_tables(shape, iter([answers_of({"told": told_of(5).packed()})]))
     assert readings["c"].null_count == readings["c_verdict"].null_count == 5
 
 
@@ -161,7 +161,7 @@ def test_a_channel_that_a_sensor_has_not_is_null() -> None:
 def test_timestamps_come_back_as_they_were(micros: int) -> None:
     told = told_of(1)._replace(time_s=np.array([micros / 1e6]))
     shape = StreamSchema("sensor", "time", ("a", "b"), "timestamp")
-    (readings,) = told_as(shape, iter([answers_of({"told": told.packed()})]))
+    (readings,) = output_tables(shape, iter([answers_of({"told": told.packed()})]))
     assert readings["time"].cast(pa.int64()).to_pylist() == [micros]
 
 
@@ -204,7 +204,7 @@ def test_names_that_would_stand_twice_are_refused() -> None:
 
 
 def test_names_are_quoted() -> None:
-    assert StreamSchema("sensor", "time", ("load `N`",)).told_ddl.count("`load ``N```") == 1
+    assert StreamSchema("sensor", "time", ("load `N`",)).output_ddl.count("`load ``N```") == 1
 
 
 def test_a_state_is_read_as_it_was_written() -> None:

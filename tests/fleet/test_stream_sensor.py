@@ -94,7 +94,7 @@ def test_rows_late_by_less_than_the_lateness_are_put_in_order(data: st.DataObjec
 def test_a_wild_stamp_hurries_nobody_and_is_left_out() -> None:
     rows, one = rows_of(200), walker(lateness_s=0.5)
     wild = SensorRows(np.array([BEGINS_S + 1e9]), np.zeros((1, 2)))
-    assert one.hear(part(rows, slice(0, 40)), wild).told is None
+    assert one.hear(part(rows, slice(0, 40)), wild).estimates is None
     one.hear(part(rows, slice(50, 70)))
     one.hear(part(rows, slice(40, 50)), part(rows, slice(70, 200)))
     assert [event.kind for event in one.events if event.kind != "gap"] == ["clock"]
@@ -179,10 +179,10 @@ def test_nothing_is_kept_of_a_name_that_nobody_has_a_recipe_for() -> None:
 def test_a_sensor_waits_for_its_first_rows() -> None:
     rows, one = rows_of(100), walker()
     for k in range(FIRST_ROWS - 1):
-        assert one.hear(part(rows, slice(k, k + 1))).told is None
+        assert one.hear(part(rows, slice(k, k + 1))).estimates is None
     step = one.hear(part(rows, slice(FIRST_ROWS - 1, FIRST_ROWS)))
-    assert step.told is not None
-    assert len(step.told.time_s) == FIRST_ROWS
+    assert step.estimates is not None
+    assert len(step.estimates.time_s) == FIRST_ROWS
 
 
 def test_a_micro_batch_that_is_done_again_tells_the_same() -> None:
@@ -196,9 +196,9 @@ def test_a_micro_batch_that_is_done_again_tells_the_same() -> None:
         steps.append(one.hear(second))
         states.append(one.state)
     assert states[0] == states[1]
-    assert steps[0].told is not None
-    assert steps[1].told is not None
-    assert steps[0].told.packed() == steps[1].told.packed()
+    assert steps[0].estimates is not None
+    assert steps[1].estimates is not None
+    assert steps[0].estimates.packed() == steps[1].estimates.packed()
 
 
 def test_a_state_that_cannot_be_read_loses_no_row() -> None:

@@ -39,20 +39,20 @@ def test_a_stream_that_looks_for_silence_now_or_no_longer() -> None:
     one._walk = SensorWalk(one.plan, CHANNELS)
     one.now_ms = 60_000
     step = one.wake()
-    assert (step.told, step.events, step.wake_ms) == (None, (), None)
+    assert (step.estimates, step.events, step.wake_ms) == (None, (), None)
     one._walk = SensorWalk(replace(one.plan, silent_s=60.0), CHANNELS)
     assert one.hear(part(rows, slice(200, 300))).wake_ms == 120_000
 
 
 def test_silence_tells_rows_that_wait_for_late_ones() -> None:
     rows, one = rows_of(100), walker(silent_s=5.0, lateness_s=0.3)
-    assert one.hear(rows).told is not None
+    assert one.hear(rows).estimates is not None
     waiting = 100 - len(one.said.time_s)
     assert waiting > 0
     one.now_ms = 5000
     step = one.wake()
-    assert step.told is not None
-    assert len(step.told.time_s) == waiting
+    assert step.estimates is not None
+    assert len(step.estimates.time_s) == waiting
     assert_same_bits(one.said, by_stream(rows))
 
 

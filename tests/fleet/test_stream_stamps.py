@@ -26,7 +26,7 @@ def test_a_late_file_is_no_clock_that_was_set_back() -> None:
     rows, one = rows_of(400), walker(now_ms=NOW_MS)
     one.hear(part(rows, slice(0, 100)))
     one.hear(part(rows, slice(200, 300)))
-    assert one.hear(part(rows, slice(100, 200))).told is None
+    assert one.hear(part(rows, slice(100, 200))).estimates is None
     one.hear(part(rows, slice(300, 400)))
     expected = np.r_[0:100, 200:400]
     assert_same_bits(one.said, by_stream(part(rows, list(expected))))

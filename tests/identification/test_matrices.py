@@ -135,9 +135,9 @@ def test_as_many_unknowns_are_told_as_there_are_moments(
     """An n-th difference of n-th order motion has n + 1 autocovariances, and no more."""
     found = told(model, freedom)
     assert (found.rank, found.slopes.shape[1]) == (rank, unknowns)
-    assert found.untold().shape == (unknowns, unknowns - rank)
+    assert found.undetermined_amounts().shape == (unknowns, unknowns - rank)
     assert len(found.confounded) + found.unseen.sum() == unknowns - rank
-    np.testing.assert_allclose(found.slopes @ found.untold(), 0.0, atol=1e-9 * np.abs(found.slopes).max())
+    np.testing.assert_allclose(found.slopes @ found.undetermined_amounts(), 0.0, atol=1e-9 * np.abs(found.slopes).max())
 
 
 def test_along_what_is_not_told_no_likelihood_changes() -> None:
@@ -145,7 +145,7 @@ def test_along_what_is_not_told_no_likelihood_changes() -> None:
     Q, R = np.array([[0.3, 0.05], [0.05, 0.2]]), np.array([[2.0]])
     slope = Model(F=SLOPE.F, H=SLOPE.H, Q=Q, R=R)
     found = told(slope, "full")
-    direction = found.untold()[:, 0]
+    direction = found.undetermined_amounts()[:, 0]
     process = patterns_of("Q", Q, "full")
     assert direction[-1] == 0.0
     rng = np.random.default_rng(4)

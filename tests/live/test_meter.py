@@ -25,7 +25,7 @@ def test_rows_are_counted_where_they_come_and_where_they_go() -> None:
     meter.took(block_of(7))
     meter.took(block_of(0))
     meter.queued(3, 30)
-    meter.told(used(5, clock.now_s))
+    meter.record(used(5, clock.now_s))
     told = meter.status()
     assert (told["rows_taken"], told["rows"]) == (7, 5)
     assert told["queue"] == {"blocks": 3, "rows": 30}
@@ -36,7 +36,7 @@ def test_verdicts_are_counted_by_channel(rows: list[tuple[Verdict, Verdict]]) ->
     clock = Clock()
     meter = metered(clock=clock)
     for part in (rows[:1], rows[1:]):
-        meter.told(output_of(np.array(part, np.int8).reshape(-1, 2), clock.now_s))
+        meter.record(output_of(np.array(part, np.int8).reshape(-1, 2), clock.now_s))
     for channel, name in enumerate(NAMES):
         met = [row[channel].name.lower() for row in rows]
         assert meter.status()["channels"][name]["verdicts"] == {word: met.count(word) for word in set(met)}
@@ -45,9 +45,9 @@ def test_verdicts_are_counted_by_channel(rows: list[tuple[Verdict, Verdict]]) ->
 def test_latencies_are_those_of_the_last_outputs() -> None:
     clock = Clock()
     meter = metered(clock=clock)
-    meter.told(used(1, clock.now_s - 5.0))
+    meter.record(used(1, clock.now_s - 5.0))
     for tenth_ms in range(LATENCIES):
-        meter.told(used(1, clock.now_s - tenth_ms * 1e-4))
+        meter.record(used(1, clock.now_s - tenth_ms * 1e-4))
     told = meter.status()["latency_ms"]
     wanted = np.percentile(np.arange(LATENCIES) * 0.1, [50, 99, 100])
     np.testing.assert_allclose([told["p50"], told["p99"], told["max"]], wanted, atol=1e-3)
@@ -57,7 +57,7 @@ def test_latencies_are_those_of_the_last_outputs() -> None:
 
 def test_an_output_without_rows_has_no_latency() -> None:
     meter = metered()
-    meter.told(used(0, 0.0))
+    meter.record(used(0, 0.0))
     assert meter.status()["latency_ms"]["outputs"] == 0
     assert meter.status()["latency_ms"]["p99"] is None
 
@@ -68,7 +68,7 @@ def test_the_rate_is_that_of_the_last_ten_seconds() -> None:
     assert meter.status()["rows_per_s"] == 0
     for _ in range(60):
         for _ in range(4):
-            meter.told(used(25, clock.now_s))
+            meter.record(used(25, clock.now_s))
             clock.now_s += 0.25
     assert meter.status()["rows_per_s"] == 100
     clock.now_s += 5
@@ -81,7 +81,7 @@ def test_a_young_stream_has_the_rate_of_its_own_seconds() -> None:
     clock = Clock()
     meter = metered(clock=clock)
     for _ in range(3):
-        meter.told(used(40, clock.now_s))
+        meter.record(used(40, clock.now_s))
         clock.now_s += 1
     assert meter.status()["rows_per_s"] == 40
 
@@ -91,8 +91,8 @@ def test_losses_are_counted_when_they_are_told() -> None:
     gap = Loss(LossKind.GAP, None, "A pause.", noticed_s=86_400.0)
     missing = Loss(LossKind.MISSING, 3, "Rows 4 to 6 never came.")
     meter.took(block_of(2, [missing, gap]))  # of which the output tells
-    meter.told(output_of(np.zeros((2, 2), np.int8), 1000.0, [missing, gap]))
-    meter.told(output_of(np.zeros((0, 2), np.int8), 1000.0, [Loss(LossKind.MISSING, 2, "Rows 9 to 10 never came.")]))
+    meter.record(output_of(np.zeros((2, 2), np.int8), 1000.0, [missing, gap]))
+    meter.record(output_of(np.zeros((0, 2), np.int8), 1000.0, [Loss(LossKind.MISSING, 2, "Rows 9 to 10 never came.")]))
     losses = meter.status()["losses"]
     assert losses["missing"]["events"] == 2
     assert losses["missing"]["rows"] == 5
@@ -157,7 +157,7 @@ def test_a_recipe_is_told_by_its_hash_only() -> None:
 
 def test_a_status_is_plain_json() -> None:
     meter = metered()
-    meter.told(used(3, 0.0))
+    meter.record(used(3, 0.0))
     told = meter.status()
     assert json.loads(json.dumps(told, allow_nan=False)) == told
 
@@ -169,7 +169,7 @@ def test_threads_lose_no_count() -> None:
 
     def go() -> None:
         for _ in range(2000):
-            meter.told(output)
+            meter.record(output)
             meter.took(block)
 
     threads = [threading.Thread(target=go) for _ in range(4)]

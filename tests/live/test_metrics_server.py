@@ -36,7 +36,7 @@ def test_what_is_scraped_is_what_was_counted() -> None:
     verdicts[3:5, 1] = Verdict.SPIKE
     meter.took(block_of(12))
     meter.queued(2, 20)
-    meter.told(output_of(verdicts, clock.now_s - 0.25, [Loss(LossKind.MISSING, 3, "Three.")]))
+    meter.record(output_of(verdicts, clock.now_s - 0.25, [Loss(LossKind.MISSING, 3, "Three.")]))
     meter.kept(10, 0.5)
     meter.health("ax", 1.5, ["drift"])
     meter.state("running")
@@ -70,7 +70,7 @@ def test_what_is_scraped_is_what_was_counted() -> None:
         assert of(found, "becalm_last_commit_age_seconds") == 4
         assert of(found, "becalm_state", state="running") == 1
         assert of(found, "becalm_state", state="away") == 0
-        meter.told(used(5, clock.now_s))
+        meter.record(used(5, clock.now_s))
         assert of(scraped(server), "becalm_rows_total") == 15
 
 

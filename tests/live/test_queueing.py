@@ -24,7 +24,7 @@ def test_blocks_come_in_order_and_losses_in_their_place() -> None:
     queue = BlockQueue(4, "block")
     first, second = blocks_of(drive(4), 2)
     queue.put(first, STOP)
-    queue.tell(Loss(LossKind.AWAY, None, "Gone."))
+    queue.report(Loss(LossKind.AWAY, None, "Gone."))
     queue.put(second, STOP)
     queue.end()
     assert rows(queue.get(1)) == [0, 1]
@@ -55,7 +55,7 @@ def test_time_goes_on_over_rows_that_were_dropped() -> None:
     queue = BlockQueue(1, "drop-oldest")
     first, second = blocks_of(drive(4), 2, elapsed=True)
     queue.put(first, STOP)
-    queue.tell(Loss(LossKind.AWAY, None, "Gone."))
+    queue.report(Loss(LossKind.AWAY, None, "Gone."))
     queue.put(second, STOP)
     between, later = queue.get(1), queue.get(1)
     assert between is not None

@@ -28,7 +28,7 @@ def test_it_is_there_at_once_follows_and_tells_the_end(tmp_path: Path, monkeypat
     meter, path, said = Meter(), tmp_path / "status.json", list[str]()
     with StatusFile(path, meter, said.append) as file:
         for rows in range(1, 6):
-            meter.told(used(1, 0.0))
+            meter.record(used(1, 0.0))
             wait_until_rows(path, rows)
         meter.state("ended", "All was told.")
         file.close()
@@ -41,7 +41,7 @@ def test_it_holds_no_secrets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setenv("BECALM_MQTT_PASSWORD", "rosebud")
     meter, path = Meter("mqtt://me:other@host/topic"), tmp_path / "status.json"
     meter.state("away", "rosebud was refused.")
-    meter.told(output_of(np.zeros((0, 2), np.int8), 0.0, [Loss(LossKind.AWAY, None, "rosebud was refused.")]))
+    meter.record(output_of(np.zeros((0, 2), np.int8), 0.0, [Loss(LossKind.AWAY, None, "rosebud was refused.")]))
     StatusFile(path, meter, print).close()
     text = path.read_text(encoding="utf-8")
     assert "was refused" in text

@@ -149,7 +149,7 @@ def test_classic_filters_trail_and_kalman_filters_do_not(simulated: Simulated) -
 @pytest.mark.slow
 def test_likelihood_finds_what_the_paper_tried(simulated: Simulated) -> None:
     for noise, found in simulated[0][LIKELIEST].items():
-        jerk_variance, noise_std, _ = found.told
+        jerk_variance, noise_std, _ = found.identified
         assert TRIED / 3 < jerk_variance < TRIED * 3
         assert noise_std == pytest.approx(noise, rel=0.03)
 

@@ -112,7 +112,7 @@ class Shown:
         """Tell the next rows."""
         output = output_of(self.rows, rows)
         self.page.feed.write(output)
-        self.meter.told(output)
+        self.meter.record(output)
         self.rows += rows
 
     @contextmanager

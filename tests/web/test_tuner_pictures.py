@@ -60,7 +60,7 @@ def lag_of(recipe: Recipe) -> int | None:
 
 def told(case: Case, first: int, stop: int) -> EstimatedRows:
     run = ChannelRun(rows_of(case.recording), case.recipe.channel[0], lag_of(case.recipe))
-    parts = list(run.told(first, stop))
+    parts = list(run.estimates_of(first, stop))
     return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True)))
 
 

@@ -138,7 +138,7 @@ class ChannelRun:
         """Return how many rows before the wanted ones are filtered, at least; the whole record if all are needed."""
         return min(self._margin if self._bridges_all() else len(self._rows), len(self._rows))
 
-    def told(self, first: int, stop: int) -> Iterator[EstimatedRows]:
+    def estimates_of(self, first: int, stop: int) -> Iterator[EstimatedRows]:
         """Yield the estimates of rows first to stop, in parts; the filter starts as many rows earlier as it needs."""
         recipe, rows = self._recipe, self._rows
         begin, end = self._start_row(first), self._stop_row(stop)

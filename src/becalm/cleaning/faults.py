@@ -175,7 +175,7 @@ class SensorWatch:
 
     Parameters
     ----------
-    told : LimitsRecipe or None
+    entry : LimitsRecipe or None
         Limits of the channel.
     step_s : float
         One step, in seconds.
@@ -192,12 +192,12 @@ class SensorWatch:
         Detects faults from the innovations.
     """
 
-    def __init__(self, told: LimitsRecipe | None, step_s: float, *, shown: bool = True, ahead: int = 0) -> None:
-        limits = limits_of(told)
+    def __init__(self, entry: LimitsRecipe | None, step_s: float, *, shown: bool = True, ahead: int = 0) -> None:
+        limits = limits_of(entry)
         self._ahead = LookAhead(limits, ahead) if ahead and limits.outliers.distance < np.inf else None
         if ahead:
             limits = limits._replace(outliers=limits.outliers.without_neighbours)
-        self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(told)), shown
+        self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(entry)), shown
         self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
         self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations came before their estimates
         self._elapsed = np.empty(0)  # before rows without innovations yet
@@ -248,9 +248,9 @@ class SensorWatch:
             alarms.append(self.monitor.push(normalised, elapsed))
         self._alarms = np.concatenate(alarms)
 
-    def named(self, told: list[EstimatedRows]) -> list[EstimatedRows]:
+    def named(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
         """Return the estimates of the next rows with the verdicts of this check."""
-        return [part._replace(verdicts=self._all_verdicts(part.verdicts)) for part in told]
+        return [part._replace(verdicts=self._all_verdicts(part.verdicts)) for part in rows]
 
     def saved(self) -> dict[str, Any]:
         """Return the state as arrays."""

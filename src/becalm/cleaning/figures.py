@@ -34,12 +34,12 @@ def modes_in_seconds(kind: Kind, bank: InteractingModels, step_s: float) -> Swit
     )
 
 
-def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> InteractingModels:
+def modes_in_steps(entry: SwitchingRecipe, tuning: Tuning, step_s: float) -> InteractingModels:
     """Return the modes of a recipe in steps.
 
     Parameters
     ----------
-    told : SwitchingRecipe
+    entry : SwitchingRecipe
         Modes of the recipe.
     tuning : Tuning
         Fixed filter of the channel; modes with `with_tones` get its tones and coloured noise.
@@ -53,8 +53,8 @@ def modes_in_steps(told: SwitchingRecipe, tuning: Tuning, step_s: float) -> Inte
     """
     try:
         with np.errstate(all="ignore"):
-            modes = tuple(_mode_in_steps(mode, tuning, step_s) for mode in told.mode)
-            return InteractingModels(modes, float(np.float64(told.wild_std) ** 2), told.rejects)
+            modes = tuple(_mode_in_steps(mode, tuning, step_s) for mode in entry.mode)
+            return InteractingModels(modes, float(np.float64(entry.wild_std) ** 2), entry.rejects)
     except ModelError as cause:
         raise RecipeError(f"The recipe's modes do not make a valid filter at {1 / step_s:.6g} Hz: {cause}") from cause
 

@@ -37,14 +37,16 @@ class ReadingRow(NamedTuple):
 NO_ROW = ReadingRow(np.nan, np.nan, np.nan)
 
 
-def across(times: Floats, told: EstimatedRows, used: Booleans, own_steps: float, before: ReadingRow = NO_ROW) -> Across:
+def across(
+    times: Floats, estimates: EstimatedRows, used: Booleans, own_steps: float, before: ReadingRow = NO_ROW
+) -> Across:
     """Return the lines across the holes of a record.
 
     Parameters
     ----------
     times : (N,) float array
         Times of the rows, in steps.
-    told : EstimatedRows
+    estimates : EstimatedRows
         Estimates of the same rows.
     used : (N,) bool array
         Which rows have a reading that the filter used.
@@ -53,7 +55,9 @@ def across(times: Floats, told: EstimatedRows, used: Booleans, own_steps: float,
     before : ReadingRow
         The last row with a reading before these.
     """
-    ends = [np.concatenate([[head], of[used], [np.nan]]) for head, of in zip(before, (times, *told[:2]), strict=True)]
+    ends = [
+        np.concatenate([[head], of[used], [np.nan]]) for head, of in zip(before, (times, *estimates[:2]), strict=True)
+    ]
     number = np.cumsum(used)
     (start, y, sigma), (end, y_after, sigma_after) = (
         [of[number + later] for of in ends] for later in (0, 1)
@@ -92,9 +96,9 @@ class Holes:
         self._times.append(times)
         self._time = float(times[-1]) if len(times) else self._time
 
-    def bridged(self, told: Sequence[EstimatedRows]) -> list[EstimatedRows]:
+    def bridged(self, estimates: Sequence[EstimatedRows]) -> list[EstimatedRows]:
         """Take the estimates of the next rows; return corrected rows, without those of a hole that has not ended."""
-        self._waiting += told
+        self._waiting += estimates
         rows = EstimatedRows.joined(self._waiting)
         ends = np.flatnonzero(has_reading(rows))
         return self._correct(rows, int(ends[-1]) + 1) if len(ends) else []

@@ -272,11 +272,11 @@ class Uncertainty:
         self._systematic = lasting_std(calibration, limits)
         self._magnitudes, self._rows = 0.0, 0
 
-    def widened(self, told: Sequence[EstimatedRows]) -> list[EstimatedRows]:
+    def widened(self, estimates: Sequence[EstimatedRows]) -> list[EstimatedRows]:
         """Return rows with their full uncertainty as sigma."""
         if self._factor == 1.0 and self._systematic is None:
-            return list(told)
-        return [self._widened(rows) for rows in told]
+            return list(estimates)
+        return [self._widened(rows) for rows in estimates]
 
     @property
     def calibration_std(self) -> float | None:

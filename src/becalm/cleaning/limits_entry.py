@@ -54,26 +54,26 @@ def _value_or(number: float | None, otherwise: float) -> float:
     return otherwise if number is None else number
 
 
-def limits_of(told: LimitsRecipe | None) -> Limits:
+def limits_of(entry: LimitsRecipe | None) -> Limits:
     """Return the limits of a recipe; without any, no reading is clipped or stuck, and no row is late."""
-    if told is None:
+    if entry is None:
         return Limits(even=False)
     return Limits(
-        low=_value_or(told.low, -np.inf),
-        high=_value_or(told.high, np.inf),
-        resolution=told.resolution or 0.0,
-        stuck_readings=told.stuck_readings,
-        gap_steps=told.gap_steps or GAP_STEPS,
-        even=bool(told.even_time),
-        largest=told.largest or BEYOND_ANY_SENSOR,
+        low=_value_or(entry.low, -np.inf),
+        high=_value_or(entry.high, np.inf),
+        resolution=entry.resolution or 0.0,
+        stuck_readings=entry.stuck_readings,
+        gap_steps=entry.gap_steps or GAP_STEPS,
+        even=bool(entry.even_time),
+        largest=entry.largest or BEYOND_ANY_SENSOR,
         outliers=Outliers(
-            told.outlier_distance or np.inf,
-            told.causal_outlier_distance or np.inf,
-            _value_or(told.plausible_low, -np.inf),
-            _value_or(told.plausible_high, np.inf),
-            bool(told.repeats_are_one),
-            _value_or(told.blank, np.inf),
-            _far_from_0(told),
+            entry.outlier_distance or np.inf,
+            entry.causal_outlier_distance or np.inf,
+            _value_or(entry.plausible_low, -np.inf),
+            _value_or(entry.plausible_high, np.inf),
+            bool(entry.repeats_are_one),
+            _value_or(entry.blank, np.inf),
+            _far_from_0(entry),
         ),
     )
 
@@ -90,30 +90,30 @@ def _far_from_0(limits: LimitsRecipe) -> float:
     return (limits.plausible_high - limits.plausible_low) / _PARTS if judged else 0.0
 
 
-def rows_that_judge(told: LimitsRecipe | None, lag: int | None) -> int:
+def rows_that_judge(entry: LimitsRecipe | None, lag: int | None) -> int:
     """Return how many later rows are used to find outliers, for a lag in rows (None: a smoother); 0 for none."""
-    return rows_ahead(lag) if lag is None or np.isfinite(limits_of(told).outliers.distance) else 0
+    return rows_ahead(lag) if lag is None or np.isfinite(limits_of(entry).outliers.distance) else 0
 
 
-def rows_that_smooth(told: LimitsRecipe | None, lag: int | None) -> int | None:
+def rows_that_smooth(entry: LimitsRecipe | None, lag: int | None) -> int | None:
     """Return how many rows of a lag are left to smooth with after the outlier test; None for a smoother."""
-    return None if lag is None else lag - rows_that_judge(told, lag)
+    return None if lag is None else lag - rows_that_judge(entry, lag)
 
 
-def delay_to_smooth(told: LimitsRecipe | None, wait_s: float, step_s: float) -> float:
+def delay_to_smooth(entry: LimitsRecipe | None, wait_s: float, step_s: float) -> float:
     """Return the least lag, in seconds, that leaves `wait_s` to smooth with; inf for a smoother."""
     if not np.isfinite(wait_s):
         return wait_s
     wanted = lag = round(wait_s / step_s)
-    while lag - rows_that_judge(told, lag) < wanted:
+    while lag - rows_that_judge(entry, lag) < wanted:
         lag += 1
     return lag * step_s
 
 
-def alarms_of(told: LimitsRecipe | None) -> Alarms:
+def alarms_of(entry: LimitsRecipe | None) -> Alarms:
     """Return the alarm thresholds for drift and death; without them in the recipe there are no alarms."""
-    drift = None if told is None else told.drift_threshold
-    dead = None if told is None else told.dead_variance
+    drift = None if entry is None else entry.drift_threshold
+    dead = None if entry is None else entry.dead_variance
     return Alarms(NEVER if drift is None else drift, dead or 0.0)
 
 

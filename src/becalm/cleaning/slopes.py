@@ -78,13 +78,13 @@ class TimingNoise:
         """Take the steps before each of the next rows, (B,)."""
         self._elapsed.append(elapsed)
 
-    def widened(self, told: EstimatedRows) -> EstimatedRows:
+    def widened(self, estimates: EstimatedRows) -> EstimatedRows:
         """Return rows with sigma widened by the uncertain time."""
-        slopes = self._slopes.of(told.signal, self._taken(len(told.signal)))
+        slopes = self._slopes.of(estimates.signal, self._taken(len(estimates.signal)))
         more = (slopes * self._timing.std_s) ** 2 - self._timing.included_std**2
         wider = np.sqrt(1.0 + np.maximum(more, 0.0) / self._variance)
         self.most = max(self.most, float(wider.max(initial=1.0)) - 1.0)
-        return told._replace(sigma=wider * told.sigma)
+        return estimates._replace(sigma=wider * estimates.sigma)
 
     def saved(self) -> dict[str, Floats]:
         """Return the state as arrays."""

@@ -86,9 +86,9 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     return found
 
 
-def gate_of(told: GateRecipe, step_s: float) -> Gate:
+def gate_of(entry: GateRecipe, step_s: float) -> Gate:
     """Return the innovation gate of a recipe at this step."""
-    return Gate(threshold_for(told.false_alarms_per_hour, 1 / step_s), told.agree, told.at_most)
+    return Gate(threshold_for(entry.false_alarms_per_hour, 1 / step_s), entry.agree, entry.at_most)
 
 
 def lag_in_rows(lag_s: float, step_s: float) -> int:

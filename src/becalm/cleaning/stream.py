@@ -124,7 +124,7 @@ class StreamCleaner:
         if not len(values):
             return self._no_rows()
         columns = np.ascontiguousarray(values.T)
-        found = {c: channel.process(columns[c], elapsed).told() for c, channel in self._causal.items()}
+        found = {c: channel.process(columns[c], elapsed).to_rows() for c, channel in self._causal.items()}
         for c, channel in self._others.items():
             self._ready[c].add(channel.push(columns[c], elapsed))
         self._rows += len(values)

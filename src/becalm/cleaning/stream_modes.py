@@ -19,19 +19,23 @@ def modes_in(channel: ChannelRecipe) -> int:
     return 0 if channel.switching is None or channel.motion is None else len(channel.switching.mode)
 
 
-def with_modes(told: EstimatedRows, modes: int) -> list[EstimatedRows]:
+def with_modes(estimates: EstimatedRows, modes: int) -> list[EstimatedRows]:
     """Return waiting rows, if any, with so many modes; their probabilities are NaN if an older version saved them."""
-    unknown = np.full((modes, len(told.signal)), np.nan)
-    return [told if len(told.parts) == modes else told._replace(parts=unknown)] if len(told.signal) else []
+    unknown = np.full((modes, len(estimates.signal)), np.nan)
+    return (
+        [estimates if len(estimates.parts) == modes else estimates._replace(parts=unknown)]
+        if len(estimates.signal)
+        else []
+    )
 
 
-def modes_of(told: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:
+def modes_of(estimates: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:
     """Return probabilities (R, K) for the rows of channels with so many modes each; (0, K) without channels."""
     if not any(modes):
         return NO_MODES
-    if not told or not len(next(iter(told.values())).signal):
+    if not estimates or not len(next(iter(estimates.values())).signal):
         return np.empty((0, sum(modes)))
-    return np.concatenate([told[c].parts for c, some in enumerate(modes) if some]).T
+    return np.concatenate([estimates[c].parts for c, some in enumerate(modes) if some]).T
 
 
 def handed_over(share: Floats, before: Floats, after: Floats) -> Floats:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from becalm.cleaning.pose_entry import LEAST_GRAVITY, MOST_GRAVITY, PoseReport, report_poses
 from becalm.cleaning.sensor_file import to_toml
-from becalm.cli.messages import stderr, tell_notes
+from becalm.cli.messages import print_notes, stderr
 from becalm.cli.opened_file import FileOptions, open_as, refuse_overwriting, shown_name
 from becalm.errors import SensorError, UsageError
 from becalm.files.atomic_file import refuse_unwritable, write_text
@@ -41,7 +41,7 @@ def run(file: Path, said: FileOptions, output: Path, unit: str, gravity: float |
                 f"{len(source.names)} channels came ({', '.join(source.names)}); an accelerometer has three axes. "
                 "Choose them with --channels x,y,z."
             )
-        tell_notes(source)
+        print_notes(source)
         recording = beginning(source)
         cut = cut_short(source, recording)
         try:

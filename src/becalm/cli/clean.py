@@ -10,10 +10,10 @@ import typer
 
 from becalm.cleaning.pipeline import fitted, in_mode, joined
 from becalm.cleaning.tuning import with_new_tares
-from becalm.cli.messages import progress, tell, tell_bands, tell_not_removed
+from becalm.cli.messages import print_bands, print_not_removed, print_reports, progress
 from becalm.cli.opened_file import is_same, load, open_every, recipe_path_of, refuse_overwriting, refuse_taken, tuned
 from becalm.cli.report_files import Done, Picturing
-from becalm.cli.times import pass_through, refuse_times, tell_times, timed
+from becalm.cli.times import pass_through, print_times, refuse_times, timed
 from becalm.errors import UsageError
 from becalm.files.atomic_file import refuse_unwritable, staged_text
 from becalm.files.chunked_cleaning import clean_chunks
@@ -94,11 +94,11 @@ def run(file: Path, said: FileOptions, asking: CleanOptions, outputs: Outputs, *
                 done.append(Done(source, part, part_reports, gathering))
             pass_through(output, opened, out.write)
         reports = tuple(report for one in done for report in one.reports)
-        tell(reports, recipe.mode == "causal")
-        tell_not_removed(reports, filters.removed_hz)
-        tell_times(output, opened)
+        print_reports(reports, recipe.mode == "causal")
+        print_not_removed(reports, filters.removed_hz)
+        print_times(output, opened)
         for source in sources:
-            tell_bands(source, reports)
+            print_bands(source, reports)
         times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
         typer.echo(f"Wrote {output} and {recipe_path}.", err=True)
         drawn = picturing.draw(recipe, done)

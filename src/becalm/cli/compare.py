@@ -11,7 +11,7 @@ from rich.table import Table
 
 from becalm.cleaning.comparison import compare
 from becalm.cleaning.comparison_cells import cells, headings
-from becalm.cli.messages import stderr, tell_notes
+from becalm.cli.messages import print_notes, stderr
 from becalm.cli.opened_file import AS_WRITTEN, shown_name
 from becalm.files.atomic_file import make_folder, refuse_unwritable, write_text
 from becalm.files.opening import open_source
@@ -39,7 +39,7 @@ def run(source: OpenSource, said: FileOptions, asking: CompareOptions, *, as_jso
     """Compare on a file, or on the beginning of a long one, and print the result."""
     truth, causal, folder = asking
     page = None if folder is None else _page_in(folder)
-    tell_notes(source)
+    print_notes(source)
     recording = beginning(source)
     true_signal = None if truth is None else _truth(truth, source, said)
     comparison = compare(recording, said.recipe, truth=true_signal, causal=causal or None, channels=source.names)
@@ -87,7 +87,7 @@ def _truth(path: Path, source: OpenSource, file_options: FileOptions) -> Recordi
         file_options.time, file_options.rate_hz, tuple(source.names), asker, fitting=fitting, as_written=kept
     )
     with open_source(path, options) as other:
-        tell_notes(other)
+        print_notes(other)
         return beginning(other)
 
 

@@ -157,7 +157,7 @@ def inspect(  # noqa: PLR0913  (one argument for each option)
 ) -> None:
     """Show how becalm reads a file: columns, units, time."""
     from becalm.cli.layouts import show, summary
-    from becalm.cli.messages import tell_bands
+    from becalm.cli.messages import print_bands
 
     with open_every(file, read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)) as opened:
         if as_json:
@@ -165,7 +165,7 @@ def inspect(  # noqa: PLR0913  (one argument for each option)
         else:
             show(file, opened)
         for source in opened.sources:
-            tell_bands(source)
+            print_bands(source)
 
 
 @app.command()
@@ -234,7 +234,7 @@ def tune(  # noqa: PLR0913  (one argument for each option)
     """Identify the filter of each channel and write it as a recipe; list the remaining noise for each delay."""
     from becalm.cleaning.delays import delays
     from becalm.cleaning.pipeline import joined
-    from becalm.cli.messages import tell_delays, tell_notes
+    from becalm.cli.messages import print_delays, print_notes
     from becalm.files.atomic_file import refuse_unwritable, write_text
 
     refuse_overwriting(file, output)
@@ -244,13 +244,13 @@ def tune(  # noqa: PLR0913  (one argument for each option)
         fill=fill
     )
     with open_every(file, file_options) as opened:
-        tell_notes(*opened.sources)
+        print_notes(*opened.sources)
         recipe = file_options.with_time_options(
             joined([tuned(source, causal, wanted, o.lag_of(lag)) for source in opened.sources])
         )
     write_text(output, recipe.to_toml())
     curves = delays(recipe)
-    tell_delays(curves)
+    print_delays(curves)
     if as_json:
         rows = {name: [asdict(one) for one in curve] for name, curve in curves.items()}
         summary = {"file": str(file), "recipe": str(output), **recipe.model_dump(), "delays": rows}

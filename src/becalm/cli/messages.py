@@ -28,7 +28,7 @@ def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
         yield lambda name, steps: bar.update(task, advance=steps, description=f"{title} {name}".strip())
 
 
-def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
+def print_reports(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     """Print a table of the channels, then the judgements that need attention."""
     from becalm.cleaning.judging import DESCRIBED
     from becalm.cleaning.report import cells
@@ -48,7 +48,7 @@ def tell(reports: tuple[ChannelReport, ...], causal: bool) -> None:
         stderr.print(f"{', '.join(names[:_MOST_NAMED])}{more}: {says}")
 
 
-def tell_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
+def print_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
     """Print the trade-off curve of each channel: remaining noise at each delay, one line for each channel."""
     if delays:
         stderr.print("Remaining error, relative to the noise of a reading, for a delay of the output (see --lag):")
@@ -57,7 +57,7 @@ def tell_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
         stderr.print(f"{name}: {figures} (the limit)")
 
 
-def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float, ...]) -> None:
+def print_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float, ...]) -> None:
     """Print which of the tones to remove did not stand out, and in which channels."""
     removed = {
         report.name: {min(removed_hz, key=lambda wanted: abs(wanted - tone)) for tone in report.removed_hz}
@@ -71,7 +71,7 @@ def tell_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float
             )
 
 
-def tell_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
+def print_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
     """Print which channels exceed the flat band of their sensors, after the filters or as read."""
     from becalm.cleaning.slopes import beyond_flat
 
@@ -83,13 +83,13 @@ def tell_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> N
             stderr.print(warning)
 
 
-def tell_notes(*sources: OpenSource) -> None:
+def print_notes(*sources: OpenSource) -> None:
     """Print the notes on files, each sentence once."""
     for note in dict.fromkeys(note for source in sources for note in source.notes):
         stderr.print(note)
 
 
-def tell_columns(source: OpenSource) -> None:
+def print_columns(source: OpenSource) -> None:
     """Print which columns were not cleaned, and which columns of the file were replaced."""
     passed = [f"{column.name} ({column.why})" for column in source.columns if column.role == "passed through"]
     if source.replaced:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from becalm.cleaning.noise_report import ChannelNoise, report_noise
-from becalm.cli.messages import progress, stderr, tell_notes
+from becalm.cli.messages import print_notes, progress, stderr
 from becalm.errors import UsageError
 from becalm.files.portions import beginning, cut_short, rest_within
 
@@ -38,7 +38,7 @@ def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_j
         raise UsageError(
             f"--cutoff {cutoff_hz:g}Hz is too high for a rate of {source.rate_hz:.4g} Hz; give less than half of that."
         )
-    tell_notes(source)
+    print_notes(source)
     recording = beginning(source)
     with progress("measuring", len(source.names)) as step, rest_within(source, recording):
         noises = report_noise(

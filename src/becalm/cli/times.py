@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from becalm.cli.messages import stderr, tell_columns, tell_notes
+from becalm.cli.messages import print_columns, print_notes, stderr
 from becalm.errors import UsageError
 from becalm.files.registry import format_to_write, holds_times
 from becalm.files.tables import with_time
@@ -50,11 +50,11 @@ def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], Non
                 write(block)
 
 
-def tell_times(output: Path, opened: OpenFile) -> None:
+def print_times(output: Path, opened: OpenFile) -> None:
     """Print the notes on a file, and what was not cleaned."""
-    tell_notes(*opened.sources)
+    print_notes(*opened.sources)
     for source in opened.sources:
-        tell_columns(source)
+        print_columns(source)
     what = "Passed through unchanged" if holds_times(format_to_write(output)) else "Not written"
     for raw, why in opened.passed[:_MOST_NAMED]:
         stderr.print(f"{what}: {raw.group} ({why}).")

@@ -37,7 +37,7 @@ class ChunkObserver(Protocol):
         """One observer per channel; it receives the channel's innovations and their standard deviations."""
         ...
 
-    def add(self, columns: Sequence[Floats], elapsed: Floats, told: Sequence[EstimatedRows]) -> None:
+    def add(self, columns: Sequence[Floats], elapsed: Floats, estimates: Sequence[EstimatedRows]) -> None:
         """Take some rows of all channels: measurements, elapsed steps and the estimates of the filters."""
         ...
 
@@ -104,7 +104,7 @@ def clean_chunks(  # noqa: PLR0913  (each by its name)
     ):
         for answer in answered(cleaner, recipe, counted(chunks, step)):
             if observer is not None:
-                observer.add(columns_of(answer.chunk, recipe), answer.chunk.elapsed_steps, answer.told)
+                observer.add(columns_of(answer.chunk, recipe), answer.chunk.elapsed_steps, answer.estimates)
             write(answer.output(recipe, verdicts=verdicts))
         return cleaner.reports()
 
@@ -120,11 +120,11 @@ class CleanChunk(NamedTuple):
     """A chunk of rows with the estimates of each channel."""
 
     chunk: Chunk
-    told: list[EstimatedRows]  # the estimates, one per channel
+    estimates: list[EstimatedRows]  # the estimates, one per channel
 
     def output(self, recipe: Recipe, *, verdicts: bool = False) -> pa.Table:
         """Return the table of the chunk with clean channels and, if `verdicts`, the verdict on each measurement."""
-        named = zip(recipe.channel, self.told, strict=True)
+        named = zip(recipe.channel, self.estimates, strict=True)
         return output_block(self.chunk.table, {one.name: _clean_channel(one, clean, verdicts) for one, clean in named})
 
 

@@ -55,7 +55,7 @@ class Recalibrated(NamedTuple):
     old: tuple[float, float]
     new: tuple[float, float]
 
-    def told(self, signal: Floats, sigma: Floats) -> tuple[Floats, Floats]:
+    def recalibrate(self, signal: Floats, sigma: Floats) -> tuple[Floats, Floats]:
         """Return signal and sigma (n,) with the new calibration."""
         changed = self.factor * signal + self.offset
         variance = sigma**2 - (self.old[0] * signal) ** 2 - self.old[1] ** 2  # of the filter alone
@@ -105,7 +105,7 @@ def recalibrated_blocks(table: RawTable, channels: Sequence[Recalibrated]) -> It
     for block in table.blocks(table.names):
         for one in channels:
             names = (one.column, one.column + SIGMA)
-            changed = one.told(*(values_of(block.column(name), table.decimal) for name in names))
+            changed = one.recalibrate(*(values_of(block.column(name), table.decimal) for name in names))
             for name, values in zip(names, changed, strict=True):
                 at = block.schema.get_field_index(name)
                 block = block.set_column(at, block.schema.field(at).with_type(pa.float64()), pa.array(values))

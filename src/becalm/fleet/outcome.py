@@ -56,7 +56,7 @@ class Outcome:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, told: Mapping[str, Any]) -> Outcome:
+    def from_dict(cls, data: Mapping[str, Any]) -> Outcome:
         """Return the outcome from the values that `as_dict` returned.
 
         Raises
@@ -65,10 +65,10 @@ class Outcome:
             If they are not those of an outcome.
         """
         try:
-            return cls(**{**told, "channels": tuple(FleetRow(**row) for row in told["channels"])})
+            return cls(**{**data, "channels": tuple(FleetRow(**row) for row in data["channels"])})
         except (TypeError, KeyError) as cause:
             names = ", ".join(field.name for field in fields(cls))
-            raise ValueError(f"{str(told)[:80]!r} is not an outcome of a sensor, which has {names}") from cause
+            raise ValueError(f"{str(data)[:80]!r} is not an outcome of a sensor, which has {names}") from cause
 
 
 def noted(rows: Sequence[FleetRow], notes: Sequence[str]) -> tuple[FleetRow, ...]:

@@ -11,7 +11,7 @@ from becalm.errors import ModelError
 class Waiting:
     """Rows in a filter with a lag, read but without an estimate yet.
 
-    `told` counts the first rows that were already returned, because the stream was finished and then continued.
+    `returned` counts the first rows that were already returned, because the stream was finished and then continued.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ class Waiting:
 
     def __init__(self, width: int) -> None:
         self.time_s, self.values = np.empty(0), np.empty((0, width))
-        self.told = 0
+        self.returned = 0
 
     @property
     def count(self) -> int:
@@ -42,12 +42,12 @@ class Waiting:
         """
         time_s, values = np.concatenate([self.time_s, time_s]), np.concatenate([self.values, values])
         self.time_s, self.values = time_s[ready:].copy(), values[ready:].copy()
-        returned_before = min(self.told, ready)
-        self.told -= returned_before
+        returned_before = min(self.returned, ready)
+        self.returned -= returned_before
         return time_s[returned_before:ready], values[returned_before:ready], returned_before
 
-    def restore(self, time_s: Floats, values: Floats, told: int) -> None:
+    def restore(self, time_s: Floats, values: Floats, returned: int) -> None:
         """Restore the buffer of a stopped stream; raise a ModelError if the arrays do not fit each other."""
-        if values.shape != (len(time_s), self.values.shape[1]) or not 0 <= told <= len(time_s):
+        if values.shape != (len(time_s), self.values.shape[1]) or not 0 <= returned <= len(time_s):
             raise ModelError("The stream's snapshot is damaged; start a new stream in another folder.")
-        self.time_s, self.values, self.told = time_s, values, told
+        self.time_s, self.values, self.returned = time_s, values, returned

@@ -49,7 +49,7 @@ class BlockQueue:
             self._blocks.append(block)
             self._change.notify_all()
 
-    def tell(self, loss: Loss) -> None:
+    def report(self, loss: Loss) -> None:
         """Add a loss in its place between the blocks."""
         with self._change:
             self._blocks.append(Block.of_losses(loss))

@@ -105,12 +105,12 @@ class Reader:
         if self._away_since is None:
             self._away_since = time.time()
             self._watch.state("away", str(cause))
-            self._queue.tell(Loss(LossKind.AWAY, None, str(cause)))
+            self._queue.report(Loss(LossKind.AWAY, None, str(cause)))
         self._back_off.wait(self._stop)
 
     def _record_back(self) -> None:
         if self._away_since is not None:
             away_s, self._away_since = time.time() - self._away_since, None
             self._watch.state("running")
-            self._queue.tell(Loss(LossKind.AWAY, None, f"The source is back after {away_s:.1f} s."))
+            self._queue.report(Loss(LossKind.AWAY, None, f"The source is back after {away_s:.1f} s."))
         self._back_off.reset()

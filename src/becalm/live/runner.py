@@ -181,7 +181,7 @@ class Runner:
         if not (len(output) or output.losses):
             return
         self._write(output)
-        self.watch.told(output)
+        self.watch.record(output)
 
     def _write(self, output: Output) -> None:
         self.rows = output.first_row + len(output)

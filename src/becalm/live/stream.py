@@ -115,8 +115,8 @@ class Stream:
 
     def finish(self) -> Output:
         """Return the rows that are still delayed by the filter's lag; the stream can continue with more rows."""
-        estimates, done = self._cleaner.finish(), self._waiting.told
-        self._waiting.told = self._waiting.count
+        estimates, done = self._cleaner.finish(), self._waiting.returned
+        self._waiting.returned = self._waiting.count
         return self._output(*self._waiting.rows(done), _from_row(estimates, done), (), 0.0)
 
     def health(self) -> tuple[ChannelHealth, ...]:
@@ -176,7 +176,7 @@ class Stream:
         blob = cleaner.snapshot(self._former) if isinstance(cleaner, Handover) else cleaner.snapshot()
         state: dict[str, Floats | Codes | Integers] = {
             "step_s": np.array([self._step_s]),
-            "told": np.array([_VERSION, between, self._waiting.told], np.int64),
+            "told": np.array([_VERSION, between, self._waiting.returned], np.int64),
             "clock": self._clock.state,
             "before": self._last_row,
             "cleaner": np.frombuffer(blob, np.int8),
@@ -203,7 +203,7 @@ class Stream:
         recipe = Recipe.from_toml(checkpoint.recipe, "The recipe of the stream")
         try:
             arrays = unpacked(checkpoint.snapshot)
-            version, between, waiting_told = (int(number) for number in arrays["told"])
+            version, between, waiting_returned = (int(number) for number in arrays["told"])
             if version != _VERSION:
                 raise ModelError(f"The stream's snapshot has version {version}; this becalm reads {_VERSION}.")
             stream = cls(recipe, float(arrays["step_s"][0]))
@@ -214,7 +214,7 @@ class Stream:
                 stream._cleaner, stream._former = Handover.resume(blob, recipe)
             else:
                 stream._cleaner = StreamCleaner.resume(blob, recipe)
-            stream._waiting.restore(arrays["waiting_s"], arrays["waiting"], waiting_told)
+            stream._waiting.restore(arrays["waiting_s"], arrays["waiting"], waiting_returned)
         except BecalmError:
             raise
         except (KeyError, IndexError, TypeError, ValueError) as cause:

@@ -41,13 +41,13 @@ static real take(const device_modes_t *device, device_modes_state_t *state, cons
     score_t score = {.product = 1};
     const block_t block = {&z, &elapsed, &step, F, Q, 1};
     const estimate_t estimate = {&signal, &state->sigma, verdict, &innovation, &deviation, NULL};
-    const imm_estimate_t told = {&signal, &state->sigma, &innovation, &deviation, NULL, &wild, NULL, 1};
+    const imm_estimate_t of_modes = {&signal, &state->sigma, &innovation, &deviation, NULL, &wild, NULL, 1};
     pass_t pass;
     state->sigma = INFINITE;
     judge_rows(settings, &state->sensor, &block, verdict, &pass);
     if (pass.starts[0] == ANEW) forget(device, state);
     const imm_block_t row = {pass.usable, &step, 1};
-    imm_filter(&imm, modes_of(state), &row, &told, &nothing, room, &score);
+    imm_filter(&imm, modes_of(state), &row, &of_modes, &nothing, room, &score);
     if (device->rejects && wild > (real)0.5 && *verdict == USED) *verdict = SPIKE;
     *believed = signal;
     watch_rows(settings, device->noise_variance, &state->sensor, &block, &estimate, &pass);
@@ -64,9 +64,9 @@ int device_modes_step(const device_modes_t *device, device_modes_state_t *state,
 }
 
 void device_modes_start_at(const device_modes_t *device, device_modes_state_t *state, const real signal) {
-    real told;
+    real estimate;
     device_modes_start(device, state);
-    (void)device_modes_step(device, state, signal, &told);
+    (void)device_modes_step(device, state, signal, &estimate);
 }
 
 /* Write T^rows, the transition probabilities over this many steps. */
@@ -85,14 +85,14 @@ static void switch_often(const int m, const real *T, uint32_t rows, real *power)
 void device_modes_gap(const device_modes_t *device, device_modes_state_t *state, const uint32_t rows) {
     const int n = (int)device->settings.states, m = (int)device->modes;
     const uint32_t single = rows < SINGLE ? rows : SINGLE;
-    real F[MODES_MAX * NN_MAX], Q[MODES_MAX * NN_MAX], T[MODES_MAX * MODES_MAX], told;
+    real F[MODES_MAX * NN_MAX], Q[MODES_MAX * NN_MAX], T[MODES_MAX * MODES_MAX], estimate;
     int8_t verdict = USED;
-    for (uint32_t row = 0; row < single; row++) (void)device_modes_step(device, state, NOT_A_NUMBER, &told);
+    for (uint32_t row = 0; row < single; row++) (void)device_modes_step(device, state, NOT_A_NUMBER, &estimate);
     if (rows == single) return;
     for (int j = 0; j < m; j++)
         many_steps(n, device->F + j * n * n, device->Q + j * n * n, rows - single, F + j * n * n, Q + j * n * n);
     switch_often(m, device->T, rows - single, T);
-    (void)take(device, state, NOT_A_NUMBER, rows - single, F, Q, T, &verdict, &told);
+    (void)take(device, state, NOT_A_NUMBER, rows - single, F, Q, T, &verdict, &estimate);
 }
 
 real device_modes_probability(const device_modes_t *device, const device_modes_state_t *state, const uint32_t mode) {

@@ -143,11 +143,11 @@ static void note_stretch(const int n, const rows_t *rows, const int64_t row, con
         }
 }
 
-INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, const int64_t told, steady_t *steady) {
+INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, const int64_t ready, steady_t *steady) {
     const estimate_t *out = rows->estimate;
     const int64_t whole = rows->block->rows > lag ? rows->block->rows - lag : 0; /* rows with a full lag after them */
-    if (told > whole) smooth_all(n, rows, whole, rows->block->rows - 1, 1, NULL, NULL, NULL);
-    for (int64_t row = 0; row < told && row < whole; row++) {
+    if (ready > whole) smooth_all(n, rows, whole, rows->block->rows - 1, 1, NULL, NULL, NULL);
+    for (int64_t row = 0; row < ready && row < whole; row++) {
         const int64_t last = row + lag;
         real *x = out->x ? out->x + row * n : NULL;
         if (rows->alike[last] <= lag) {
@@ -167,8 +167,8 @@ INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, cons
 }
 
 #define OF_SIZE(n)                                                                                             \
-    NOINLINE static void smooth_rows_##n(const rows_t *rows, const int64_t lag, const int64_t told, steady_t *steady) { \
-        smooth_rows(n, rows, lag, told, steady);                                                               \
+    NOINLINE static void smooth_rows_##n(const rows_t *rows, const int64_t lag, const int64_t ready, steady_t *steady) { \
+        smooth_rows(n, rows, lag, ready, steady);                                                               \
     }
 OF_SIZE(1)
 OF_SIZE(2)
@@ -178,43 +178,43 @@ OF_SIZE(5)
 OF_SIZE(6)
 OF_SIZE(7)
 
-NOINLINE static void smooth_rows_n(const int n, const rows_t *rows, const int64_t lag, const int64_t told,
+NOINLINE static void smooth_rows_n(const int n, const rows_t *rows, const int64_t lag, const int64_t ready,
                                    steady_t *steady) {
-    smooth_rows(n, rows, lag, told, steady);
+    smooth_rows(n, rows, lag, ready, steady);
 }
 
-static void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t lag, const int64_t told,
+static void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t lag, const int64_t ready,
                      int64_t *settled_row) {
     steady_t steady;
     filter_t newest;
     for (int i = 0; i < n; i++) steady.Pc[i] = 0;
     for (int i = 0; i < n * n; i++) steady.P[i] = 0;
     steady.stretch = -1, steady.sigma = 0, steady.weights = rows->states + rows->block->rows * packed_size(n);
-    filter_until(n, rows, state, 0, told);
+    filter_until(n, rows, state, 0, ready);
     memcpy(&newest, state, sizeof newest);
-    filter_until(n, rows, &newest, told, rows->block->rows);
+    filter_until(n, rows, &newest, ready, rows->block->rows);
     *settled_row = newest.settled_row;
     switch (n) { /* each size has its own stack frame: together they would need megabytes of stack */
-    case 1: smooth_rows_1(rows, lag, told, &steady); break;
-    case 2: smooth_rows_2(rows, lag, told, &steady); break;
-    case 3: smooth_rows_3(rows, lag, told, &steady); break;
-    case 4: smooth_rows_4(rows, lag, told, &steady); break;
-    case 5: smooth_rows_5(rows, lag, told, &steady); break;
-    case 6: smooth_rows_6(rows, lag, told, &steady); break;
-    case 7: smooth_rows_7(rows, lag, told, &steady); break;
-    default: smooth_rows_n(n, rows, lag, told, &steady);
+    case 1: smooth_rows_1(rows, lag, ready, &steady); break;
+    case 2: smooth_rows_2(rows, lag, ready, &steady); break;
+    case 3: smooth_rows_3(rows, lag, ready, &steady); break;
+    case 4: smooth_rows_4(rows, lag, ready, &steady); break;
+    case 5: smooth_rows_5(rows, lag, ready, &steady); break;
+    case 6: smooth_rows_6(rows, lag, ready, &steady); break;
+    case 7: smooth_rows_7(rows, lag, ready, &steady); break;
+    default: smooth_rows_n(n, rows, lag, ready, &steady);
     }
 }
 
 int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forward_t *forward, const block_t *block,
-                   const estimate_t *estimate, const int64_t lag, const int64_t told, real *room, int64_t *places,
+                   const estimate_t *estimate, const int64_t lag, const int64_t ready, real *room, int64_t *places,
                    int8_t *starts) {
     rows_t rows = {settings, model, block, estimate, starts, room, places, places + block->rows};
     limits_t limits = forward->limits;
     int64_t settled_row = -1;
     memset(starts, 0, (size_t)block->rows);
     find_starts(settings, &limits, block, block->rows, starts);
-    lag_rows((int)settings->states, &rows, &forward->filter, lag, told, &settled_row);
-    find_starts(settings, &forward->limits, block, told, starts);
+    lag_rows((int)settings->states, &rows, &forward->filter, lag, ready, &settled_row);
+    find_starts(settings, &forward->limits, block, ready, starts);
     return settled_row;
 }

@@ -298,10 +298,10 @@ INLINE void meet(const int n, const int m, const beliefs_t now, const later_t *l
             const real other = now.mu[second] * later->T[second * m + i];
             const pair_t share = {one > least ? one : least, other > least ? other : least};
             const pair_t g = go_back(n, &way, rooms->x + q * n, rooms->r + at * n);
-            const pair_t told = g + agree(n, rooms->G + q * nn, Y, rooms->r + at * n, share, rooms->step + 8 * nn,
+            const pair_t fitted = g + agree(n, rooms->G + q * nn, Y, rooms->r + at * n, share, rooms->step + 8 * nn,
                                           rooms->L + at * nn, rooms->D + at * n, rooms->v + at * n);
-            if (second > first) fit[second * m + i] = told[1] > LEAST && told[1] < -LEAST ? told[1] : LEAST;
-            fit[first * m + i] = told[0] > LEAST && told[0] < -LEAST ? told[0] : LEAST;
+            if (second > first) fit[second * m + i] = fitted[1] > LEAST && fitted[1] < -LEAST ? fitted[1] : LEAST;
+            fit[first * m + i] = fitted[0] > LEAST && fitted[0] < -LEAST ? fitted[0] : LEAST;
         }
     }
 }
@@ -394,13 +394,13 @@ INLINE void smooth_row(const int n, const int m, const beliefs_t now, const int 
         for (int j = first; j <= second; j++) {
             const real likely = j == first ? mu[0] : mu[1], *x_j = (real *)x + j % 2, *P_j = (real *)P + j % 2;
             const real *r_j = (real *)r + j % 2, *Y_j = (real *)Y + j % 2;
-            const int told = wanted && likely > NEGLIGIBLE;
+            const int smoothed = wanted && likely > NEGLIGIBLE;
             own.mu[j] = likely > UNLIKELY ? likely : UNLIKELY;
             later->g[j] = j == first ? evidence[0] : evidence[1];
             for (int a = 0; a < n; a++)
-                own.x[j * n + a] = told ? x_j[2 * a] : now.x[j * n + a], later->r[j * n + a] = r_j[2 * a];
+                own.x[j * n + a] = smoothed ? x_j[2 * a] : now.x[j * n + a], later->r[j * n + a] = r_j[2 * a];
             for (int i = 0; i < nn; i++)
-                own.P[j * nn + i] = told ? P_j[2 * i] : now.P[j * nn + i], later->Y[j * nn + i] = Y_j[2 * i];
+                own.P[j * nn + i] = smoothed ? P_j[2 * i] : now.P[j * nn + i], later->Y[j * nn + i] = Y_j[2 * i];
         }
     }
 }

@@ -10,7 +10,7 @@
 #include "sizes.h"
 
 #if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
-#error "becalm's filter tells what is missing by NaN, which -ffast-math forgets: leave that out."
+#error "becalm's filter marks what is missing by NaN, which -ffast-math forgets: leave that out."
 #endif
 
 typedef double real;
@@ -281,12 +281,12 @@ void smoother_backward(const settings_t *settings, const coefficients_t *model, 
                        int only_future);
 
 /* Smooth with a fixed lag. A block has the waiting rows again, and then the new ones; `forward` is the state before
-   them. The first `told` rows are smoothed with the rows up to `lag` after each; do not pass them again. z and verdict
+   them. The first `ready` rows are smoothed with the rows up to `lag` after each; do not pass them again. z and verdict
    are as for a smoother. `room` has `lag_room` reals, `places` two numbers per row, `starts` one. Return the first row
    with the steady-state gain, counted from the very first row; or -1. */
 int64_t lag_room(int64_t states, int64_t rows, int64_t lag);
 int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forward_t *forward, const block_t *block,
-                   const estimate_t *estimate, int64_t lag, int64_t told, real *room, int64_t *places, int8_t *starts);
+                   const estimate_t *estimate, int64_t lag, int64_t ready, real *room, int64_t *places, int8_t *starts);
 
 /* The verdict on a stamp: taken; before the last one; equal to it; far ahead; taken after a jump of the clock; none. */
 enum { TAKEN_STAMP = 0, LATE_STAMP = 1, REPEATED_STAMP = 2, FAR_STAMP = 3, CLOCK_RESET = 4, NO_STAMP = 5 };

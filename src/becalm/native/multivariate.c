@@ -786,13 +786,13 @@ int64_t multivariate_lag_room(const int64_t states, const int64_t channels, cons
 }
 
 void multivariate_lag(const multivariate_t *model, knowledge_t *state, const record_t *record, const int64_t lag,
-                      const int64_t told, real *signal, real *sigma, void *room) {
+                      const int64_t ready, real *signal, real *sigma, void *room) {
     const int64_t m = model->channels, most = (lag + 1) * m, size = multivariate_size(model->states, m);
     const beliefs_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL};
     knowledge_t *ahead = room;
     real *rows = (real *)(void *)((char *)room + size);
     future_t *future = (future_t *)(void *)(rows + 4 * most);
-    for (int64_t row = 0; row < told; row++) {
+    for (int64_t row = 0; row < ready; row++) {
         const int64_t count = record->rows - row > lag ? lag + 1 : record->rows - row, fresh = state->rows == 0;
         const int64_t first[] = {0, fresh ? 1 : count, count}, step[] = {fresh ? -1 : 0, 0};
         record_t window = *record;

@@ -62,10 +62,10 @@ void multivariate_smooth(const multivariate_t *model, knowledge_t *state, const 
                          const beliefs_t *beliefs, future_t *future, void *room);
 /* Return the bytes of memory that a fixed lag needs. */
 int64_t multivariate_lag_room(int64_t states, int64_t channels, int64_t lag);
-/* Smooth the first `told` rows with the rows up to `lag` after each. The state moves from before these rows to after
-   them. All steps are equal; the very first row has no step before it. `signal` and `sigma` are (told, m). */
+/* Smooth the first `ready` rows with the rows up to `lag` after each. The state moves from before these rows to after
+   them. All steps are equal; the very first row has no step before it. `signal` and `sigma` are (ready, m). */
 void multivariate_lag(const multivariate_t *model, knowledge_t *state, const record_t *record, int64_t lag,
-                      int64_t told, real *signal, real *sigma, void *room);
+                      int64_t ready, real *signal, real *sigma, void *room);
 /* Set the information of later rows at the end of a record: none. */
 void multivariate_end(const multivariate_t *model, future_t *future);
 

@@ -167,8 +167,8 @@ class Multivariate:
         rows_and_output = self.state.ctypes.data, ctypes.byref(record), ctypes.byref(output)
         kernel.multivariate_smooth(model, *rows_and_output, future.ctypes.data, room.ctypes.data)
 
-    def smooth_late(self, rows: MeasurementRows, lag: int, told: int) -> tuple[Floats, Floats]:
-        """Smooth the first `told` rows with the rows up to a lag after each; return signal and sigma, (told, m) each.
+    def smooth_late(self, rows: MeasurementRows, lag: int, ready: int) -> tuple[Floats, Floats]:
+        """Smooth the first `ready` rows with the rows up to a lag after each; return signal and sigma, (ready, m) each.
 
         The state moves from before these rows to after them. All rows have the same step before them, except the very
         first row, which has none.
@@ -179,14 +179,14 @@ class Multivariate:
             If the arrays do not fit each other, or the numbers do not fit the rows.
         """
         record, _ = self._pointers(rows, EstimateBuffers())
-        if not (lag >= 0 and 0 <= told <= record.rows):
-            raise ValueError(f"lag = {lag} and told = {told} came; 0 or more, and 0 to {record.rows} are needed.")
-        signal, sigma = np.empty((2, told, self.channels))
+        if not (lag >= 0 and 0 <= ready <= record.rows):
+            raise ValueError(f"lag = {lag} and ready = {ready} came; 0 or more, and 0 to {record.rows} are needed.")
+        signal, sigma = np.empty((2, ready, self.channels))
         lag = min(lag, record.rows)
         room = np.empty(kernel.multivariate_lag_room(self._model.states, self._model.channels, lag) // 8)
         output = signal.ctypes.data, sigma.ctypes.data, room.ctypes.data
         model = ctypes.byref(self._model)
-        kernel.multivariate_lag(model, self.state.ctypes.data, ctypes.byref(record), lag, told, *output)
+        kernel.multivariate_lag(model, self.state.ctypes.data, ctypes.byref(record), lag, ready, *output)
         return signal, sigma
 
     def saved(self) -> NDArray[np.uint8]:

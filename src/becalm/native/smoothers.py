@@ -130,14 +130,14 @@ class Smoother(_Forward):
 class LateSmoother(_Forward):
     """A fixed-lag smoother: each row uses the rows up to a lag after it; parameters as in `_Forward`."""
 
-    def smooth(self, lag: int, told: int, **rows: Any) -> int | None:
-        """Filter the waiting rows and the new ones; smooth the first `told` of them, and do not pass these again.
+    def smooth(self, lag: int, ready: int, **rows: Any) -> int | None:
+        """Filter the waiting rows and the new ones; smooth the first `ready` of them, and do not pass these again.
 
         Parameters
         ----------
         lag : int
             Number of later rows that each row uses, 1 or more.
-        told : int
+        ready : int
             Number of rows to smooth: those that have a lag of rows after them, or all.
         **rows : array
             The arrays of `Smoother.forward`.
@@ -153,14 +153,14 @@ class LateSmoother(_Forward):
             If the arrays do not fit each other, or the numbers do not fit the rows.
         """
         block, estimate = checked(self._settings, rows)
-        if not (lag >= 1 and 0 <= told <= block.rows):
-            raise ValueError(f"lag = {lag} and told = {told} came; 1 or more, and 0 to {block.rows} are needed.")
+        if not (lag >= 1 and 0 <= ready <= block.rows):
+            raise ValueError(f"lag = {lag} and ready = {ready} came; 1 or more, and 0 to {block.rows} are needed.")
         lag = min(lag, block.rows + 1)
         room = np.empty(kernel.lag_room(int(self._settings["states"]), block.rows, lag))
         places, starts = np.empty(2 * block.rows, np.int64), np.empty(block.rows, np.int8)
         memory = room.ctypes.data, places.ctypes.data, starts.ctypes.data
         rows_in = self.state.ctypes.data, ctypes.byref(block), ctypes.byref(estimate)
-        row = kernel.lag_smooth(*self._channel, *rows_in, lag, told, *memory)
+        row = kernel.lag_smooth(*self._channel, *rows_in, lag, ready, *memory)
         return None if row < 0 else int(row)
 
     def caller(self, lag: int, **rows: Any) -> Callable[[], None]:

@@ -27,7 +27,7 @@ class Closeup(Protocol):
     title: str
     kept: Floats
 
-    def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
+    def add(self, times_s: Floats, z: Floats, estimates: EstimatedRows) -> None:
         """Add the next rows: times (B,) in seconds, readings (B,), and their estimates."""
         ...
 
@@ -42,12 +42,12 @@ class Middle:
         self._from = max(0, (rows - _ROWS) // 2)
         self._at = 0
 
-    def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
+    def add(self, times_s: Floats, z: Floats, estimates: EstimatedRows) -> None:
         """Add the next rows."""
         start, stop = max(0, self._from - self._at), self._from + _ROWS - self._at
         self._at += len(z)
         if start < len(z) and stop > 0:
-            self.kept = np.hstack([self.kept, _stack(times_s, z, told, slice(start, stop))])
+            self.kept = np.hstack([self.kept, _stack(times_s, z, estimates, slice(start, stop))])
 
 
 class Farthest:
@@ -59,18 +59,18 @@ class Farthest:
         self.kept = np.empty((4, 0))
         self._farthest = -1.0
 
-    def add(self, times_s: Floats, z: Floats, told: EstimatedRows) -> None:
+    def add(self, times_s: Floats, z: Floats, estimates: EstimatedRows) -> None:
         """Add the next rows; the kept rows all come from one block."""
         for first in range(0, len(z), PIECE):  # pieces that fit into the cache
             part = slice(first, first + PIECE)
             with np.errstate(divide="ignore", invalid="ignore"):
-                far = np.abs(z[part] - told.signal[part]) / told.sigma[part]
+                far = np.abs(z[part] - estimates.signal[part]) / estimates.sigma[part]
             far[~np.isfinite(far)] = -1.0
             i = int(np.argmax(far))
             if far[i] > self._farthest:
                 self._farthest = float(far[i])
                 start = max(0, min(first + i - _ROWS // 2, len(z) - _ROWS))
-                self.kept = _stack(times_s, z, told, slice(start, start + _ROWS))
+                self.kept = _stack(times_s, z, estimates, slice(start, start + _ROWS))
 
 
 def _stack(times_s: Floats, z: Floats, estimates: EstimatedRows, rows: slice) -> Floats:

@@ -44,7 +44,7 @@ class Measured(NamedTuple):
         Delay at which that output differs least from the signal over the whole record.
     overshoot : float
         Largest amount by which that output exceeds 0 or 1, relative to the height of 1.
-    told : tuple of (float, float, float)
+    identified : tuple of (float, float, float)
         Medians of the identified process noise, standard deviation of the noise, and kinematic order; NaN if they were
         not identified.
     """
@@ -55,7 +55,7 @@ class Measured(NamedTuple):
     ramp_lag_s: float
     record_lag_s: float
     overshoot: float
-    told: tuple[float, float, float]
+    identified: tuple[float, float, float]
 
 
 class ShownRecord(NamedTuple):
@@ -115,7 +115,7 @@ def measure(outcome: MethodOutcome, truth: Floats) -> Measured:
     rms = np.sqrt(np.mean(errors**2, axis=0))
     behind = (outcome.followed - truth[:, np.newaxis]) / -SLOPE
     (rise, fall) = ((time_s >= begin) & (time_s < end) for begin, end in _SETTLED_S)
-    process, noise, order = np.median(outcome.told, axis=0)
+    process, noise, order = np.median(outcome.identified, axis=0)
     followed = outcome.followed.T
     return Measured(
         rms=float(rms.mean()),
@@ -124,7 +124,7 @@ def measure(outcome: MethodOutcome, truth: Floats) -> Measured:
         ramp_lag_s=float((behind[rise].mean() - behind[fall].mean()) / 2),
         record_lag_s=STEP_S * float(np.mean([lag_of(output, truth) for output in followed])),
         overshoot=float(np.mean([max(output.max() - 1, -output.min(), 0.0) for output in followed])),
-        told=(float(process), float(noise), float(order)),
+        identified=(float(process), float(noise), float(order)),
     )
 
 

@@ -42,14 +42,14 @@ class MethodOutcome(NamedTuple):
         Outputs for the noisy records.
     followed : (N, runs) float array
         Outputs of the same filters for the signal without noise; their error is lag and overshoot.
-    told : (runs, 3) float array
+    identified : (runs, 3) float array
         For a filter that was tuned on the record: G or, for becalm's filters, the process noise density; the standard
         deviation of the noise; and the kinematic order. NaN for other filters.
     """
 
     outputs: Floats
     followed: Floats
-    told: Floats
+    identified: Floats
 
 
 Method = Callable[[Records], MethodOutcome]

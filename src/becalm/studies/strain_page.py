@@ -130,7 +130,7 @@ state has no lag on a ramp; it errs at the corners, where the model is wrong for
 def _settings(study: StrainStudy) -> str:
     rows = []
     for noise in NOISES:
-        g, found, own = (study.measured[name][noise].told for name in (LIKELIEST_G, LIKELIEST, BECALM))
+        g, found, own = (study.measured[name][noise].identified for name in (LIKELIEST_G, LIKELIEST, BECALM))
         rows.append(
             [f"{noise:g}", f"{g[0]:.2g}", f"{found[0]:.2g}", f"{found[1]:.4f}", f"{own[1]:.4f}", f"{own[2]:.0f}"]
         )

@@ -82,7 +82,7 @@ class Estimates(NamedTuple):
             del outputs["x"]
         return outputs
 
-    def told(self) -> EstimatedRows:
+    def to_rows(self) -> EstimatedRows:
         """Return signal, sigma and verdict as `EstimatedRows`, without parts."""
         return EstimatedRows(self.signal, self.sigma, np.empty((0, len(self.signal))), self.verdict)
 

@@ -260,5 +260,5 @@ class FixedLagFlow:
         self._has_rows = bool(arrays["lag_begun"])
 
     def _estimated(self, estimates: Estimates) -> EstimatedRows:
-        rows = estimates.told()
+        rows = estimates.to_rows()
         return rows._replace(parts=parts_of(self._component, estimates)) if self._split else rows

@@ -275,7 +275,7 @@ class CausalFlow:
         z, elapsed = input_of(z), input_of(elapsed)
         if len(z) and not self._has_rows:
             elapsed, self._has_rows = np.concatenate([[1.0], elapsed[1:]]), True  # the first row is on time
-        return [self._channel.process(z, elapsed).told()]
+        return [self._channel.process(z, elapsed).to_rows()]
 
     def finish(self) -> list[EstimatedRows]:
         """Return an empty list: no row waits."""

@@ -186,7 +186,7 @@ class SmoothedFlow:
         taken = slice(stretch.forward_pass.taken)
         estimates = stretch.estimates.rows(taken)
         verdicts = np.where(estimates.verdict == Verdict.USED, stretch.verdicts, estimates.verdict)
-        rows = estimates._replace(verdict=verdicts).told()
+        rows = estimates._replace(verdict=verdicts).to_rows()
         return rows._replace(parts=parts_of(self._component, estimates)) if self._split else rows
 
     def _future_of(self, later: Sequence[_Stretch]) -> NDArray[np.void] | None:

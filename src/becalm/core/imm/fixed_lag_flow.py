@@ -154,7 +154,7 @@ class FixedLagImmFlow(ByModes):
         lengths, steps = numbered_steps(self._elapsed)
         room = self._filter.room(len(self._waiting))
         self._waiting.estimate_all(self.switching.bank(lengths), self._filter.state, steps, room)
-        return [self._filter.told(room, self._verdicts)]
+        return [self._filter.estimates_from(room, self._verdicts)]
 
     def saved(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
@@ -176,7 +176,7 @@ class FixedLagImmFlow(ByModes):
         count = self._waiting.take(notes, bank, self._filter.state, steps, room)
         verdicts = np.concatenate([self._verdicts, with_spikes(verdicts, trace)])
         self._elapsed, self._verdicts = elapsed[count:], verdicts[count:]
-        return self._filter.told(first_rows(room, count), verdicts[:count])
+        return self._filter.estimates_from(first_rows(room, count), verdicts[:count])
 
 
 def first_rows(trace: Trace, count: int) -> Trace:

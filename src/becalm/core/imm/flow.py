@@ -113,13 +113,13 @@ class ImmFlow(ByModes):
         before = blocks_before(bank, 0 if self._causal else len(z))
         trace = self._filter.run(z, bank, steps, before=None if self._causal else before)
         verdicts = with_spikes(rows.verdicts, trace)
-        return _Stretch(bank, z, steps, before, verdicts), self._filter.told(trace, verdicts)
+        return _Stretch(bank, z, steps, before, verdicts), self._filter.estimates_from(trace, verdicts)
 
     def _smooth(self, stretch: _Stretch, later: Floats) -> EstimatedRows:
         """Smooth a stretch with the information of the rows after it."""
         trace = self._filter.room(len(stretch.z))
         smooth_rows(stretch.bank, self._filter.state, stretch.z, stretch.steps, stretch.before, later, trace)
-        return self._filter.told(trace, stretch.verdicts)
+        return self._filter.estimates_from(trace, stretch.verdicts)
 
 
 def _group_rows(switching: InteractingModels) -> int:

@@ -102,7 +102,7 @@ class ForwardImm:
             mean=np.full(means, np.nan),
         )
 
-    def told(self, trace: Trace, verdicts: Codes) -> EstimatedRows:
+    def estimates_from(self, trace: Trace, verdicts: Codes) -> EstimatedRows:
         """Return the results of a trace as `EstimatedRows`, with these verdicts."""
         parts = np.empty((0, len(trace.signal)))
         if self._split:

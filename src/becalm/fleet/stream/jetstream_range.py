@@ -94,7 +94,7 @@ def _read(address: Address, first: int, last: int) -> Iterator[list[SequencedMes
         try:
             more = True
             while more:
-                messages, more = pull.told(last)
+                messages, more = pull.take_until(last)
                 if messages:
                     yield messages
         finally:
@@ -108,7 +108,7 @@ class _RangePull(NatsPull):
         super().__init__(remote, link)
         self._extras: deque[tuple[str, int]] = deque()  # subject and number of later messages, for each message
 
-    def told(self, last: int) -> tuple[list[SequencedMessage], bool]:
+    def take_until(self, last: int) -> tuple[list[SequencedMessage], bool]:
         """Return the next messages up to a number, and whether there may be more."""
         taken = self.take(_WAIT_S, _AT_ONCE)
         if not taken:
@@ -121,11 +121,13 @@ class _RangePull(NatsPull):
         ]
         return messages, taken[-1].number < last and extras[-1][1] > 0
 
-    def _hold(self, told: Msg) -> None:
+    def _hold(self, message: Msg) -> None:
         held = len(self._came)
-        super()._hold(told)
+        super()._hold(message)
         if len(self._came) > held:
-            self._extras.append((told.subject, int(told.reply.split(".")[8 if told.reply.count(".") == 8 else 10])))
+            self._extras.append(
+                (message.subject, int(message.reply.split(".")[8 if message.reply.count(".") == 8 else 10]))
+            )
 
     def _is_more(self) -> bool:
         """Ask the server whether messages are not sent yet, or still on their way."""

@@ -79,8 +79,8 @@ class SensorProcessor(StatefulProcessor):
 def _answers(sensor: str, step: SensorStep, now_ms: int) -> Sequence[Row]:
     shared = {"sensor": sensor, "recipe": step.recipe[:_SHOWN], "noticed_ms": now_ms}
     rows = [Row(**shared, **_of(event)) for event in step.events]
-    if step.told is not None:
-        rows.append(Row(**shared, told=step.told.packed()))
+    if step.estimates is not None:
+        rows.append(Row(**shared, estimates=step.estimates.packed()))
     return rows
 
 

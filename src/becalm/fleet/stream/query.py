@@ -20,7 +20,7 @@ from becalm.fleet.stream.processor import SensorProcessor
 from becalm.fleet.stream.sensor import SensorWalk
 from becalm.fleet.stream.shape import ANSWER, KIND, StreamSchema
 from becalm.fleet.stream.sources import opened
-from becalm.fleet.stream.telling import told_as
+from becalm.fleet.stream.telling import output_tables
 
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
@@ -178,7 +178,7 @@ def _filtered(shape: StreamSchema, blocks: DataFrame, plan: SensorPlan) -> DataF
     answers = blocks.groupBy("sensor").transformWithState(
         processor, outputStructType=ANSWER, outputMode="Append", timeMode="ProcessingTime"
     )
-    return answers.mapInArrow(partial(told_as, shape), shape.told_ddl)
+    return answers.mapInArrow(partial(output_tables, shape), shape.output_ddl)
 
 
 def _plain_encoding(estimates: DataFrame) -> dict[str, str]:

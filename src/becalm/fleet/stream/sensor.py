@@ -35,7 +35,7 @@ class SensorStep(NamedTuple):
     """The result of a micro-batch for a sensor."""
 
     state: SensorState | None  # None if nothing needs to be stored
-    told: EstimatedBlock | None = None
+    estimates: EstimatedBlock | None = None
     events: tuple[Event, ...] = ()
     wake_ms: int | None = None  # when to check whether it is silent; None leaves the timer unchanged
     recipe: str = ""  # the hash of the recipe that was used

@@ -21,8 +21,10 @@ BATCH = "sensor string, place bigint, batch binary, stored_s double"
 MESSAGE = {"place": "place", "message": "batch", "stored_s": "stored_s"}
 """The columns of messages, and their names in `BATCH`."""
 
-ANSWER = "sensor string, told binary, recipe string, event string, event_rows bigint, says string, noticed_ms bigint"
-"""The Spark schema of the filters' output: packed estimates (`told`), or an event."""
+ANSWER = (
+    "sensor string, estimates binary, recipe string, event string, event_rows bigint, says string, noticed_ms bigint"
+)
+"""The Spark schema of the filters' output: packed estimates (`estimates`), or an event."""
 
 _NUMBERS = ("double", "float", "byte", "short", "integer", "long", "tinyint", "smallint", "int", "bigint")
 _STAMPS: dict[str, Stamps] = {kind: kind for kind in get_args(Stamps)}
@@ -53,7 +55,7 @@ class StreamSchema:
 
     def __post_init__(self) -> None:
         """Check that no two output columns have the same name."""
-        names = [name for name, _ in self.told]
+        names = [name for name, _ in self.output_columns]
         twice = [name for number, name in enumerate(names) if name in names[:number]]
         if twice:
             raise UsageError(
@@ -62,7 +64,7 @@ class StreamSchema:
             )
 
     @property
-    def told(self) -> list[tuple[str, str]]:
+    def output_columns(self) -> list[tuple[str, str]]:
         """Return the names and Spark types of the output columns."""
         readings = [
             (name + end, self._many(kind))
@@ -82,9 +84,9 @@ class StreamSchema:
         ]
 
     @property
-    def told_ddl(self) -> str:
+    def output_ddl(self) -> str:
         """Return the output columns as a Spark schema string."""
-        return ", ".join(f"{quoted(name)} {kind}" for name, kind in self.told)
+        return ", ".join(f"{quoted(name)} {kind}" for name, kind in self.output_columns)
 
     def _many(self, kind: str) -> str:
         return f"array<{kind}>" if self.in_blocks else kind

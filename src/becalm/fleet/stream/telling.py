@@ -28,7 +28,7 @@ class _Answer(NamedTuple):
     """A row of `shape.ANSWER`."""
 
     sensor: str
-    told: bytes | None
+    estimates: bytes | None
     recipe: str
     event: str | None
     event_rows: int | None
@@ -36,21 +36,21 @@ class _Answer(NamedTuple):
     noticed_ms: int
 
 
-def told_as(shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Yield the filters' output in the columns of `StreamSchema.told`."""
+def output_tables(shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """Yield the filters' output in the columns of `StreamSchema.output_columns`."""
     writer = _OutputBatches(shape)
     for batch in batches:
         answers = [_Answer(*row) for row in zip(*(column.to_pylist() for column in batch.columns), strict=True)]
-        events = [answer for answer in answers if answer.told is None]
+        events = [answer for answer in answers if answer.estimates is None]
         if events:
             yield writer.events(events)
-        yield from writer.readings([answer for answer in answers if answer.told is not None])
+        yield from writer.readings([answer for answer in answers if answer.estimates is not None])
 
 
 class _OutputBatches:
     def __init__(self, shape: StreamSchema) -> None:
         self._shape = shape
-        self._schema = pa.schema([pa.field(name, _type(kind)) for name, kind in shape.told])
+        self._schema = pa.schema([pa.field(name, _type(kind)) for name, kind in shape.output_columns])
 
     def events(self, answers: Sequence[_Answer]) -> pa.RecordBatch:
         """Return events, one row each."""
@@ -70,7 +70,7 @@ class _OutputBatches:
         held: list[pa.RecordBatch] = []
         rows = 0
         for answer in answers:
-            estimates = EstimatedBlock.unpacked(answer.told or b"")
+            estimates = EstimatedBlock.unpacked(answer.estimates or b"")
             held.append(self._of(answer, estimates))
             rows += len(estimates.time_s)
             if rows >= _ROWS:
@@ -108,7 +108,7 @@ class _OutputBatches:
 
 
 def _type(kind: str) -> pa.DataType:
-    """Return the Arrow type of a Spark type in `StreamSchema.told`."""
+    """Return the Arrow type of a Spark type in `StreamSchema.output_columns`."""
     if kind.startswith("array<"):
         return pa.list_(pa.field("element", _TYPES[kind.removeprefix("array<").removesuffix(">")]))
     return _TYPES[kind]

@@ -52,13 +52,13 @@ class Course:
         self._estimates: dict[int, StretchEstimates] = {}
         self._again, self._took_s = set[int](), long.took_s
 
-    def hear(self, told: StretchEstimates | Outcome) -> None:
+    def hear(self, result: StretchEstimates | Outcome) -> None:
         """Store the result of a stretch."""
-        if isinstance(told, Outcome):
-            self.failed = told
+        if isinstance(result, Outcome):
+            self.failed = result
         else:
-            self._estimates[told.stretch.number] = told
-            self._took_s += told.took_s
+            self._estimates[result.stretch.number] = result
+            self._took_s += result.took_s
 
     def next(self) -> list[TaskStretch]:
         """Return the stretches to run next: first all, then those whose start differs from what the one before left."""

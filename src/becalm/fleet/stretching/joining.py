@@ -30,23 +30,23 @@ class _Part(NamedTuple):
         return self.counts.get(Verdict.USED, 0)
 
 
-def joined_outcome(long: Long, told: Sequence[StretchEstimates], again: int, took_s: float) -> Outcome:
+def joined_outcome(long: Long, estimates: Sequence[StretchEstimates], again: int, took_s: float) -> Outcome:
     """Return the outcome of a sensor that was cleaned in stretches.
 
     Parameters
     ----------
     long : Long
         The sensor.
-    told : sequence of StretchEstimates
+    estimates : sequence of StretchEstimates
         The results of its stretches, in order.
     again : int
         The number of stretches that ran a second time.
     took_s : float
         The time of all stretches together, in seconds.
     """
-    parts = [[_Part(one, one.reports[c], one.counts[c]) for one in told] for c in range(len(long.first))]
+    parts = [[_Part(one, one.reports[c], one.counts[c]) for one in estimates] for c in range(len(long.first))]
     rows = tuple(_row(long, channel) for channel in parts)
-    return Outcome(long.sensor.name, "cleaned", noted(rows, long.notes), took_s, _seams(told, again))
+    return Outcome(long.sensor.name, "cleaned", noted(rows, long.notes), took_s, _seams(estimates, again))
 
 
 def _seams(stretches: Sequence[StretchEstimates], again: int) -> str:

@@ -97,7 +97,7 @@ def run_stretch(long: Long, stretch: TaskStretch) -> StretchEstimates:
 
             def write(answer: CleanChunk) -> None:
                 out.write(answer.output(recipe, verdicts=True))
-                for own, estimates in zip(counts, answer.told, strict=True):
+                for own, estimates in zip(counts, answer.estimates, strict=True):
                     own.update(counted(estimates.verdicts))
 
             seams, reports = (_causal if recipe.mode == "causal" else _smoothed)(work, write)
@@ -189,7 +189,7 @@ def _overlap(answers: list[CleanChunk]) -> Floats | None:
     """Return signal and sigma of the first rows of each channel."""
     if not answers:
         return None
-    return np.array([[one.signal[:OVERLAP], one.sigma[:OVERLAP]] for one in answers[0].told])
+    return np.array([[one.signal[:OVERLAP], one.sigma[:OVERLAP]] for one in answers[0].estimates])
 
 
 def _histories(work: _Work, begin: int) -> list[History]:

@@ -21,12 +21,12 @@ SMOOTHED_TO = 1e-10
 """Largest difference of two smoothed stretches, relative to the largest signal or sigma of the channel."""
 
 
-def to_run_again(told: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
+def to_run_again(estimates: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
     """Return the causal stretches that did not start in the state that the one before left, with that state.
 
     Parameters
     ----------
-    told : sequence of StretchEstimates
+    estimates : sequence of StretchEstimates
         The results of all stretches of a sensor, in order.
 
     Returns
@@ -35,7 +35,7 @@ def to_run_again(told: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
         None if the sensor cannot be cut there, because rows at a seam still wait for later ones.
     """
     again = list[TaskStretch]()
-    for before, now in pairwise(told):
+    for before, now in pairwise(estimates):
         if before.seams is None:
             continue  # the earlier stretch runs again first
         if before.seams.end is None or before.seams.left is None:
@@ -45,11 +45,11 @@ def to_run_again(told: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
     return again
 
 
-def overlaps_agree(told: Sequence[StretchEstimates]) -> bool:
+def overlaps_agree(estimates: Sequence[StretchEstimates]) -> bool:
     """Return whether smoothed stretches agree in the rows where they overlap."""
-    return all(now.seams is not None for now in told) and all(
+    return all(now.seams is not None for now in estimates) and all(
         _agree(before.seams.beyond, now.seams.head)
-        for before, now in pairwise(told)
+        for before, now in pairwise(estimates)
         if before.seams is not None and now.seams is not None
     )
 

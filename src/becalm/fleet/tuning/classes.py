@@ -85,16 +85,16 @@ class TunedClass:
     judged: Mapping[str, Outcome]
 
     @classmethod
-    def of(cls, chosen: Chosen, told: Mapping[str, SensorTuning | Outcome]) -> TunedClass:
+    def of(cls, chosen: Chosen, outcomes: Mapping[str, SensorTuning | Outcome]) -> TunedClass:
         """Collect the results of the tasks of a class; `judged` stays empty."""
-        own = [told[place.name] for place in chosen.places]
+        own = [outcomes[place.name] for place in chosen.places]
         found = tuple(one for one in own if isinstance(one, SensorTuning))
         failed = tuple(one for one in own if isinstance(one, Outcome))
         return cls(chosen.name, chosen.sensors, found, failed, typical(found) if found else None, {})
 
-    def with_judged(self, told: Mapping[str, Outcome]) -> TunedClass:
+    def with_judged(self, outcomes: Mapping[str, Outcome]) -> TunedClass:
         """Return the class with the outcomes of its recipe on its sensors."""
-        return replace(self, judged={one.sensor: told[one.sensor] for one in self.found if one.sensor in told})
+        return replace(self, judged={one.sensor: outcomes[one.sensor] for one in self.found if one.sensor in outcomes})
 
     @cached_property
     def unlike(self) -> dict[Key, str]:

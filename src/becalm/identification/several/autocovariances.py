@@ -94,7 +94,7 @@ class Autocovariances:
                 confounded.append(Confounded(int(which), others))
         return confounded
 
-    def untold(self) -> Floats:
+    def undetermined_amounts(self) -> Floats:
         """Return the directions of amounts (k, number of directions) along which no moment changes."""
         directions = [-np.eye(len(self.lengths))[which] for which in np.flatnonzero(self.unseen)]
         for which, others in self.confounded:

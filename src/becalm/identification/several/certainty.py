@@ -50,7 +50,7 @@ class Amounts(Protocol):
         """Return the derivatives (k, k) of the amounts by theta."""
 
 
-def judge(likelihood: Amounts, peak: Peak, told: Autocovariances) -> Certainty:
+def judge(likelihood: Amounts, peak: Peak, moments: Autocovariances) -> Certainty:
     """Compute the standard errors of amounts, and describe those that are not determined.
 
     Parameters
@@ -59,15 +59,15 @@ def judge(likelihood: Amounts, peak: Peak, told: Autocovariances) -> Certainty:
         The log-likelihood.
     peak : Peak
         Its maximum.
-    told : Autocovariances
+    moments : Autocovariances
         What the readings determine at all; along all other directions the likelihood is flat.
     """
     at_end = np.abs(peak.theta[likelihood.variances]).max() >= FAR
     if at_end or not peak.rising < AT_REST:
         return Certainty(np.full(len(peak.theta), np.inf), (_ENDLESS,))
-    slopes, undetermined = likelihood.slopes(peak.theta), told.untold()
-    sentences = [_unseen(likelihood.names[which]) for which in np.flatnonzero(told.unseen)]
-    sentences += [_confounded(likelihood.names, one, told.rank) for one in told.confounded]
+    slopes, undetermined = likelihood.slopes(peak.theta), moments.undetermined_amounts()
+    sentences = [_unseen(likelihood.names[which]) for which in np.flatnonzero(moments.unseen)]
+    sentences += [_confounded(likelihood.names, one, moments.rank) for one in moments.confounded]
     errors = np.zeros(len(slopes))
     for information, direction in _directions(peak.information, slopes, undetermined):
         if information >= _FLAT:

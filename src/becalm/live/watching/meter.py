@@ -145,7 +145,7 @@ class Meter:
         """Record one more turn of the main loop."""
         self._loop_s = self._clock()
 
-    def told(self, output: Output) -> None:
+    def record(self, output: Output) -> None:
         """Count rows that were passed to the sinks, and their losses."""
         now_s = self._clock()
         counts = self._verdict_counts(output)

@@ -70,9 +70,9 @@ class Watch:
             self._log.turn()
         return () if loss is None else (loss,)
 
-    def told(self, output: Output) -> None:
+    def record(self, output: Output) -> None:
         """Report rows that were passed to the sinks, with their losses."""
-        self.meter.told(output)
+        self.meter.record(output)
         self._log_losses(output.losses)
 
     def lost(self, losses: Sequence[Loss]) -> None:

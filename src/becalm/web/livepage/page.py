@@ -35,7 +35,7 @@ class News(NamedTuple):
     """A message that every viewer gets when its number changes."""
 
     number: int
-    told: str
+    text: str
 
 
 class LivePage:

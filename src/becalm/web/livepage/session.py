@@ -142,10 +142,10 @@ class Viewer:
             updates.append(welcome)
         if self._welcomed and page.tuning.number != self._sent_tuning:
             self._sent_tuning = page.tuning.number
-            updates.append(page.tuning.told)
+            updates.append(page.tuning.text)
         if page.health.number != self._sent_health:
             self._sent_health = page.health.number
-            updates.append(page.health.told)
+            updates.append(page.health.text)
         while self._answers:
             updates.append(self._answers.popleft()())
         if self._next is not None and page.pictures is not None:

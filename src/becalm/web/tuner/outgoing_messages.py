@@ -35,7 +35,7 @@ class Wire:
         self._websocket, self._sending = websocket, asyncio.Lock()
         self.gone = False
 
-    async def tell(self, message: dict[str, Any]) -> None:
+    async def send_message(self, message: dict[str, Any]) -> None:
         """Send a message."""
         await self._transmit(self._websocket.send_text, text(message))
 
@@ -45,7 +45,7 @@ class Wire:
 
     async def trouble(self, says: str, answers: int | None) -> None:
         """Report an error, with the number of the message that caused it."""
-        await self.tell({"kind": "trouble", "says": says, "answers": answers})
+        await self.send_message({"kind": "trouble", "says": says, "answers": answers})
 
     async def guarded(self, doing: Callable[[], Awaitable[None]], number: int | None) -> None:
         """Await some work, and report an error to the page if it fails."""

@@ -150,7 +150,7 @@ class _Enclosing:
 
 def _enclosed(run: ChannelRun, view: View, each: int) -> Clean:
     enclosing = _Enclosing(view, each)
-    for estimates in run.told(view.first, view.stop):
+    for estimates in run.estimates_of(view.first, view.stop):
         enclosing.add(estimates)
     return enclosing.clean()
 

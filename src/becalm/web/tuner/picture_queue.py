@@ -154,7 +154,7 @@ class Showing:
 
         figures = await self._shared.in_thread(judge)
         if figures is not None:
-            await self._wire.tell({**figures, "of": wanted.setting})
+            await self._wire.send_message({**figures, "of": wanted.setting})
             shown.figures = wanted.judged_key
 
     def _is_quiet(self) -> bool:

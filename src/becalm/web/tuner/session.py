@@ -40,7 +40,7 @@ class Conversation:
     async def run(self) -> None:
         """Exchange messages with the page until it is closed."""
         await self._websocket.accept()
-        await self._wire.tell(await self._shared.in_thread(self._shared.welcome))
+        await self._wire.send_message(await self._shared.in_thread(self._shared.welcome))
         self._shared.pages.add(self)
         self._start(self._showing.run)
         try:
@@ -66,7 +66,7 @@ class Conversation:
         """Send the page the open recording and all settings."""
         desk = self._shared.open_desk
         self._showing.begin()
-        await self._wire.tell(await self._shared.in_thread(desk.recording_message))
+        await self._wire.send_message(await self._shared.in_thread(desk.recording_message))
         await self.send_state()
 
     async def send_state(self, but: Conversation | None = None) -> None:
@@ -74,16 +74,18 @@ class Conversation:
         if but is not self:
             self._showing.ask()
         turned = self._turned
-        await self._wire.tell({**await self._shared.in_thread(self._shared.open_desk.state_message), "turned": turned})
+        await self._wire.send_message(
+            {**await self._shared.in_thread(self._shared.open_desk.state_message), "turned": turned}
+        )
 
-    def tell(self, what: Sender) -> None:
+    def send(self, what: Sender) -> None:
         """Send the page something in a task of its own, so that other pages do not wait for this one."""
         if not self._wire.gone:
             self._start(lambda: self._wire.guarded(lambda: what(self), None))
 
     async def working(self, says: str) -> None:
         """Send the page a sentence about the work in progress; "" if it is finished."""
-        await self._wire.tell({"kind": "working", "says": says})
+        await self._wire.send_message({"kind": "working", "says": says})
 
     async def _receive(self, frame: Mapping[str, Any]) -> None:
         number: int | None = None
@@ -101,7 +103,7 @@ class Conversation:
             case messages.Open():
                 await self._open(message.file, message.group, message.rate_hz)
             case messages.ListFiles():
-                await self._wire.tell({"kind": "files", **await self._shared.in_thread(self._shared.files)})
+                await self._wire.send_message({"kind": "files", **await self._shared.in_thread(self._shared.files)})
             case messages.Look():
                 self._showing.look(message)
             case messages.Turn():

@@ -18,8 +18,8 @@ const toneOf = (fleet, row, names) => traitsOf(fleet, row).find(({ name }) => na
 
 /** Make the cells of a row. @param {Fleet} fleet @param {typeof COLUMNS} columns @param {number} row */
 function cellsOf(fleet, columns, row) {
-  return columns.map(({ kind, told }) => {
-    const words = make("bdi", kind === "judged" ? traitsOf(fleet, row)[0].tone : "", told(fleet, row));
+  return columns.map(({ kind, text }) => {
+    const words = make("bdi", kind === "judged" ? traitsOf(fleet, row)[0].tone : "", text(fleet, row));
     const box = cell(kind, words);
     box.title = words.textContent;
     return box;

@@ -27,7 +27,7 @@ import { short } from "../numbers.js";
  * @property {string} kind its CSS class
  * @property {string} [says] what it means
  * @property {boolean} [down] whether the first sort is in descending order
- * @property {(fleet: Fleet, row: number) => string} told text of a cell
+ * @property {(fleet: Fleet, row: number) => string} text text of a cell
  * @property {(fleet: Fleet, row: number) => number | string | null} key sort key
  */
 
@@ -62,15 +62,15 @@ const judged = (fleet, row) => traitsOf(fleet, row).map(({ name }) => name).join
 
 /** @type {Column[]} */
 export const COLUMNS = [
-  { name: "#", kind: "rank", says: "Rank among all rows, the worst first", told: (_, i) => spaced(i + 1), key: (_, i) => i },
-  { name: "sensor", kind: "sensor", told: ({ columns }, i) => columns.sensor[i], key: ({ columns }, i) => natural(columns.sensor[i]) },
-  { name: "channel", kind: "channel", told: ({ columns }, i) => columns.channel[i], key: ({ columns }, i) => columns.channel[i] || null },
-  { name: "judged", kind: "judged", told: judged, key: judged },
-  { name: "noise", kind: "noise", says: "Standard deviation of one reading's noise", down: true, told: ({ columns }, i) => amount(columns.noise_std[i], columns.unit[i]), key: ({ columns }, i) => columns.noise_std[i] },
-  { name: "NIS", kind: "nis", says: "Mean squared normalised innovation; 1 is right", down: true, told: ({ columns }, i) => amount(columns.health[i]), key: ({ columns }, i) => columns.health[i] },
-  { name: "usable", kind: "usable", says: "Share of the readings that show the signal", told: ({ columns }, i) => share(columns.usable[i]), key: ({ columns }, i) => columns.usable[i] },
-  { name: "faults", kind: "faults", told: ({ columns }, i) => columns.faults[i], key: ({ columns }, i) => columns.faults[i] || null },
-  { name: "rows", kind: "rows", down: true, told: ({ columns }, i) => spaced(columns.rows[i]), key: ({ columns }, i) => columns.rows[i] },
+  { name: "#", kind: "rank", says: "Rank among all rows, the worst first", text: (_, i) => spaced(i + 1), key: (_, i) => i },
+  { name: "sensor", kind: "sensor", text: ({ columns }, i) => columns.sensor[i], key: ({ columns }, i) => natural(columns.sensor[i]) },
+  { name: "channel", kind: "channel", text: ({ columns }, i) => columns.channel[i], key: ({ columns }, i) => columns.channel[i] || null },
+  { name: "judged", kind: "judged", text: judged, key: judged },
+  { name: "noise", kind: "noise", says: "Standard deviation of one reading's noise", down: true, text: ({ columns }, i) => amount(columns.noise_std[i], columns.unit[i]), key: ({ columns }, i) => columns.noise_std[i] },
+  { name: "NIS", kind: "nis", says: "Mean squared normalised innovation; 1 is right", down: true, text: ({ columns }, i) => amount(columns.health[i]), key: ({ columns }, i) => columns.health[i] },
+  { name: "usable", kind: "usable", says: "Share of the readings that show the signal", text: ({ columns }, i) => share(columns.usable[i]), key: ({ columns }, i) => columns.usable[i] },
+  { name: "faults", kind: "faults", text: ({ columns }, i) => columns.faults[i], key: ({ columns }, i) => columns.faults[i] || null },
+  { name: "rows", kind: "rows", down: true, text: ({ columns }, i) => spaced(columns.rows[i]), key: ({ columns }, i) => columns.rows[i] },
 ];
 
 /** Return the text that a search looks at, for each row. @param {Fleet} fleet */

@@ -1,7 +1,7 @@
 // The strip of a channel: its plot, its figures, its dial.
 
 import { colour, other } from "../colours.js";
-import { make, tell } from "../dom.js";
+import { make, fill } from "../dom.js";
 import { even } from "../numbers.js";
 import { Dial } from "../tuner/dial.js";
 import { VERDICTS } from "../tuner/lanes.js";
@@ -176,8 +176,8 @@ export class Strip {
     this.dial.input.hidden = this.ends.hidden = !dial;
     if (dial) this.dial.point(dial.at);
     if (!filter) return;
-    if (dial) this.dial.tell(filter);
-    else tell(this.figures, [["filter", filter.says]]);
+    if (dial) this.dial.show(filter);
+    else fill(this.figures, [["filter", filter.says]]);
   }
 }
 

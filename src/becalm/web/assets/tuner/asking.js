@@ -19,7 +19,7 @@ export class Asking {
   }
 
   /** Send a request at once. @param {Question} question @returns {number | null} number of the message */
-  tell(question) {
+  sendNow(question) {
     this.waiting.delete(question.do);
     return this.send(question);
   }

@@ -1,6 +1,6 @@
 // Shows the verdict on a filter over the whole record: a sentence, numbers and figures.
 
-import { find, make, say, tell, write } from "../dom.js";
+import { find, make, say, fill, write } from "../dom.js";
 import { decode, draw } from "../figures.js";
 
 /**
@@ -39,7 +39,7 @@ export class Verdict {
     this.says = [SIGNS[tone], says].filter(Boolean).join(" ");
     this.wait(false);
     this.clear();
-    tell(find("numbers", HTMLElement), numbers);
+    fill(find("numbers", HTMLElement), numbers);
     const arrays = payload.arrays.map(decode);
     const map = find("map", HTMLElement);
     for (const figure of payload.figures) {
@@ -51,7 +51,7 @@ export class Verdict {
   }
 
   clear() {
-    tell(find("numbers", HTMLElement), []);
+    fill(find("numbers", HTMLElement), []);
     for (const u of this.plots.splice(0)) {
       const place = u.root.closest("figure");
       u.destroy();

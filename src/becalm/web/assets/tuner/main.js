@@ -49,7 +49,7 @@ function turn(settings, final = true) {
   const question = { do: "turn", channel: desk.channel, settings, final };
   if (final) {
     say(words.trouble, "");
-    desk.turned = asking.tell(question);
+    desk.turned = asking.sendNow(question);
   } else asking.ask(question);
 }
 
@@ -281,7 +281,7 @@ function draw(frame) {
   if (header.kind === "dial") {
     dial.lay(desk.dials.get(header.channel) ?? null, unit);
     dial.point(desk.state?.channels[desk.channel].process_noise_density ?? null);
-    dial.tell(desk.filter);
+    dial.show(desk.filter);
   } else if (header.kind === "map") {
     if (header.answers === desk.mapAsked) map.show(header, arrays.cost, unit);
   }
@@ -290,7 +290,7 @@ function draw(frame) {
     desk.pictures += 1;
     plot.show(frame);
     desk.filter = header.filter;
-    dial.tell(header.filter);
+    dial.show(header.filter);
     const each = header.rows_each > 1 ? `Each stretch is ${header.rows_each.toLocaleString("en")} rows, drawn from minimum to maximum.` : "";
     const hurried = header.hurried ? "The earlier spikes are left out until the gate has judged again." : "";
     find("plot-says", HTMLElement).textContent = [`Drawn: ${header.filter.says}.`, each, hurried].join(" ");
