@@ -180,7 +180,7 @@ def test_the_same_process_reads_the_next_file(tmp_path: Path) -> None:
     used = set()
     for number in range(3):
         (table,) = read_tables(_array(tmp_path / f"{number}.h5", [1.0, 2.0]))
-        used.add(table.rows._shared._process._process.pid)  # type: ignore[attr-defined]
+        used.add(table.rows._opened._process._process.pid)  # type: ignore[attr-defined]
         table.rows.close()
     assert len(used) == 1
 

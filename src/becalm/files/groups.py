@@ -14,7 +14,7 @@ from becalm.errors import InputError, UsageError
 from becalm.files.library_reader import Foreign
 from becalm.files.numbers import Column, ColumnRows
 from becalm.files.read_options import ReadOptions
-from becalm.files.source import FormatTime, RawTable
+from becalm.files.source import FormatTime, RawTable, shared_closers
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.unit_spelling import parse_header
@@ -79,14 +79,13 @@ def tables(
     named = [group.name or f"group {number}" for number, group in enumerate(kept, start=1)]
     titles = unique_names(named) if len(kept) > 1 else ("",)
     uses = Counter(name for group in kept for name in group.columns if not is_time_name(name))
-    shared = _SharedFile(len(kept), close)
     made = []
-    for group, title in zip(kept, titles, strict=True):
+    for group, title, close_own in zip(kept, titles, shared_closers(len(kept), close), strict=True):
         columns = {f"{title}/{name}" if uses[name] > 1 else name: column for name, column in _timed(group).items()}
         units = {name: column.unit for name, column in columns.items() if column.unit}
         start = group.time.start if group.time else ""
         metadata = {key: text for key, text in ((GROUP, title), (START, start)) if text}
-        rows = ColumnRows(columns, group.rows, foreign, shared.closer(), metadata)
+        rows = ColumnRows(columns, group.rows, foreign, close_own, metadata)
         made.append(RawTable(rows, group.rows, form, units, group=title, time=_time(group), notes=group.notes))
     return tuple(made)
 
@@ -103,28 +102,6 @@ def _timed(group: Group) -> Mapping[str, Column]:
 
 def _time(group: Group) -> FormatTime | None:
     return None if group.time is None else group.time._replace(column=TIME)
-
-
-class _SharedFile:
-    """A file that several tables share; it is closed when the last of them is closed."""
-
-    def __init__(self, tables: int, close: Callable[[], None] | None) -> None:
-        self._left, self._close = tables, close
-
-    def closer(self) -> Callable[[], None]:
-        """Return a function that closes one of the tables; further calls of it do nothing."""
-        closed = False
-
-        def close() -> None:
-            nonlocal closed
-            if closed:
-                return
-            closed = True
-            self._left -= 1
-            if not self._left and self._close is not None:
-                self._close()
-
-        return close
 
 
 # Select one of the time bases of a file.

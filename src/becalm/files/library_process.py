@@ -12,7 +12,7 @@ import os
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from threading import Event, RLock, Timer
@@ -24,7 +24,7 @@ import pyarrow as pa
 from becalm import errors
 from becalm.errors import InputError
 from becalm.files.library_reader import file_bytes
-from becalm.files.source import FormatTime, RawTable
+from becalm.files.source import FormatTime, RawTable, shared_closers
 from becalm.installation import MODULE, environment
 
 LONGEST_S, BYTES_PER_S = 60.0, 1e6
@@ -59,8 +59,10 @@ def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
         process.put_back()
         raise
     tables = answer["tables"]
-    shared = _OpenFile(process, path, len(tables))
-    return tuple(_table(shared, number, table) for number, table in enumerate(tables))
+    opened = _OpenFile(process, path)
+    closers = shared_closers(len(tables), opened.close)
+    rows = [_RowsApart(opened, k, *own) for k, own in enumerate(zip(tables, closers, strict=True))]
+    return tuple(map(_table, rows, tables))
 
 
 def _own_name(path: Path) -> str:
@@ -68,11 +70,10 @@ def _own_name(path: Path) -> str:
     return os.path.realpath(path) if path.parts[1:2] in (("dev",), ("proc",)) else str(path)
 
 
-def _table(shared: _OpenFile, number: int, table: Mapping[str, Any]) -> RawTable:
-    schema = pa.ipc.read_schema(pa.py_buffer(bytes.fromhex(table["schema"])))
+def _table(rows: _RowsApart, table: Mapping[str, Any]) -> RawTable:
     time = None if table["time"] is None else FormatTime(*table["time"])
     return RawTable(
-        _RowsApart(shared, number, schema, table["rows"]),
+        rows,
         table["count"],
         table["format"],
         table["units"],
@@ -85,31 +86,29 @@ def _table(shared: _OpenFile, number: int, table: Mapping[str, Any]) -> RawTable
 class _RowsApart:
     """The rows of a table that another process reads."""
 
-    def __init__(self, shared: _OpenFile, number: int, schema: pa.Schema, count: int) -> None:
-        self._shared, self._number, self.schema, self.count = shared, number, schema, count
-        self._closed = False
+    def __init__(self, opened: _OpenFile, number: int, table: Mapping[str, Any], close: Callable[[], None]) -> None:
+        self._opened, self._number, self._close, self.count = opened, number, close, table["rows"]
+        self.schema = pa.ipc.read_schema(pa.py_buffer(bytes.fromhex(table["schema"])))
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
         """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
         while start < self.count:
-            block = self._shared.rows({"table": self._number, "names": [*names], "most": most_rows, "start": start})
+            block = self._opened.rows({"table": self._number, "names": [*names], "most": most_rows, "start": start})
             if block is None:
                 return
             yield block
             start += block.num_rows
 
     def close(self) -> None:
-        """Close the table."""
-        if not self._closed:
-            self._closed = True
-            self._shared.close_one()
+        """Close the table; further calls do nothing."""
+        self._close()
 
 
 class _OpenFile:
     """A file that a process holds open, until the last of its tables is closed."""
 
-    def __init__(self, process: _LibraryProcess, path: Path, tables: int) -> None:
-        self._process, self._path, self._left = process, path, tables
+    def __init__(self, process: _LibraryProcess, path: Path) -> None:
+        self._process, self._path = process, path
         self._free = finalize(self, process.put_back)  # where nobody closes the tables
 
     def rows(self, request: Mapping[str, Any]) -> pa.Table | None:
@@ -119,12 +118,10 @@ class _OpenFile:
         answer: pa.Table | None = self._process.ask(self._path, request)["rows"]
         return answer
 
-    def close_one(self) -> None:
-        """Close a table; with the last one the process is free for another file."""
-        self._left -= 1
-        if not self._left:
-            self._process.close_file()
-            self._free()
+    def close(self) -> None:
+        """Close the file; the process is then free for another one."""
+        self._process.close_file()
+        self._free()
 
 
 class _LibraryProcess:

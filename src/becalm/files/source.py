@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pyarrow as pa
@@ -273,3 +273,26 @@ def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[Colu
         repeats=clock.repeats,
         columns=columns,
     )
+
+
+def shared_closers(tables: int, close: Callable[[], None] | None) -> list[Callable[[], None]]:
+    """Return a function for each table of a file that closes it; the last one that is called closes the file.
+
+    A second call of a function does nothing.
+
+    Parameters
+    ----------
+    tables : int
+        Number of tables that share the file.
+    close : callable, optional
+        Closes the file.
+    """
+    still_open = set(range(tables))
+
+    def close_table(table: int) -> None:
+        if table in still_open:
+            still_open.remove(table)
+            if not still_open and close is not None:
+                close()
+
+    return [partial(close_table, table) for table in range(tables)]
