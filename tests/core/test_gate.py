@@ -62,6 +62,19 @@ def spikes(seed: int, share: float, size: float, rows: int = ROWS) -> Floats:
     return np.where(rng.random(rows) < share, size * rng.choice([-1.0, 1.0], rows), 0.0)
 
 
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("share", "verdict"), [(0.9999, Verdict.USED), (1.0001, Verdict.SPIKE)])
+def test_the_threshold_is_that_of_the_innovation_once_the_gain_has_settled(
+    sign: float, share: float, verdict: Verdict
+) -> None:
+    """A random walk predicts its last estimate, with the variance of the closed form."""
+    q, row = 0.01, ROWS - 1
+    S = 1 + (q + np.sqrt(q * q + 4 * q)) / 2
+    z = noise(3)
+    z[row] = told_of(motion(1, q), z, causal=True).signal[row - 1] + sign * share * 5.0 * np.sqrt(S)
+    assert told_of(motion(1, q), z, causal=True).verdicts[row] == verdict
+
+
 @pytest.mark.parametrize("rate_hz", [500.0, 10_000.0, 1e6])
 def test_the_threshold_has_the_false_alarms_asked(rate_hz: float) -> None:
     z = threshold_for(1.0, rate_hz)
