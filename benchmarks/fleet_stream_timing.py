@@ -15,10 +15,10 @@ import numpy as np
 from pyspark import cloudpickle
 
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan, query, sources
+from becalm.fleet.stream.output_batches import to_output_batches
 from becalm.fleet.stream.processor import SensorProcessor
 from becalm.fleet.stream.sensor import SensorWalk
 from becalm.fleet.stream.shape import ANSWER, StreamSchema
-from becalm.fleet.stream.telling import output_tables
 from fleet_stream_kills import CHANNELS, NAMES, RATE_HZ, RECIPE
 from fleet_stream_runs import below, write_rows
 from live_runs import readings
@@ -74,7 +74,7 @@ def in_frames() -> Iterator[None]:
         answers = blocks.groupBy("sensor").transformWithStateInPandas(
             _Frames(SensorWalk(plan, shape.channels)), ANSWER, "Append", "ProcessingTime"
         )
-        return answers.mapInArrow(partial(output_tables, shape), shape.output_ddl)
+        return answers.mapInArrow(partial(to_output_batches, shape), shape.output_ddl)
 
     cloudpickle.register_pickle_by_value(sys.modules[__name__])  # type: ignore[no-untyped-call]  # no worker finds it
     before, query._filtered = query._filtered, filtered

@@ -17,15 +17,15 @@ LONGEST_TURN_S = 60.0
 def trouble(path: Path) -> str | None:
     """Return what is wrong; a source that is away or silent is not, as a restart would not bring it back."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        status = json.loads(path.read_text(encoding="utf-8"))
         age_s = time.time() - path.stat().st_mtime
     except (OSError, ValueError) as cause:
         return f"No status: {cause}"
     if age_s > OLDEST_S:
         return f"The status is {age_s:.0f} s old."
-    if told["loop_age_s"] > LONGEST_TURN_S:
-        return f"The main loop has stood still for {told['loop_age_s']:.0f} s."
-    return f"The stream failed. {told['says']}" if told["state"] == "failed" else None
+    if status["loop_age_s"] > LONGEST_TURN_S:
+        return f"The main loop has stood still for {status['loop_age_s']:.0f} s."
+    return f"The stream failed. {status['says']}" if status["state"] == "failed" else None
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ def test_an_estimate_is_told_where_it_is_plausible_or_near_what_was_read(
     watch, found = Sentinel(LIMITS), []
     watch.push(readings)
     for part in (slice(None, cut), slice(cut, None)):
-        found.append(watch.check(told(signal[part], missing[part])))
+        found.append(watch.mark_implausible(told(signal[part], missing[part])))
         saved = watch.saved()
         watch = Sentinel(LIMITS)
         watch.restore(saved)
@@ -53,7 +53,7 @@ def test_a_hole_begins_with_its_second_row_or_the_first_of_all(rows: list[tuple[
     watch, found = Sentinel(LIMITS, unknown_from=1.0), []
     watch.push(np.where(verdicts > 0, np.nan, 0.0))
     for part in (slice(None, cut), slice(cut, None)):
-        found.append(watch.check(all_rows.rows(part)))
+        found.append(watch.mark_implausible(all_rows.rows(part)))
         saved = watch.saved()
         watch = Sentinel(LIMITS, unknown_from=1.0)
         watch.restore(saved)
@@ -69,7 +69,7 @@ def test_a_hole_goes_on_behind_an_estimate_that_ran_away() -> None:
     for cut in range(5):
         watch = Sentinel(LIMITS, unknown_from=1.0)
         watch.push(np.array([0.0, np.nan, np.nan, np.nan]))
-        found = [watch.check(rows.rows(part)).verdicts for part in (slice(None, cut), slice(cut, None))]
+        found = [watch.mark_implausible(rows.rows(part)).verdicts for part in (slice(None, cut), slice(cut, None))]
         assert np.concatenate(found).tolist() == [Verdict.USED, Verdict.MISSING, Verdict.RUNAWAY, Verdict.HOLE]
 
 

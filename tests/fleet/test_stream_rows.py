@@ -19,9 +19,9 @@ from becalm.errors import ModelError, UsageError
 from becalm.fleet.stream import gathering
 from becalm.fleet.stream.blocks import EstimatedBlock, SensorRows
 from becalm.fleet.stream.gathering import gathered
+from becalm.fleet.stream.output_batches import to_output_batches
 from becalm.fleet.stream.shape import StreamSchema, shape_of
 from becalm.fleet.stream.state import SensorState
-from becalm.fleet.stream.telling import output_tables
 from becalm.live.block import Block, Checkpoint
 
 SCHEMA = pa.schema(
@@ -114,7 +114,7 @@ def test_a_slice_of_lists_is_its_own() -> None:
 
 def answers_of(*rows: dict[str, Any]) -> pa.RecordBatch:
     """Return what filters answered."""
-    fields = {"sensor": pa.string(), "told": pa.binary(), "recipe": pa.string(), "event": pa.string()}
+    fields = {"sensor": pa.string(), "estimates": pa.binary(), "recipe": pa.string(), "event": pa.string()}
     fields |= {"event_rows": pa.int64(), "says": pa.string(), "noticed_ms": pa.int64()}
     shared = {"sensor": "s", "recipe": "abc", "noticed_ms": 1_764_000_000_123}
     return pa.RecordBatch.from_pylist([shared | row for row in rows], schema=pa.schema(list(fields.items())))
@@ -132,8 +132,8 @@ def told_of(rows: int) -> EstimatedBlock:
 @pytest.mark.parametrize("in_blocks", [False, True])
 def test_what_is_told_has_the_shape_that_came(stamps: Any, in_blocks: bool) -> None:
     shape, told = StreamSchema("sensor", "time", ("a", "b"), stamps, in_blocks), told_of(50)
-    batch = answers_of({"told": told.packed()}, {"event": "late", "event_rows": 3, "says": "Late."})
-    events, readings = output_tables(shape, iter([batch]))
+    batch = answers_of({"estimates": told.packed()}, {"event": "late", "event_rows": 3, "says": "Late."})
+    events, readings = to_output_batches(shape, iter([batch]))
     assert [name for name, _ in shape.output_columns] == events.schema.names == readings.schema.names
     (event,) = events.to_pylist()
     assert (event["kind"], event["event"], event["event_rows"], event["says"]) == ("events", "late", 3, "Late.")
@@ -153,7 +153,7 @@ def test_what_is_told_has_the_shape_that_came(stamps: Any, in_blocks: bool) -> N
 
 def test_a_channel_that_a_sensor_has_not_is_null() -> None:
     shape = StreamSchema("sensor", "time", ("a", "b", "c"))
-    (readings,) = output_tables(shape, iter([answers_of({"told": told_of(5).packed()})]))
+    (readings,) = to_output_batches(shape, iter([answers_of({"estimates": told_of(5).packed()})]))
     assert readings["c"].null_count == readings["c_verdict"].null_count == 5
 
 
@@ -161,7 +161,7 @@ def test_a_channel_that_a_sensor_has_not_is_null() -> None:
 def test_timestamps_come_back_as_they_were(micros: int) -> None:
     told = told_of(1)._replace(time_s=np.array([micros / 1e6]))
     shape = StreamSchema("sensor", "time", ("a", "b"), "timestamp")
-    (readings,) = output_tables(shape, iter([answers_of({"told": told.packed()})]))
+    (readings,) = to_output_batches(shape, iter([answers_of({"estimates": told.packed()})]))
     assert readings["time"].cast(pa.int64()).to_pylist() == [micros]
 
 

@@ -58,7 +58,7 @@ def desk(opened: Opened) -> ViewModel:
 
 def test_nothing_set_is_what_was_found(options: Options) -> None:
     assert options.recipe(Setting()) == RICH
-    told = options.as_json(Setting())
+    told = options.as_dict(Setting())
     assert (told["choice"], told["order"], told["unchanged"]) == (FOUND, 2, False)
     assert told["on"] == dict.fromkeys(("tone-0", "tone-1", "coloured", "gate", "limits", "timing"), True)
 
@@ -77,7 +77,7 @@ def test_nothing_set_is_what_was_found(options: Options) -> None:
 def test_a_component_is_switched_off_and_on(options: Options, key: str, field: str, left: object) -> None:
     off = options.changed(Setting(), Turned(on={key: False}))
     assert getattr(options.recipe(off), field) == left
-    told = options.as_json(off)["on"]
+    told = options.as_dict(off)["on"]
     assert isinstance(told, dict)
     assert [one for one, on in told.items() if not on] == [key]
     assert options.changed(off, Turned(on={key: True})) == Setting()
@@ -116,11 +116,11 @@ def test_turning_the_dial_of_what_switches_makes_it_one_filter() -> None:
     options = Options(found, switching, 1 / RATE_HZ, False)
     turned = options.changed(Setting(), Turned(noise_std=0.4))
     assert options.recipe(turned).switching is None
-    assert options.as_json(turned)["on"] == {"switching": False}
+    assert options.as_dict(turned)["on"] == {"switching": False}
     again = options.changed(turned, Turned(on={"switching": True}))
     assert options.recipe(again) == switching
     fixed = options.changed(Setting(), Turned(choice="order-2"))
-    assert options.as_json(fixed)["on"] == {"switching": False}
+    assert options.as_dict(fixed)["on"] == {"switching": False}
     assert options.recipe(options.changed(fixed, Turned(on={"switching": True}))) == switching
 
 
@@ -129,7 +129,7 @@ def test_what_passes_unchanged_has_no_dial() -> None:
     options = Options(
         ChannelTuning(constant, Choice("constant"), Evidence.of(walk(), np.ones(30_000))), constant, 1e-3, False
     )
-    assert options.as_json(Setting())["unchanged"]
+    assert options.as_dict(Setting())["unchanged"]
     with pytest.raises(UsageError, match="passes unchanged"):
         options.changed(Setting(), Turned(noise_std=1.0))
     assert dial(constant, 1e-3, None, 1000) == {}

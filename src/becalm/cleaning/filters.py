@@ -164,7 +164,7 @@ class FilteredChannel:
 
     def _counted(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
         """Return the rows of a filter with all verdicts, and with sigma widened by the other uncertainties."""
-        rows = [self._sentinel.check(part) for part in self.sensor.named(rows)]
+        rows = [self._sentinel.mark_implausible(part) for part in self.sensor.named(rows)]
         for part in rows:
             self.counts.update(counted(part.verdicts))
         if self._timing is not None:

@@ -65,8 +65,8 @@ class LiveMotion(FilteredChannel):
     def _open_modes(self, modes: InteractingModels) -> LiveFlow:
         lag, look = self._runs.lag, self.sensor.look
         if lag:
-            return FixedLagImmFlow(modes, lag=lag, judge=look, tells_modes=True)
-        return ImmFlow(modes, causal=True, judge=look, tells_modes=True)
+            return FixedLagImmFlow(modes, lag=lag, judge=look, with_probabilities=True)
+        return ImmFlow(modes, causal=True, judge=look, with_probabilities=True)
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""

@@ -87,7 +87,7 @@ A small process_noise_density trusts the model and smooths more; a small noise_s
 Motion slower than damped_below_hz is damped: without readings the signal returns to its own level and spread.
 In a hole the departure of a smoother from a line across it fades, and sigma grows, by powers of sigma over that beside
 the hole: model_fading and sigma_growth, for holes of so many readings.
-Where sigma is nearly as wide as spread_std and no reading came, no estimate is returned, but with fill = true.
+Where sigma is nearly as wide as spread_std and no reading came, no estimate is returned unless fill = true.
 A tone with disturbance = true, and coloured_noise, are taken off the signal.
 A gate leaves spikes out and follows steps; without one every reading is believed.
 Readings at low or high, or beyond, are clipped, and stuck from so many equal ones on; those farther than

@@ -21,12 +21,10 @@ def modes_in(channel: ChannelRecipe) -> int:
 
 def with_modes(estimates: EstimatedRows, modes: int) -> list[EstimatedRows]:
     """Return waiting rows, if any, with so many modes; their probabilities are NaN if an older version saved them."""
+    if not len(estimates.signal):
+        return []
     unknown = np.full((modes, len(estimates.signal)), np.nan)
-    return (
-        [estimates if len(estimates.parts) == modes else estimates._replace(parts=unknown)]
-        if len(estimates.signal)
-        else []
-    )
+    return [estimates if len(estimates.parts) == modes else estimates._replace(parts=unknown)]
 
 
 def modes_of(estimates: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:

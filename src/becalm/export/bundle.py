@@ -251,7 +251,7 @@ def _channel(one: Exported, recipe: Recipe) -> dict[str, Any]:
         "forgets": not isinstance(one.kind, WholeChannel) or one.design.is_reached,
         "switches": one.design.modes is not None,
         "bits": one.kind.bits,
-        "signal_type": one.kind.signal_type,
+        "expected_type": one.kind.expected_type,
         "thrown": bits_of(one.thrown),
         "vectors": vector_texts(one.vectors, one.kind, one.design, one.written, one.opened),
     }

@@ -52,7 +52,7 @@ class Kind(Protocol):
         ...
 
     @property
-    def signal_type(self) -> str:
+    def expected_type(self) -> str:
         """C type of an expected signal."""
         ...
 
@@ -128,7 +128,7 @@ class Floating:
         return "uint64_t" if self.number.is_double else "uint32_t"
 
     @property
-    def signal_type(self) -> str:
+    def expected_type(self) -> str:
         """C type of an expected signal."""
         return "double"
 

@@ -61,7 +61,10 @@ def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
     tables = answer["tables"]
     opened = _OpenFile(process, path)
     closers = shared_closers(len(tables), opened.close)
-    rows = [_RowsApart(opened, k, *own) for k, own in enumerate(zip(tables, closers, strict=True))]
+    rows = [
+        _RowsApart(opened, number, table, close)
+        for number, (table, close) in enumerate(zip(tables, closers, strict=True))
+    ]
     return tuple(map(_table, rows, tables))
 
 

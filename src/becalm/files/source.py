@@ -276,7 +276,7 @@ def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[Colu
 
 
 def shared_closers(tables: int, close: Callable[[], None] | None) -> list[Callable[[], None]]:
-    """Return a function for each table of a file that closes it; the last one that is called closes the file.
+    """Return a function for each table of a file, to call when the table is closed; the file is closed after all.
 
     A second call of a function does nothing.
 
@@ -284,8 +284,8 @@ def shared_closers(tables: int, close: Callable[[], None] | None) -> list[Callab
     ----------
     tables : int
         Number of tables that share the file.
-    close : callable, optional
-        Closes the file.
+    close : callable or None
+        Closes the file; None: there is nothing to close.
     """
     still_open = set(range(tables))
 

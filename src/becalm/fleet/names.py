@@ -91,16 +91,16 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_LISTED]) + more
 
 
-def named(block: pa.Table, keys: Sequence[str], of_folders: Mapping[str, str | None]) -> NamedSensors:
+def named(block: pa.Table, keys: Sequence[str], folder_values: Mapping[str, str | None]) -> NamedSensors:
     """Return the sensor of each row of a block.
 
     Parameters
     ----------
     block : pyarrow.Table
-        Rows with a column for each key that is not in `of_folders`.
+        Rows with a column for each key that is not in `folder_values`.
     keys : sequence of str
         Columns, or keys of folders, that identify sensors.
-    of_folders : mapping of str to str or None
+    folder_values : mapping of str to str or None
         Values from the names of folders. They take precedence over a column of the same name.
 
     Raises
@@ -111,8 +111,8 @@ def named(block: pa.Table, keys: Sequence[str], of_folders: Mapping[str, str | N
     sensors = _all_of("", block.num_rows)
     for key in keys:
         own = (
-            _all_of(folder_name(key, of_folders[key]), block.num_rows)
-            if key in of_folders
+            _all_of(folder_name(key, folder_values[key]), block.num_rows)
+            if key in folder_values
             else _of_column(key, block.column(key))
         )
         sensors = _of_both(sensors, own)

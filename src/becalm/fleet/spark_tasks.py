@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
 Task = TypeVar("Task")
-Told = TypeVar("Told")
+Result = TypeVar("Result")
 
 _SCHEMA = "number long, result binary"
 _TOGETHER_BYTES, _SHARES_A_CORE = 32 << 20, 4
@@ -37,11 +37,11 @@ _ALL_DIED = (
 
 def run_tasks(
     spark: SparkSession,
-    work: Callable[[Task], Told],
+    work: Callable[[Task], Result],
     tasks: Sequence[Task],
     sizes: Sequence[int] = (),
-    lost: Callable[[Task, str], Told] | None = None,
-) -> list[Told]:
+    lost: Callable[[Task, str], Result] | None = None,
+) -> list[Result]:
     """Run a function on each of several tasks, the first ones first.
 
     Parameters
@@ -73,7 +73,7 @@ def run_tasks(
     from py4j.protocol import Py4JError
     from pyspark.errors import PySparkException
 
-    results, left, deaths = dict[int, Told](), [range(len(tasks))], 0
+    results, left, deaths = dict[int, Result](), [range(len(tasks))], 0
     while left:
         span = left.pop()
         own = slice(span.start, span.stop)
@@ -95,7 +95,9 @@ def run_tasks(
     return [results[number] for number in range(len(tasks))]
 
 
-def _run(spark: SparkSession, work: Callable[[Task], Told], tasks: Sequence[Task], sizes: Sequence[int]) -> list[Told]:
+def _run(
+    spark: SparkSession, work: Callable[[Task], Result], tasks: Sequence[Task], sizes: Sequence[int]
+) -> list[Result]:
     """Run one Spark stage; exceptions of Spark are passed on."""
     from py4j.protocol import Py4JError
 

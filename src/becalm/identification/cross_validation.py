@@ -28,7 +28,7 @@ LONG, MOST_OF = 4096, 0.8
 Then the ends of stretches do not matter.
 """
 
-_NOT_TOLD = 2.0  # difference of twice a log-likelihood that does not distinguish two orders
+_INDISTINCT = 2.0  # difference of twice a log-likelihood that does not distinguish two orders
 _ALIKE = 0.1  # difference of log r that a few stretches cannot resolve
 _OPAQUE = 0.95  # weight of a reading in its own estimate, beyond which nothing is smoothed
 
@@ -92,7 +92,7 @@ def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
 def simplest(tunings: Sequence[Tuning]) -> Tuning:
     """Return the lowest order whose loss does not differ significantly from the least."""
     least = min(tuning.loss for tuning in tunings)
-    return next(tuning for tuning in tunings if tuning.loss <= least + _NOT_TOLD / tuning.count)
+    return next(tuning for tuning in tunings if tuning.loss <= least + _INDISTINCT / tuning.count)
 
 
 def lasting(evidence: Evidence) -> list[slice]:

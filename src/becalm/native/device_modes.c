@@ -41,13 +41,13 @@ static real take(const device_modes_t *device, device_modes_state_t *state, cons
     score_t score = {.product = 1};
     const block_t block = {&z, &elapsed, &step, F, Q, 1};
     const estimate_t estimate = {&signal, &state->sigma, verdict, &innovation, &deviation, NULL};
-    const imm_estimate_t of_modes = {&signal, &state->sigma, &innovation, &deviation, NULL, &wild, NULL, 1};
+    const imm_estimate_t imm_estimate = {&signal, &state->sigma, &innovation, &deviation, NULL, &wild, NULL, 1};
     pass_t pass;
     state->sigma = INFINITE;
     judge_rows(settings, &state->sensor, &block, verdict, &pass);
     if (pass.starts[0] == ANEW) forget(device, state);
     const imm_block_t row = {pass.usable, &step, 1};
-    imm_filter(&imm, modes_of(state), &row, &of_modes, &nothing, room, &score);
+    imm_filter(&imm, modes_of(state), &row, &imm_estimate, &nothing, room, &score);
     if (device->rejects && wild > (real)0.5 && *verdict == USED) *verdict = SPIKE;
     *believed = signal;
     watch_rows(settings, device->noise_variance, &state->sensor, &block, &estimate, &pass);

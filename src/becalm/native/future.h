@@ -212,8 +212,8 @@ INLINE real smoothed_variance(const int n, const real *c, const real *P, const r
     for (int i = 0; i < n; i++) left -= Pc[i] * dot(n, M + i * n, Pc);
     if (recomputed && left < MUCH * variance) {
         times(n, recomputed, c, Pc);
-        const real variance_now = dot(n, c, Pc);
-        return variance_now > 0 ? variance_now : variance;
+        const real recomputed_variance = dot(n, c, Pc);
+        return recomputed_variance > 0 ? recomputed_variance : variance;
     }
     return left > HARDLY * variance && left > 0 ? left : variance > 0 ? variance : 0;
 }

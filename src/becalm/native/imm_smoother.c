@@ -299,7 +299,7 @@ INLINE void meet(const int n, const int m, const beliefs_t now, const later_t *l
             const pair_t share = {one > least ? one : least, other > least ? other : least};
             const pair_t g = go_back(n, &way, rooms->x + q * n, rooms->r + at * n);
             const pair_t fitted = g + agree(n, rooms->G + q * nn, Y, rooms->r + at * n, share, rooms->step + 8 * nn,
-                                          rooms->L + at * nn, rooms->D + at * n, rooms->v + at * n);
+                                            rooms->L + at * nn, rooms->D + at * n, rooms->v + at * n);
             if (second > first) fit[second * m + i] = fitted[1] > LEAST && fitted[1] < -LEAST ? fitted[1] : LEAST;
             fit[first * m + i] = fitted[0] > LEAST && fitted[0] < -LEAST ? fitted[0] : LEAST;
         }

@@ -10,7 +10,7 @@
 #include "sizes.h"
 
 #if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
-#error "becalm's filter marks what is missing by NaN, which -ffast-math forgets: leave that out."
+#error "becalm's filter marks missing readings by NaN, and -ffast-math assumes that there is no NaN: compile without it."
 #endif
 
 typedef double real;

@@ -65,8 +65,8 @@ static int is_alone(const int64_t *ends, const int64_t run, const int64_t runs) 
     return (run == 0 || row - ends[2 * run - 1] > 1) && (run + 1 == runs || ends[2 * run + 2] - row > 1);
 }
 
-/* Leave out implausible neighbours that are on the other side of the plausible range than a value, or more than four
-   times as far from it as it is from the range; return how many stay. */
+/* Leave out implausible neighbours on the other side of the plausible range, or whose distance from the value is more
+   than four times the distance of the value from the range; return how many stay. */
 static int keep_supporting(const settings_t *settings, const real value, real *neighbours, const int count) {
     const real low = settings->plausible_low, high = settings->plausible_high;
     const real beyond = value < low ? low - value : value - high;

@@ -28,7 +28,7 @@ class FilteredRows(NamedTuple):
 
     times_s: Floats  # (B,) seconds since the first row
     readings: Floats  # (B,) NaN where missing or impossible
-    rows: EstimatedRows
+    estimates: EstimatedRows
 
 
 class Gathering:
@@ -69,7 +69,7 @@ class Gathering:
         """Return, for each channel, the function that takes its innovations."""
         return [channel.look for channel in self.channels]
 
-    def add(self, columns: Sequence[Floats], elapsed: Floats, rows: Sequence[EstimatedRows]) -> None:
+    def add(self, columns: Sequence[Floats], elapsed: Floats, estimates: Sequence[EstimatedRows]) -> None:
         """Add the next rows of all channels.
 
         Parameters
@@ -78,7 +78,7 @@ class Gathering:
             Unfiltered readings, one array for each channel.
         elapsed : (B,) float array
             Steps since the previous row.
-        rows : sequence of EstimatedRows
+        estimates : sequence of EstimatedRows
             Estimates for these rows, one for each channel.
         """
         if not len(elapsed):
@@ -90,8 +90,8 @@ class Gathering:
         for part, cut in cuts:
             self.times.add(*cut, times[part], times[part])
         self.nis_times.add(*self._nis_stretches.next(len(steps)), times, times)
-        for channel, z, estimates in zip(self.channels, columns, rows, strict=True):
-            channel.add(FilteredRows(times, _plausible(z, estimates), estimates), cuts)
+        for channel, z, own in zip(self.channels, columns, estimates, strict=True):
+            channel.add(FilteredRows(times, _plausible(z, own), own), cuts)
 
 
 class ChannelGathering:

@@ -45,7 +45,7 @@ from becalm.studies.recordings import RECORDINGS
 AXES = ("a_x", "a_z")
 MEASURED, TRUTH = "measured", "truth"
 PRINTED, OWN = "paper's matrices", "becalm: three sensors"
-ALONE, TOLD = "becalm: channel by channel", "becalm: channel by channel, vibration as disturbance"
+ALONE, DISTURBED = "becalm: channel by channel", "becalm: channel by channel, vibration as disturbance"
 CANCELLER = "RLS canceller"
 REFERENCE_HZ = 5.0  # -3 dB cutoff of the high-pass that makes the canceller's reference
 
@@ -167,7 +167,7 @@ def _alone(measured: Recording) -> dict[str, Floats]:
         tones = [tone.model_copy(update={"disturbance": tone.frequency_hz > BODY_HZ[1]}) for tone in channel.tone]
         channels.append(channel.model_copy(update={"tone": tuple(tones)}))
     disturbed = recipe.model_copy(update={"channel": tuple(channels)})
-    return {ALONE: clean(measured, recipe).signal.samples, TOLD: clean(measured, disturbed).signal.samples}
+    return {ALONE: clean(measured, recipe).signal.samples, DISTURBED: clean(measured, disturbed).signal.samples}
 
 
 def _filters(estimates: dict[str, Floats]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from becalm.files.atomic_file import make_folder, write_text
 from becalm.metrics.decibels import snr_db
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ
-from becalm.studies.car import ALONE, PRINTED, TOLD, CarScore, CarStudy, study
+from becalm.studies.car import ALONE, DISTURBED, PRINTED, CarScore, CarStudy, study
 from becalm.studies.car_drive import (
     BODY_HZ,
     COLOURED_HZ,
@@ -162,7 +162,7 @@ def _alone(found: CarStudy) -> str:
     return (
         f"\n\nChannel by channel, without settings, becalm is {compared(ALONE)} than with the paper's matrices:"
         " it models narrow bands of vibration as tones, and tones are signal. If tones above"
-        f" {BODY_HZ[1]:.0f} Hz are set as disturbances, it is {compared(TOLD)}."
+        f" {BODY_HZ[1]:.0f} Hz are set as disturbances, it is {compared(DISTURBED)}."
     )
 
 

@@ -24,7 +24,7 @@ from becalm.native.scans import (
 # Find the value that marks missing readings in a log.
 
 _FEWEST_MARKED, _SHARE = 20, 0.05  # least number and share of readings that have the marker
-_FEWEST_VALUES, _FEWEST_CODES = 16, 6  # least number of different readings; the same if they are far from 0
+_FEWEST_VALUES, _FEWEST_CODES = 16, 6  # least number of different readings; least number if all are far from 0
 _OFTENER, _NEIGHBOURS = 10.0, 5  # how often it comes, over the median of this many values on each side
 _RUN = 3  # rows: most runs of the marker are no longer
 _MARKER_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around it, over their noise and their difference
@@ -97,7 +97,7 @@ MOST_OUTLIERS = 0.1
 
 _FEWEST = 8  # readings needed to measure jumps
 _IMPOSSIBLE, _MOST_IMPOSSIBLE = 1000.0, 0.2  # distance that no motion reaches, over the middle half; largest share
-_ALIKE = 2.0  # largest over smallest pulse of a signal
+_ALIKE = 2.0  # nine in ten pulses of a signal are no larger than this, over the tenth that are smallest
 _NEAR = 0.1  # difference of readings of one motion, over their distance from the bulk
 _NOISES = 30.0  # smallest distance of a gross outlier, in standard deviations of the noise
 _OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # median and 90 % quantile of the distance from neighbours, for white noise
@@ -122,7 +122,8 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     Parameters
     ----------
     z : (N,) float array
-        Finite readings, in unit, in order. Up to one in ten may be an outlier, and one value may mark missing readings.
+        Finite readings, in unit, in order. Up to one in ten may be an outlier, up to one in five if no motion reaches
+        them; one value may mark missing readings.
     held : bool
         Whether the channel repeats its last reading while there is no new one.
     resolution : float
@@ -143,10 +144,10 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     values = seen[~repeats] if held else _without_repeats(seen, repeats) if are_one else seen
     if len(values) < _FEWEST:
         return NO_OUTLIERS
-    impossible = _impossible(values)
+    impossible = _find_impossible(values)
     if np.count_nonzero(impossible) > MOST_OUTLIERS / 2 * len(values):  # so many distort the distances of others
         values = values[~impossible]
-    distance, kept = _split(values)
+    distance, kept = _separate_outliers(values)
     if not distance:
         return NO_OUTLIERS._replace(blank=blank)
     jumps, hidden = measure_jumps(input_of(kept)), int(_HIDDEN * (len(values) - len(kept)))
@@ -158,7 +159,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     return Outliers(distance, causal, low - margin, high + margin, are_one, blank, far)
 
 
-def _split(values: Floats) -> tuple[float, Floats]:
+def _separate_outliers(values: Floats) -> tuple[float, Floats]:
     """Return the smallest distance of an outlier from its neighbours, in unit, and the readings that are none.
 
     The distance is 0 if readings (N,) do not determine it, or if more are outliers than can be exceptions.
@@ -172,19 +173,20 @@ def _split(values: Floats) -> tuple[float, Floats]:
     return (0.0 if too_many or not distance < np.inf else distance), kept
 
 
-def _impossible(values: Floats) -> Booleans:
+def _find_impossible(values: Floats) -> Booleans:
     """Return which readings (N,) no motion reaches: a thousand times as far away as the bulk is wide.
 
-    They differ in size, and each is alone. Pulses of a signal are alike, and motion comes near a peak before and after;
-    if the far readings are like that, or come too often, none is returned.
+    No two in a row agree, and their sizes differ. Pulses of a signal have similar sizes, and readings next to a peak of
+    motion are near to it; for such records, or if the far readings are too many, none is returned.
     """
     low, middle, high = np.quantile(values, (0.25, 0.5, 0.75)).tolist()
     away = np.abs(values - middle)
     far = away > _IMPOSSIBLE * (high - low)
-    sizes, adjacent = away[far], far[1:] & far[:-1]
+    smallest, largest = np.quantile(away[far], (0.1, 0.9)).tolist() if far.any() else (0.0, 0.0)
+    adjacent = far[1:] & far[:-1]
     near = adjacent & (np.abs(np.diff(values)) < _NEAR * np.minimum(away[1:], away[:-1]))
-    differ = len(sizes) > 0 and sizes.max() > _ALIKE * sizes.min()
-    if high == low or not differ or len(sizes) > _MOST_IMPOSSIBLE * len(values) or near.any():
+    too_many = np.count_nonzero(far) > _MOST_IMPOSSIBLE * len(values)
+    if high == low or too_many or largest <= _ALIKE * smallest or near.any():
         return np.zeros(len(values), bool)
     return np.asarray(far)
 

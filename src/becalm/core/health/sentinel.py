@@ -43,7 +43,7 @@ class Sentinel:
         """Take the readings (B,) of the next rows, NaN where none may enter the filter; their estimates come later."""
         self._waiting = np.append(self._waiting, usable)
 
-    def check(self, rows: EstimatedRows) -> EstimatedRows:
+    def mark_implausible(self, rows: EstimatedRows) -> EstimatedRows:
         """Return the rows with NaN in place of runaways and of unknown estimates in holes, and with their verdicts."""
         count = len(rows.signal)
         readings, self._waiting = self._waiting[:count], self._waiting[count:]

@@ -118,7 +118,7 @@ class FixedLagImmFlow(ByModes):
         It receives the innovations of each push, for the mixture of all modes, and their standard deviations.
     split : bool
         Whether to return the contribution of each part of the component, followed by the probability of each mode.
-    tells_modes : bool
+    with_probabilities : bool
         Whether to return the probabilities alone if `split` is False.
 
     Raises
@@ -134,9 +134,9 @@ class FixedLagImmFlow(ByModes):
         lag: int,
         judge: Judge | None = None,
         split: bool = False,
-        tells_modes: bool = False,
+        with_probabilities: bool = False,
     ) -> None:
-        super().__init__(ForwardImm(switching, judge, split=split, tells_modes=tells_modes))
+        super().__init__(ForwardImm(switching, judge, split=split, with_probabilities=with_probabilities))
         self._waiting = WaitingRows(switching.states, len(switching.modes), checked_lag(lag))
         self._elapsed: Floats = np.empty(0)  # steps before the waiting rows
         self._verdicts: Codes = np.empty(0, np.int8)

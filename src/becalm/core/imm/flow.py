@@ -56,7 +56,7 @@ class ImmFlow(ByModes):
         It receives the innovations of each block, for the mixture of all modes, and their standard deviations.
     split : bool
         Whether to return the contribution of each part of the component, followed by the probability of each mode.
-    tells_modes : bool
+    with_probabilities : bool
         Whether to return the probabilities alone if `split` is False.
     """
 
@@ -67,10 +67,10 @@ class ImmFlow(ByModes):
         causal: bool,
         judge: Judge | None = None,
         split: bool = False,
-        tells_modes: bool = False,
+        with_probabilities: bool = False,
     ) -> None:
         self._causal = causal
-        super().__init__(ForwardImm(switching, judge, split=split, tells_modes=tells_modes))
+        super().__init__(ForwardImm(switching, judge, split=split, with_probabilities=with_probabilities))
         self._group = _LEAST_GROUP if causal else _group_rows(switching)
         self._incomplete = Rows.nothing()
         self._held: _Stretch | None = None

@@ -27,7 +27,7 @@ class ForwardImm:
         It receives the innovations of each block, for the mixture of all modes, and their standard deviations.
     split : bool
         Whether to return the contribution of each part of the component, followed by the probability of each mode.
-    tells_modes : bool
+    with_probabilities : bool
         Whether to return the probabilities alone if `split` is False.
 
     Attributes
@@ -37,9 +37,14 @@ class ForwardImm:
     """
 
     def __init__(
-        self, switching: InteractingModels, judge: Judge | None, *, split: bool = False, tells_modes: bool = False
+        self,
+        switching: InteractingModels,
+        judge: Judge | None,
+        *,
+        split: bool = False,
+        with_probabilities: bool = False,
     ) -> None:
-        self.switching, self._judge, self._split, self._tells_modes = switching, judge, split, tells_modes
+        self.switching, self._judge, self._split, self._with_probabilities = switching, judge, split, with_probabilities
         self.state = new_state(switching.bank(np.ones(1)), keeps_level=switching.component.keeps_level)
         self._shares = np.zeros(len(switching.modes))
         self.log_likelihood = 0.0
@@ -109,7 +114,7 @@ class ForwardImm:
             shares = np.array([output[0] @ trace.mean for _, output in self.switching.component.outputs()])
             shares[0] += self.state["level"]
             parts = np.vstack([shares, trace.probability])
-        elif self._tells_modes:
+        elif self._with_probabilities:
             parts = trace.probability
         return EstimatedRows(trace.signal, trace.sigma, parts, verdicts)
 

@@ -88,7 +88,7 @@ class FixedPointFilter:
         return "uint32_t"
 
     @property
-    def signal_type(self) -> str:
+    def expected_type(self) -> str:
         """C type of an expected signal."""
         return "double"
 

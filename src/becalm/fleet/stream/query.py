@@ -15,12 +15,12 @@ from becalm.files.roles import SIGMA
 from becalm.fleet.session import reason_of
 from becalm.fleet.stream.claim import claim, refuse_other
 from becalm.fleet.stream.frames import blocks_of
+from becalm.fleet.stream.output_batches import to_output_batches
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
 from becalm.fleet.stream.processor import SensorProcessor
 from becalm.fleet.stream.sensor import SensorWalk
 from becalm.fleet.stream.shape import ANSWER, KIND, StreamSchema
 from becalm.fleet.stream.sources import opened
-from becalm.fleet.stream.telling import output_tables
 
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
@@ -178,7 +178,7 @@ def _filtered(shape: StreamSchema, blocks: DataFrame, plan: SensorPlan) -> DataF
     answers = blocks.groupBy("sensor").transformWithState(
         processor, outputStructType=ANSWER, outputMode="Append", timeMode="ProcessingTime"
     )
-    return answers.mapInArrow(partial(output_tables, shape), shape.output_ddl)
+    return answers.mapInArrow(partial(to_output_batches, shape), shape.output_ddl)
 
 
 def _plain_encoding(estimates: DataFrame) -> dict[str, str]:

@@ -24,7 +24,7 @@ MESSAGE = {"place": "place", "message": "batch", "stored_s": "stored_s"}
 ANSWER = (
     "sensor string, estimates binary, recipe string, event string, event_rows bigint, says string, noticed_ms bigint"
 )
-"""The Spark schema of the filters' output: packed estimates (`estimates`), or an event."""
+"""The Spark schema of the filters' output: packed estimates, or an event."""
 
 _NUMBERS = ("double", "float", "byte", "short", "integer", "long", "tinyint", "smallint", "int", "bigint")
 _STAMPS: dict[str, Stamps] = {kind: kind for kind in get_args(Stamps)}

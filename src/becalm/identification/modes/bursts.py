@@ -110,7 +110,7 @@ def _search(tuning: Tuning, bank: ImmFamily, pieces: list[EvidencePiece]) -> Bur
 
 def _find_violent(switching: InteractingModels, evidence: Evidence) -> Booleans:
     """Return which readings (N,) belong to violent motion, by the IMM smoother."""
-    flow = ImmFlow(switching, causal=False, tells_modes=True)
+    flow = ImmFlow(switching, causal=False, with_probabilities=True)
     smoothed = [*flow.push(evidence.z[:, 0], evidence.elapsed), *flow.finish()]
     violent = np.concatenate([one.parts[-1] for one in smoothed]) > _LIKELY
     near: Booleans = np.convolve(violent, np.ones(2 * _MARGIN + 1), "same") > 0.5

@@ -17,7 +17,7 @@ from becalm.live.sinks.outbox import LARGEST, Letter, Outbox
 _STALL_S = 20.0
 _GATHER_S = 0.02
 
-Told = Callable[[int, BecalmError | None], None]
+ResultCallback = Callable[[int, BecalmError | None], None]
 """Called, on any thread, with the number of an acknowledged message, or with the error that refused it."""
 
 

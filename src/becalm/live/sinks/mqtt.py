@@ -9,7 +9,7 @@ from becalm.live.address import Address
 from becalm.live.brokers.mqtt_link import MqttLink
 from becalm.live.brokers.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
 from becalm.live.brokers.remote import Remote
-from becalm.live.sinks.broker import BrokerConnection, BrokerSink, Told
+from becalm.live.sinks.broker import BrokerConnection, BrokerSink, ResultCallback
 from becalm.live.sinks.outbox import Letter
 
 _WINDOW = 100  # most unacknowledged messages; fewer if the broker's limit is lower
@@ -50,7 +50,7 @@ class MqttSink(BrokerSink):
 class _MqttLine(MqttLink):
     """A connection that publishes to the address's topic."""
 
-    def __init__(self, remote: Remote, session: Session, on_result: Told) -> None:
+    def __init__(self, remote: Remote, session: Session, on_result: ResultCallback) -> None:
         super().__init__(remote, session, on_acknowledged=self._on_answer)
         self._on_result = on_result
         self._topic = topic_of(remote)

@@ -10,7 +10,7 @@ from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.brokers.nats_link import PORT, NatsLink, check_subject, stream_of
 from becalm.live.brokers.remote import Remote
-from becalm.live.sinks.broker import BrokerConnection, BrokerSink, Told
+from becalm.live.sinks.broker import BrokerConnection, BrokerSink, ResultCallback
 from becalm.live.sinks.outbox import Letter
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ class _NatsLine(NatsLink):
 
     window = _WINDOW
 
-    def __init__(self, remote: Remote, stream: str, subject: str, on_result: Told) -> None:
+    def __init__(self, remote: Remote, stream: str, subject: str, on_result: ResultCallback) -> None:
         super().__init__(remote)
         self._stream = stream
         self._subject = subject

@@ -113,7 +113,7 @@ class PostgresSink:
         try:
             with connection.transaction():
                 self._copy(connection, outputs)
-                self._tables.tell_losses(connection, outputs)
+                self._tables.write_losses(connection, outputs)
                 self._tables.stand(connection, checkpoint)
         except psycopg.Error as cause:
             raise self._error_of(connection, cause) from cause
@@ -173,7 +173,7 @@ class PostgresSink:
                 " with table=NAME."
             )
         if units != stored:
-            self._tables.tell_units(connection, replace(head, units=units))
+            self._tables.write_units(connection, replace(head, units=units))
 
     def _error_of(self, connection: psycopg.Connection, cause: psycopg.Error) -> Exception:
         broken = connection.broken or connection.closed

@@ -104,9 +104,9 @@ class Tables:
             ),
             (_plain(head.recipe), list(head.names), [], head.rate_hz),
         )
-        self.tell_units(connection, head)
+        self.write_units(connection, head)
 
-    def tell_units(self, connection: psycopg.Connection, head: Head) -> None:
+    def write_units(self, connection: psycopg.Connection, head: Head) -> None:
         """Store the units, and write them as comments of the columns."""
         connection.execute(
             self._with_values("UPDATE {checkpoint} SET units = %s"), ([_plain(unit) for unit in head.units],)
@@ -120,7 +120,7 @@ class Tables:
         written = [self._sql.Identifier(name) for name, kind, _ in _columns(head) if "GENERATED" not in kind]
         return self._of("COPY {rows} ({columns}) FROM STDIN (FORMAT BINARY)", columns=self._sql.SQL(", ").join(written))
 
-    def tell_losses(self, connection: psycopg.Connection, outputs: list[Output]) -> None:
+    def write_losses(self, connection: psycopg.Connection, outputs: list[Output]) -> None:
         """Write the losses, each with the number of the row after it."""
         rows = [
             (one.first_row, loss.kind.value, loss.rows, _plain(loss.says), loss.noticed_s)

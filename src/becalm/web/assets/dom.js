@@ -41,7 +41,7 @@ export function say(place, text) {
 }
 
 /** Fill a dl with terms and their values. @param {HTMLElement} list @param {[string, string][]} entries */
-export function fill(list, entries) {
+export function fillTerms(list, entries) {
   list.replaceChildren(...entries.map(([term, value]) => make("div", {}, make("dt", {}, term), make("dd", {}, value))));
 }
 

@@ -39,7 +39,7 @@ class Wire:
         """Send a message."""
         await self._transmit(self._websocket.send_text, text(message))
 
-    async def send(self, data: bytes) -> None:
+    async def send_frame(self, data: bytes) -> None:
         """Send a frame."""
         await self._transmit(self._websocket.send_bytes, data)
 

@@ -109,7 +109,7 @@ class Showing:
         """Send the map of how well each noise and density predicts readings."""
         in_thread = self._shared.in_thread
         wanted = await in_thread(lambda: self._wanted(message.number, message.channel))
-        await self._wire.send(await in_thread(lambda: map_frame(wanted)))
+        await self._wire.send_frame(await in_thread(lambda: map_frame(wanted)))
 
     def _wanted(self, answers: int, channel: int) -> PictureRequest:
         desk, look = self._shared.open_desk, self._look
@@ -128,18 +128,20 @@ class Showing:
         in_thread, painter = self._shared.in_thread, self._painter
         wanted, shown = self._wanted(self.answers, self._look.channel), self._shown
         if not wanted.hurried and await in_thread(lambda: painter.hurries(wanted)):
-            await self._wire.send(await in_thread(lambda: painter.picture(wanted._replace(hurried=True)).framed()))
+            await self._wire.send_frame(
+                await in_thread(lambda: painter.picture(wanted._replace(hurried=True)).framed())
+            )
             if self._requested.is_set():
                 return
         painted = await in_thread(lambda: painter.picture(wanted))
-        await self._wire.send(painted.framed())
+        await self._wire.send_frame(painted.framed())
         if self._requested.is_set():
             return
         if shown.dial != wanted.dial_key:
-            await self._wire.send(await in_thread(lambda: dial_frame(wanted)))
+            await self._wire.send_frame(await in_thread(lambda: dial_frame(wanted)))
             shown.dial = wanted.dial_key
         if wanted.classic is not None and not self._requested.is_set():
-            await self._wire.send(await in_thread(lambda: painter.classic(wanted, painted)))
+            await self._wire.send_frame(await in_thread(lambda: painter.classic(wanted, painted)))
         if not self._requested.is_set():
             await in_thread(lambda: painter.remember(wanted, painted))
         if not (self.dragging or self._requested.is_set() or shown.figures == wanted.judged_key):

@@ -78,7 +78,7 @@ class Conversation:
             {**await self._shared.in_thread(self._shared.open_desk.state_message), "turned": turned}
         )
 
-    def send(self, what: Sender) -> None:
+    def start_sending(self, what: Sender) -> None:
         """Send the page something in a task of its own, so that other pages do not wait for this one."""
         if not self._wire.gone:
             self._start(lambda: self._wire.guarded(lambda: what(self), None))

@@ -103,7 +103,7 @@ class Options:
             update["timing"] = recipe.timing.model_copy(update={"included_std": included})
         return _without_alarms(_with_fair_gate(recipe.model_copy(update=update), base, self._step_s))
 
-    def as_json(self, setting: Setting) -> dict[str, object]:
+    def as_dict(self, setting: Setting) -> dict[str, object]:
         """Return a setting as a message for a page."""
         recipe, base = self.recipe(setting), self._base(setting)
         on = dict.fromkeys(components(self.channel), False)

@@ -28,7 +28,7 @@ Sender = Callable[[Any], Coroutine[Any, Any, None]]
 class OpenPage(Protocol):
     """An open page."""
 
-    def send(self, what: Sender) -> None:
+    def start_sending(self, what: Sender) -> None:
         """Send the page something, without waiting for it."""
         ...
 
@@ -147,7 +147,7 @@ class Shared:
         """Send every page something, and wait only for the page that requested it."""
         for page in tuple(self.pages):
             if page is not asker:
-                page.send(what)
+                page.start_sending(what)
         if asker is not None:
             await what(asker)
 

@@ -140,7 +140,7 @@ class ViewModel:
     def setting_message(self, channel: int) -> list[object]:
         """Return the settings of a channel as a message for a page: the mode, its lag, the settings."""
         mode, lag_s, settings = self.now
-        return [mode, lag_s, self._options_of(channel).as_json(settings[channel])]
+        return [mode, lag_s, self._options_of(channel).as_dict(settings[channel])]
 
     def recipe(self) -> Recipe:
         """Return the recipe of all channels that are cleaned.
@@ -201,7 +201,7 @@ class ViewModel:
             "can_redo": self.can_redo,
             "changed": self.now != self._steps[0],
             "recipe": recipe,
-            "channels": [option.as_json(one) for option, one in zip(self._options_in(now), settings, strict=True)],
+            "channels": [option.as_dict(one) for option, one in zip(self._options_in(now), settings, strict=True)],
             "classics": self.classics,
         }
 

@@ -1,7 +1,7 @@
 // The live page: shows a stream while it runs.
 
 import { onTheme, readColours } from "../colours.js";
-import { amount, find, say, fill } from "../dom.js";
+import { amount, find, say, fillTerms } from "../dom.js";
 import { save, whyNot } from "../tuner/files.js";
 import { hearKeys } from "../tuner/keys.js";
 import { connect } from "../wire.js";
@@ -264,7 +264,7 @@ function fare(health) {
   const losses = Object.entries(health.losses).filter(([, { events }]) => events);
   const latency = (/** @type {number | null} */ ms) => amount(ms === null ? null : ms / 1e3, "s");
   const { p50, p99 } = health.latency_ms;
-  fill(find("health", HTMLElement), [
+  fillTerms(find("health", HTMLElement), [
     ["rows", health.rows.toLocaleString("en")],
     ["rows a second", amount(health.rows_per_s, "")],
     ["latency, p50 / p99", `${latency(p50)} / ${latency(p99)}`],

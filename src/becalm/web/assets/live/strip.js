@@ -1,7 +1,7 @@
 // The strip of a channel: its plot, its figures, its dial.
 
 import { colour, other } from "../colours.js";
-import { make, fill } from "../dom.js";
+import { make, fillTerms } from "../dom.js";
 import { even } from "../numbers.js";
 import { Dial } from "../tuner/dial.js";
 import { VERDICTS } from "../tuner/lanes.js";
@@ -177,7 +177,7 @@ export class Strip {
     if (dial) this.dial.point(dial.at);
     if (!filter) return;
     if (dial) this.dial.show(filter);
-    else fill(this.figures, [["filter", filter.says]]);
+    else fillTerms(this.figures, [["filter", filter.says]]);
   }
 }
 

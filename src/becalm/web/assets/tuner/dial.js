@@ -1,6 +1,6 @@
 // The dial from faster to smoother: it sets the process noise density, and shows the bandwidth, lag and noise.
 
-import { amount, find, fill } from "../dom.js";
+import { amount, find, fillTerms } from "../dom.js";
 
 /**
  * @typedef {{ process_noise_density: ArrayLike<number>, bandwidth_hz: ArrayLike<number>, lag_s: ArrayLike<number>, noise_left: ArrayLike<number> }} Positions
@@ -93,7 +93,7 @@ export class Dial {
   say({ bandwidth_hz, lag_s, noise_left }) {
     const down = noise_left && this.noise ? -20 * Math.log10(noise_left / this.noise) : null;
     const words = { bandwidth: amount(bandwidth_hz, "Hz"), lag: lag_s === 0 ? "none" : amount(lag_s, "s"), "noise left": amount(noise_left, this.unit), "noise down": amount(down, "dB") };
-    fill(this.figures, Object.entries(words));
+    fillTerms(this.figures, Object.entries(words));
     this.input.setAttribute("aria-valuetext", Object.entries(words).map(([term, value]) => `${term} ${value}`).join(", "));
   }
 

@@ -1,6 +1,6 @@
 // Shows the verdict on a filter over the whole record: a sentence, numbers and figures.
 
-import { find, make, say, fill, write } from "../dom.js";
+import { find, make, say, fillTerms, write } from "../dom.js";
 import { decode, draw } from "../figures.js";
 
 /**
@@ -39,7 +39,7 @@ export class Verdict {
     this.says = [SIGNS[tone], says].filter(Boolean).join(" ");
     this.wait(false);
     this.clear();
-    fill(find("numbers", HTMLElement), numbers);
+    fillTerms(find("numbers", HTMLElement), numbers);
     const arrays = payload.arrays.map(decode);
     const map = find("map", HTMLElement);
     for (const figure of payload.figures) {
@@ -51,7 +51,7 @@ export class Verdict {
   }
 
   clear() {
-    fill(find("numbers", HTMLElement), []);
+    fillTerms(find("numbers", HTMLElement), []);
     for (const u of this.plots.splice(0)) {
       const place = u.root.closest("figure");
       u.destroy();

@@ -36,7 +36,7 @@ class _Answer(NamedTuple):
     noticed_ms: int
 
 
-def output_tables(shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+def to_output_batches(shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     """Yield the filters' output in the columns of `StreamSchema.output_columns`."""
     writer = _OutputBatches(shape)
     for batch in batches:
