@@ -65,16 +65,15 @@ static int is_alone(const int64_t *ends, const int64_t run, const int64_t runs) 
     return (run == 0 || row - ends[2 * run - 1] > 1) && (run + 1 == runs || ends[2 * run + 2] - row > 1);
 }
 
-/* Leave out implausible neighbours on the other side of the plausible range, or whose distance from the value is more
-   than four times the distance of the value from the range; return how many stay. */
+/* Leave out implausible neighbours whose distance from a value is more than four times the distance of the value from
+   the plausible range; return how many stay. */
 static int keep_supporting(const settings_t *settings, const real value, real *neighbours, const int count) {
     const real low = settings->plausible_low, high = settings->plausible_high;
     const real beyond = value < low ? low - value : value - high;
     int kept = 0;
     for (int k = 0; k < count; k++) {
         const real other = neighbours[k];
-        const int plausible = low <= other && other <= high, same_side = (other > high) == (value > high);
-        if (plausible || (same_side && fabs(other - value) <= NEARER * beyond)) neighbours[kept++] = other;
+        if ((low <= other && other <= high) || fabs(other - value) <= NEARER * beyond) neighbours[kept++] = other;
     }
     return kept;
 }

@@ -24,7 +24,7 @@ from becalm.native.scans import (
 # Find the value that marks missing readings in a log.
 
 _FEWEST_MARKED, _SHARE = 20, 0.05  # least number and share of readings that have the marker
-_FEWEST_VALUES, _FEWEST_CODES = 16, 6  # least number of different readings; least number if all are far from 0
+_FEWEST_VALUES = 16  # least number of different readings
 _OFTENER, _NEIGHBOURS = 10.0, 5  # how often it comes, over the median of this many values on each side
 _RUN = 3  # rows: most runs of the marker are no longer
 _MARKER_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around it, over their noise and their difference
@@ -98,7 +98,7 @@ MOST_OUTLIERS = 0.1
 _FEWEST = 8  # readings needed to measure jumps
 _IMPOSSIBLE, _MOST_IMPOSSIBLE = 1000.0, 0.2  # distance that no motion reaches, over the middle half; largest share
 _ALIKE = 2.0  # nine in ten pulses of a signal are no larger than this, over the tenth that are smallest
-_NEAR = 0.1  # difference of readings of one motion, over their distance from the bulk
+_UNLIKELY = 3.0  # standard deviations of the number of pairs of readings that are far by chance
 _NOISES = 30.0  # smallest distance of a gross outlier, in standard deviations of the noise
 _OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # median and 90 % quantile of the distance from neighbours, for white noise
 _AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # of an outlier's distance; at most this share of moving readings is that far away
@@ -108,7 +108,6 @@ _JUMPS = 2.0  # limit for a causal jump, over the largest jump in the record
 _HIDDEN = 0.1  # number of outliers hidden in equally large motion, over the number detected
 _RARE = 0.05  # share of readings that equal the one before
 _FAR, _MOVES = 1 / 12, 6.0  # smallest distance from 0: share of the bulk's range, and in median steps
-_AMID = 0.5  # the same for a few codes: share of their range
 _BULK = 0.01, 0.99  # quantiles that bound the bulk of the readings
 _BY_CHANCE = 0.05  # expected number of readings rounded to 0, at most, if 0 is not a reading
 _SECOND = 1.732  # second differences of white noise, over first ones
@@ -150,12 +149,14 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     distance, kept = _separate_outliers(values)
     if not distance:
         return NO_OUTLIERS._replace(blank=blank)
-    jumps, hidden = measure_jumps(input_of(kept)), int(_HIDDEN * (len(values) - len(kept)))
+    far = 0.0 if rests or blank == 0 else _far_from_0(seen, kept, resolution if are_one else np.inf)
+    hidden = int(_HIDDEN * (len(values) - len(kept)))
+    kept = kept[kept != 0] if far else kept
+    jumps = measure_jumps(input_of(kept))
     largest = float(np.sort(jumps)[: max(len(jumps) - hidden, 1)].max(initial=0.0))
     causal = max(_JUMPS * largest, distance)
     low, high = np.sort(kept)[[hidden, -1 - hidden]].tolist()
     margin = max(high - low, causal)
-    far = 0.0 if rests or blank == 0 else _far_from_0(seen, kept, resolution if are_one else np.inf)
     return Outliers(distance, causal, low - margin, high + margin, are_one, blank, far)
 
 
@@ -176,17 +177,16 @@ def _separate_outliers(values: Floats) -> tuple[float, Floats]:
 def _find_impossible(values: Floats) -> Booleans:
     """Return which readings (N,) no motion reaches: a thousand times as far away as the bulk is wide.
 
-    No two in a row agree, and their sizes differ. Pulses of a signal have similar sizes, and readings next to a peak of
-    motion are near to it; for such records, or if the far readings are too many, none is returned.
+    They come as single readings, with no more in a row than chance brings, and their sizes differ. Pulses of a signal
+    have similar sizes or last longer; for such records, or if the far readings are too many, none is returned.
     """
     low, middle, high = np.quantile(values, (0.25, 0.5, 0.75)).tolist()
     away = np.abs(values - middle)
     far = away > _IMPOSSIBLE * (high - low)
     smallest, largest = np.quantile(away[far], (0.1, 0.9)).tolist() if far.any() else (0.0, 0.0)
-    adjacent = far[1:] & far[:-1]
-    near = adjacent & (np.abs(np.diff(values)) < _NEAR * np.minimum(away[1:], away[:-1]))
-    too_many = np.count_nonzero(far) > _MOST_IMPOSSIBLE * len(values)
-    if high == low or too_many or largest <= _ALIKE * smallest or near.any():
+    pairs, by_chance = np.count_nonzero(far[1:] & far[:-1]), far.mean() ** 2 * len(far)
+    last = pairs > by_chance + _UNLIKELY * np.sqrt(by_chance)  # they last longer than a reading
+    if high == low or last or far.mean() > _MOST_IMPOSSIBLE or largest <= _ALIKE * smallest:
         return np.zeros(len(values), bool)
     return np.asarray(far)
 
@@ -216,7 +216,7 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
         The step between two codes, in unit; inf if equal readings in a row do not count as one.
     """
     others = kept[kept != 0]
-    if not _are_measured(np.unique(others)):
+    if len(np.unique(others)) < _FEWEST_VALUES:
         return 0.0
     low, high = np.quantile(others, _BULK).tolist()
     if low < 0 < high:
@@ -234,17 +234,6 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
     if not near:  # no reading is near 0: take half of the smallest magnitude
         far = 0.0 if several and np.isinf(resolution) else 0.5 * float(np.abs(others).min())
     return far
-
-
-def _are_measured(values: Floats) -> bool:
-    """Return whether sorted values (N,), none of them 0, are those of a measurement, and not numbers of states.
-
-    A coarse converter has few, but these are near to each other and far from 0.
-    """
-    if not _FEWEST_CODES <= len(values) < _FEWEST_VALUES:
-        return len(values) >= _FEWEST_VALUES
-    far = max(_AMID * (values[-1] - values[0]), _MOVES * np.diff(values).min())
-    return bool(np.abs(values).min() >= far)
 
 
 def _usual_step(z: Floats) -> float:
