@@ -64,6 +64,13 @@ def test_a_few_wild_readings_off_the_codes_hide_no_step() -> None:
     assert find_resolution(noise()) == 0.0
 
 
+def test_an_outlier_between_few_codes_does_not_hide_their_step() -> None:
+    """Only three values repeat; the outlier lies on no code."""
+    z = np.random.default_rng(1).choice([2.5, 5.0, 7.5], 500)
+    z[100] = -10.3487910557
+    assert find_resolution(z) == pytest.approx(2.5)
+
+
 def test_runs_are_counted() -> None:
     assert run_lengths(np.array([1.0, 1, 2, 3, 3, 3])).tolist() == [2, 1, 3]
     assert run_lengths(np.empty(0)).tolist() == []

@@ -73,7 +73,7 @@ def test_one_reading_in_eight_may_be_impossible(share: float) -> None:
 
 
 def test_pulses_are_no_outliers_if_they_are_many() -> None:
-    """A pulse is one reading, a hundred thousand times the noise; all are alike."""
+    """A pulse is one reading, a hundred thousand times the noise; all but one are alike."""
     z = 0.01 * noise()
     z[::7] = 1e3 * (1 + 0.2 * np.random.default_rng(7).random(len(z[::7])))
     z[70] = 3e3

@@ -216,8 +216,10 @@ class CausalMotion:
         self._rows += len(z)
         self._counts.update(counted(estimates.verdict))
         self._uncertainty.see(estimates.signal)
-        parts = parts_of(self._channel.settings.component, estimates) if self._split else estimates.to_rows().parts
-        return [estimates.to_rows()._replace(parts=parts)]
+        rows = estimates.to_rows()
+        if not self._split:
+            return [rows]
+        return [rows._replace(parts=parts_of(self._channel.settings.component, estimates))]
 
     def finish(self) -> list[EstimatedRows]:
         """Return no rows: `push` returned all of them."""

@@ -27,7 +27,7 @@ import { short } from "../numbers.js";
  * @property {string} kind its CSS class
  * @property {string} [says] what it means
  * @property {boolean} [down] whether the first sort is in descending order
- * @property {(fleet: Fleet, row: number) => string} text text of a cell
+ * @property {(fleet: Fleet, row: number) => string} text what a cell shows
  * @property {(fleet: Fleet, row: number) => number | string | null} key sort key
  */
 
