@@ -23,8 +23,8 @@ from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.filter.gate import Gate, threshold_for
 from becalm.core.filter.restarting_flow import CausalFlow
 from becalm.core.model.components import motion
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
-from becalm.core.verdict import Verdict
 from becalm.metrics.truth import rms_error
 from pages import page_parser, publish
 

@@ -24,7 +24,7 @@ from becalm.core.model.components import ORDERS, motion
 from becalm.identification.cross_validation import simplest, tune_smoother
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
 from becalm.identification.risk import retune
-from becalm.identification.wishes.waiting import delay_curve
+from becalm.identification.wishes.gain_of_waiting import delay_curve
 from becalm.metrics.truth import rms_error
 from pages import page_parser, publish
 from stopwatch import nanoseconds, step_through

@@ -15,10 +15,10 @@ import numpy as np
 from pyspark import cloudpickle
 
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan, query, sources
+from becalm.fleet.stream.columns import ANSWER, StreamSchema
 from becalm.fleet.stream.output_batches import to_output_batches
 from becalm.fleet.stream.processor import SensorProcessor
 from becalm.fleet.stream.sensor import SensorWalk
-from becalm.fleet.stream.shape import ANSWER, StreamSchema
 from fleet_stream_kills import CHANNELS, NAMES, RATE_HZ, RECIPE
 from fleet_stream_runs import below, write_rows
 from live_runs import readings

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 import becalm
 from becalm.classic.bridging import joined_by_lines
 from becalm.classic.register import CLASSICS
-from becalm.core.verdict import LOST, Verdict
+from becalm.core.reading_verdicts import LOST, Verdict
 from pages import page_parser, publish
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))

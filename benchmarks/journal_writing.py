@@ -26,7 +26,7 @@ import pyarrow.parquet as pq
 
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Output
-from becalm.live.journal.keeper import Journal
+from becalm.live.journal.journal import Journal
 from becalm.live.journal.reading import open_journal
 from pages import page_parser, publish
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import becalm
 from becalm.cleaning.stream import StreamCleaner, Streamed
-from becalm.core.verdict import LOST, Verdict
+from becalm.core.reading_verdicts import LOST, Verdict
 from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.proof.compiling import build
 from becalm.export.proof.verifying import streamed, unpacked

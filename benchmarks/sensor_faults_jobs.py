@@ -10,7 +10,7 @@ from becalm import Model, kalman_filter
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits, find_limits
 from becalm.core.health.monitor import Alarms, InnovationMonitor, cusum_delay, find_alarms
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from sensor_faults_records import ALARMS_PER_HOUR, LEARNT, SIGNALS, Floats, digitised, record
 
 

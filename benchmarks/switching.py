@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import becalm
 from becalm.core.model.components import motion
-from becalm.identification.wishes.front import noise_lag_front
+from becalm.identification.wishes.noise_against_lag import noise_lag_front
 from becalm.report.description import Axis, Curve, Figure, Layer, Look
 from becalm.report.printing import Kind, printed, refuse_unprintable
 from pages import page_parser, publish

@@ -11,7 +11,7 @@ import numpy as np
 
 import becalm
 from becalm.core.filter.gate import Gate, threshold_for
-from becalm.core.verdict import AT_MOST, Verdict
+from becalm.core.reading_verdicts import AT_MOST, Verdict
 
 rate_hz = 100.0
 rng = np.random.default_rng(2)

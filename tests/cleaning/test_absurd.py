@@ -9,8 +9,8 @@ from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
-from becalm.core.verdict import Verdict
 
 ROWS = 3000
 

@@ -12,8 +12,8 @@ from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.filter.smoothing import kalman_smoother
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
-from becalm.core.verdict import Verdict
 from becalm.identification.wishes.dial import Dial
 
 RATE_HZ, ROWS, BANDWIDTH_HZ, LAG_S = 100.0, 12_000, 0.5, 0.2

@@ -12,8 +12,8 @@ from becalm.cleaning.recipe import VERSION, ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
-from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
 
 RATE_HZ = 500.0

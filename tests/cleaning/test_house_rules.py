@@ -18,9 +18,9 @@ from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.components import motion, returning_motion
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError, RecordingError
 
 ROWS = 800

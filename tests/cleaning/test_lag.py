@@ -12,8 +12,8 @@ from becalm.cleaning.recipe import Origin, Recipe
 from becalm.cleaning.steps import in_steps, lag_in_rows
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.online import Online
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
-from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError, UsageError
 
 RATE_HZ = 100.0

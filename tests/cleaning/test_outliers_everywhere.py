@@ -10,7 +10,7 @@ import pytest
 from becalm import Recording, clean, tune
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Floats, Integers
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 
 ROWS, RATE_HZ = 2500, 100.0
 T = np.arange(ROWS) / RATE_HZ

@@ -15,9 +15,9 @@ from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 
 RATE_HZ, ROWS = 100.0, 6000
 

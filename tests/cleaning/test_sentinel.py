@@ -14,8 +14,8 @@ from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits
 from becalm.core.health.outlier_rule import Outliers
 from becalm.core.health.sentinel import Sentinel
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 
 LIMITS = Limits(outliers=Outliers(low=-10.0, high=10.0))
 ROWS, RATE_HZ = 600, 100.0

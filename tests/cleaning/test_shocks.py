@@ -9,8 +9,8 @@ import pytest
 
 from becalm.cleaning.pipeline import clean
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
-from becalm.core.verdict import Verdict
 
 ROWS = 5000
 GAITMAP = Path(__file__).parents[2].parent / "shared" / "data" / "gaitmap" / "imu_sample.csv"

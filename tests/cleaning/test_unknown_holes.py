@@ -14,7 +14,7 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.cleaning.tuning import Wishes
 from becalm.cli.main import app
 from becalm.core.arrays import Floats
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 
 ROWS, RATE_HZ = 6000, 200.0
 HOLE = slice(3000, 3200)

@@ -11,7 +11,7 @@ from becalm.core.model.components import Component, motion
 from becalm.core.model.model import Model, System
 from becalm.core.model.step_matrices import StepMatrices, Timeline
 from becalm.core.online import Online
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 
 GATE = Gate(5.0)
 PARTS = {order: motion(order, (2 * np.pi * 0.01) ** (2 * order)) for order in (1, 2, 3)}

@@ -13,7 +13,7 @@ from becalm.core.health.look_ahead import LookAhead
 from becalm.core.health.outlier_rule import (
     Outliers,
 )
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 
 ROWS = 4000
 

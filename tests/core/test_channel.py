@@ -24,8 +24,8 @@ from becalm.core.health.monitor import Alarms
 from becalm.core.health.outlier_rule import find_outlier_rule
 from becalm.core.model.components import Component, bias, motion, oscillator, returning_motion
 from becalm.core.model.step_matrices import elapsed_timeline
+from becalm.core.reading_verdicts import LOST, Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import LOST, Verdict
 from becalm.errors import ModelError
 from becalm.native import STATE
 from becalm.native.library import COEFFICIENTS, MOST_STATES, SETTINGS

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from becalm.core.arrays import Codes, Floats
 from becalm.core.health.faults import Faults, fault_messages
 from becalm.core.health.limits import Limits, find_limits
-from becalm.core.verdict import ADVICE, Verdict
+from becalm.core.reading_verdicts import ADVICE, Verdict
 from becalm.errors import UsageError
 from sensor_faults_records import ALARMS_PER_HOUR, LEARNT, SIGNALS, STEPS, digitised, record
 

@@ -14,7 +14,7 @@ from becalm.core.health.outlier_rule import (
     is_outlier,
     verdicts_from_neighbours,
 )
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.native.scans import LONGEST_0
 from outlier_records import ROWS, found_causally, judged_soon, noise, stairs
 

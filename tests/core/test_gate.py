@@ -11,8 +11,8 @@ from scipy.stats import norm, poisson
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.gate import LEAST_THRESHOLD, Gate, threshold_for
 from becalm.core.model.components import Component, motion, oscillator
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 from becalm.errors import ModelError
 from flows import flow_of
 

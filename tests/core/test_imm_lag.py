@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.online import Online
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import ModelError
 
 ROWS = 300

@@ -13,7 +13,7 @@ from becalm.core.filter.gate import Gate
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.model import Model
 from becalm.core.online import Online
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import ModelError
 from flows import flow_of
 from gated_streams import GATE, PARTS, in_chunks, model_of, with_jumps

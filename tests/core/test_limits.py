@@ -9,7 +9,7 @@ from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits, find_limits, find_resolution, run_lengths, stuck_at_once
 from becalm.core.health.outlier_rule import verdicts_from_neighbours
 from becalm.core.health.saturation import SaturationLimits, find_saturation
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import UsageError
 from becalm.files.opening import read
 from becalm.native.scans import EVERY_REPEAT

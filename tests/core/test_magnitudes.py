@@ -15,8 +15,8 @@ from becalm.core.health.limits import find_limits
 from becalm.core.model.components import motion
 from becalm.core.model.parts import find_largest, largest_magnitude_for_noise, level_from_first_reading
 from becalm.core.online import Online
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
 from flows import flow_of
 
 ROWS = 1024

@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.health.monitor import SLACK, InnovationMonitor, cusum_delay, cusum_threshold, find_alarms
 from becalm.core.model.model import Model
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import UsageError
 from becalm.native.scans import HOP, WINDOW
 

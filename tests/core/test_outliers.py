@@ -22,7 +22,7 @@ from becalm.core.health.outlier_rule import (
     is_outlier,
     verdicts_from_neighbours,
 )
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import ModelError
 from becalm.native.scans import LONGEST_0, REACH, SPREADS
 from outlier_records import ROWS, found_causally, judged_soon, noise, stairs

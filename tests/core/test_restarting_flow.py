@@ -20,8 +20,8 @@ from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.model.autoregressive import autoregressive
 from becalm.core.model.components import gauss_markov, motion, oscillator
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows, Judge
-from becalm.core.verdict import Verdict
 from flows import flow_of
 
 ROWS, AT = 1500, 700

@@ -12,8 +12,8 @@ from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.components import motion, oscillator, returning_motion
 from becalm.core.model.step_matrices import elapsed_timeline
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 
 ROWS = 200_000  # of which several stretches are told before the record ends
 EQUAL = 1e-12  # as surely as it knows the future before it tells anything

@@ -19,7 +19,7 @@ from becalm.export.bundle import Bundle, Exported
 from becalm.export.kind import Raw
 from becalm.export.proof.compiling import STRICT
 from becalm.export.proof.verifying import unpacked
-from becalm.export.written import FOLDER
+from becalm.export.shared_parts import FOLDER
 from exported import need
 
 UNDEFINED = ("-O1", "-fsanitize=undefined", "-fno-sanitize-recover=all")

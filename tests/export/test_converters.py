@@ -8,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.export.fixed.text import GREATEST
 from driven import UNDEFINED, Driven, library
 from exported import channel, fixed

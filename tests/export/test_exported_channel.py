@@ -19,14 +19,14 @@ from becalm.cleaning.recipe_parts import CalibrationRecipe, ColouredNoiseRecipe,
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.core.model.autoregressive import from_partial_autocorrelations
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.channel.kind import Sizes
 from becalm.export.channel.sources import sources_of
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, STRICT, build, run
 from becalm.export.proof.verifying import unpacked
+from becalm.export.shared_parts import FOLDER
 from becalm.export.vectors import STARTING
-from becalm.export.written import FOLDER
 from carried import BOTH, CHANNELS, GATE, HARD, NUMBERS, STEP_S, USUAL, expected, reference_of, rough
 from driven import Driven, driven_one
 from exported import ANY, built, bundle, channel, need, recipe_of

@@ -13,8 +13,8 @@ from banked import KINDS, NAMES, RATE_HZ, bundle_of_bank, expected, nervous, one
 from becalm.cleaning.filters import Filter
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
-from becalm.core.verdict import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bundle import Bundle
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, run

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bundle import Bundle
 from becalm.export.fixed.text import GREATEST, factor_of, rails_of, scale_of, schedule_in

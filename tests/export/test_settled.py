@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from becalm.cleaning.recipe import ChannelRecipe
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bundle import Bundle
 from becalm.export.design import design_of

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from becalm.errors import UsageError
 from becalm.files.unit_conversion import conversion
 from becalm.files.unit_spelling import QUANTITIES
-from becalm.identification.rest.datasheet import convert
+from becalm.identification.at_rest.datasheet import convert
 
 G0 = 9.80665
 

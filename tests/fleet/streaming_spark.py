@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.fleet.session import session
 from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan, run, wait
 from becalm.fleet.stream.blocks import SensorRows

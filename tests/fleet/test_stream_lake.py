@@ -14,9 +14,9 @@ import pytest
 from becalm.errors import InputError, UsageError
 from becalm.fleet.stream import lake as stream_lake
 from becalm.fleet.stream.blocks import SensorRows
+from becalm.fleet.stream.columns import StreamSchema
 from becalm.fleet.stream.lake import lake_shape, read_files
 from becalm.fleet.stream.plan import SensorPlan
-from becalm.fleet.stream.shape import StreamSchema
 from streaming import BEGINS_S, Shelf
 
 PLAN = SensorPlan(Shelf(), channels=("a", "b"))

@@ -18,9 +18,9 @@ import becalm.fleet.stream
 from becalm.errors import ModelError, UsageError
 from becalm.fleet.stream import gathering
 from becalm.fleet.stream.blocks import EstimatedBlock, SensorRows
+from becalm.fleet.stream.columns import StreamSchema, shape_of
 from becalm.fleet.stream.gathering import gathered
 from becalm.fleet.stream.output_batches import to_output_batches
-from becalm.fleet.stream.shape import StreamSchema, shape_of
 from becalm.fleet.stream.state import SensorState
 from becalm.live.block import Block, Checkpoint
 

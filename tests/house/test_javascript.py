@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import check_javascript
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.web.site import assets
 from hatch_build import Package
 

@@ -16,14 +16,14 @@ from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
 from commands import PAGE, written
 
 from becalm.cleaning import judging, steps
-from becalm.core import verdict
+from becalm.core import reading_verdicts
 from becalm.core.filter import channel_settings as settings
 from becalm.core.filter import gate
 from becalm.core.health import monitor
 from becalm.core.model import prior
 from becalm.core.time import clock
 from becalm.files import opening
-from becalm.identification import lines, risk
+from becalm.identification import risk, tones
 from becalm.identification.modes import banks, switching
 from becalm.native import scans
 
@@ -69,7 +69,7 @@ def spelt(number: float) -> str:
 @pytest.mark.parametrize(
     ("page", "said"),
     [
-        ("decisions/settled", f"{WORDS[verdict.AT_MOST].capitalize()} rejects in a row are motion"),
+        ("decisions/settled", f"{WORDS[reading_verdicts.AT_MOST].capitalize()} rejects in a row are motion"),
         ("decisions/settled", f"for {gate.GOES_ON} readings a reject is believed at once"),
         ("decisions/settled", f"Up to {WORDS[steps.SOON]} readings of lag"),
         ("decisions/settled", f"tuned on {WORDS[opening.STRETCHES]} stretches"),
@@ -82,13 +82,13 @@ def spelt(number: float) -> str:
         ),
         ("decisions/settled", f"blocks of {scans.WINDOW} innovations and more"),
         ("decisions/settled", f"by {monitor._RATIO:g} between them"),
-        ("decisions/settled", f"{lines._GAIN:.0f} in log-likelihood"),
-        ("decisions/settled", f"need bring {lines._GAIN_NAMED:.0f} only"),
+        ("decisions/settled", f"{tones._GAIN:.0f} in log-likelihood"),
+        ("decisions/settled", f"need bring {tones._GAIN_NAMED:.0f} only"),
         ("decisions/settled", f"more than {judging.PREDICTABLE:.0%} of the innovation power".replace("%", " %")),
         ("decisions/settled", f"in more than {judging.UNEVEN:.0%} of the record".replace("%", " %")),
         ("decisions/settled", f"P0 over {spelt(prior.WIDE)} times R"),
         ("conventions", f"over {spelt(prior.WIDE)} times R"),
-        ("conventions", f"magnitudes over {spelt(verdict.BEYOND_ANY_SENSOR)}"),
+        ("conventions", f"magnitudes over {spelt(reading_verdicts.BEYOND_ANY_SENSOR)}"),
         ("conventions", f"More than {clock.GAP_STEPS:g} median steps is a gap"),
         ("decisions/0002-risk", f"more than {risk.MISFIT:.0%} of the innovation power".replace("%", " %")),
         ("decisions/0002-risk", f"{risk._FEWEST} readings are needed"),

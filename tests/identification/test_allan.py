@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
 from becalm.errors import RecordingError, UsageError
-from becalm.identification.rest.allan import AllanCurve, allan_deviation
+from becalm.identification.at_rest.allan import AllanCurve, allan_deviation
 
 NINE = [892.0, 809.0, 823.0, 798.0, 671.0, 644.0, 883.0, 903.0, 677.0]
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from becalm.core.arrays import Floats
 from becalm.core.model.components import level
 from becalm.errors import RecordingError, UsageError
-from becalm.identification.rest.allan import allan_deviation
-from becalm.identification.rest.allan_covariance import shapes, spreads
-from becalm.identification.rest.allan_terms import NoiseTerms, noise_terms
+from becalm.identification.at_rest.allan import allan_deviation
+from becalm.identification.at_rest.allan_covariance import shapes, spreads
+from becalm.identification.at_rest.allan_terms import NoiseTerms, noise_terms
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 RATE = 100.0

@@ -13,9 +13,9 @@ from scipy.signal import welch
 
 from becalm.core.model.components import level
 from becalm.errors import UsageError
-from becalm.identification.rest.allan import allan_deviation
-from becalm.identification.rest.allan_terms import noise_terms
-from becalm.identification.rest.datasheet import (
+from becalm.identification.at_rest.allan import allan_deviation
+from becalm.identification.at_rest.allan_terms import noise_terms
+from becalm.identification.at_rest.datasheet import (
     convert,
     noise_bandwidth,
     noise_variance,

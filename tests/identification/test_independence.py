@@ -8,7 +8,7 @@ import pytest
 from becalm.core.steady.response import describe
 from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.tuning_spread import independence_steps
-from becalm.identification.wishes.waiting import waiting_curve
+from becalm.identification.wishes.gain_of_waiting import waiting_curve
 from walks import clean, draw
 
 ROWS = 400_000

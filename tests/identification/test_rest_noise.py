@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError
-from becalm.identification.rest.detection import Stretch
-from becalm.identification.rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
+from becalm.identification.at_rest.detection import Stretch
+from becalm.identification.at_rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
 
 COUNT = 20_000
 NOISE = np.random.default_rng(0).normal(size=COUNT)

@@ -12,7 +12,7 @@ import pytest
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError
-from becalm.identification.rest.detection import Stillness, detect_rests, named_rests
+from becalm.identification.at_rest.detection import Stillness, detect_rests, named_rests
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 RATE_HZ = 100.0

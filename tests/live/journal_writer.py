@@ -17,10 +17,10 @@ STEPS = {
     "before a file is renamed": ("pathlib.Path.replace", False),
     "after a file was renamed": ("pathlib.Path.replace", True),
     "before a file is recorded": ("becalm.live.journal.records.RollRow._replace", False),
-    "amid recording": ("becalm.live.journal.recording.put", True),
-    "after recording": ("becalm.live.journal.roller.Roller.forget", False),
-    "amid removing blocks": ("becalm.live.journal.keeper.remove_rolled", True),
-    "before a file is pruned": ("becalm.live.journal.roller.remove", False),
+    "amid recording": ("becalm.live.journal.parquet_files.put", True),
+    "after recording": ("becalm.live.journal.rolling_thread.Roller.forget", False),
+    "amid removing blocks": ("becalm.live.journal.journal.remove_rolled", True),
+    "before a file is pruned": ("becalm.live.journal.rolling_thread.remove", False),
 }
 """Where a process may die: a function, and whether after it."""
 

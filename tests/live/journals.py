@@ -12,7 +12,7 @@ import pyarrow as pa
 from becalm.core.arrays import Integers
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, Output
-from becalm.live.journal.keeper import Journal
+from becalm.live.journal.journal import Journal
 from becalm.live.journal.reading import open_journal
 
 RECIPE = "recipe = 1\n"

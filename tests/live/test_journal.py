@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as some
 
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.journal.checking import faults
 from becalm.live.journal.database import JournalError
-from becalm.live.journal.keeper import Journal
+from becalm.live.journal.journal import Journal
 from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import BlockRow
 from becalm.live.journal.row_bytes import by_period, joined, packed, unpacked

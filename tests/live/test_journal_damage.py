@@ -15,7 +15,7 @@ from becalm.live.address import Address
 from becalm.live.block import Loss
 from becalm.live.journal.checking import faults, uncovered
 from becalm.live.journal.database import JournalError
-from becalm.live.journal.keeper import Journal
+from becalm.live.journal.journal import Journal
 from becalm.live.journal.mark import MarkFile
 from becalm.live.journal.reading import open_journal
 from becalm.live.protocols import StorageFullError

@@ -100,7 +100,7 @@ def test_a_commit_that_is_there_though_it_seemed_to_fail_is_not_made_twice(
 ) -> None:
     with journal_in(tmp_path) as journal:
         rows = fill(journal, 1)
-        forget = "becalm.live.journal.roller.Roller.forget"
+        forget = "becalm.live.journal.rolling_thread.Roller.forget"
         with monkeypatch.context() as patch:
             patch.setattr(forget, fails)
             with pytest.raises(StorageFullError):

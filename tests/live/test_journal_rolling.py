@@ -16,8 +16,8 @@ import pytest
 from becalm.live.block import Loss, LossKind, Output
 from becalm.live.journal import rolling
 from becalm.live.journal.checking import faults
+from becalm.live.journal.parquet_files import prune
 from becalm.live.journal.reading import open_journal
-from becalm.live.journal.recording import prune
 from journal_writer import STEPS, writing
 from journals import EPOCH_S, HEAD, assert_rows, checkpoint_at, fill, journal_in, rows_of, table_of
 
@@ -87,7 +87,7 @@ def test_stamps_that_are_no_dates_roll_by_arrival(tmp_path: Path, monkeypatch: p
 
 
 def test_an_hour_with_much_is_parted_and_the_last_block_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("rolling", "keeper"):
+    for module in ("rolling", "journal"):
         monkeypatch.setattr(f"becalm.live.journal.{module}.MOST_BYTES", 100_000)
     with journal_in(tmp_path) as journal:
         for _ in range(4):
@@ -193,7 +193,7 @@ def test_a_journal_that_keeps_for_a_time_removes_older_files(tmp_path: Path) -> 
 
 def test_neither_database_nor_log_grows_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("becalm.live.journal.rolling.MOST_BYTES", 1 << 20)
-    monkeypatch.setattr("becalm.live.journal.keeper.MOST_BYTES", 1 << 20)
+    monkeypatch.setattr("becalm.live.journal.journal.MOST_BYTES", 1 << 20)
     rng, rows, sizes = np.random.default_rng(1), 0, []
     noise = rng.normal(size=(2000, 2))
     with journal_in(tmp_path) as journal:

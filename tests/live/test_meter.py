@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.live.block import Loss, LossKind
 from becalm.live.watching import memory
 from becalm.live.watching.meter import LATENCIES

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.report.envelope import Envelope, Kinds, Means, Stretches
 
 VALUES = st.lists(st.one_of(st.just(float("nan")), st.floats(-1e6, 1e6)), min_size=1, max_size=60)

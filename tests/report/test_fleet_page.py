@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import becalm
 from becalm.cleaning.faults import Fault
 from becalm.cleaning.judging import Decision
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.report.fleet_order import TRAITS, badness, summary, usual_noise, worst_first
 from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import LOSSES, FleetRow, faults_text, row_of

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.live.block import Output
 from becalm.web.livepage.bins import COARSER, LEVELS, Bins, Span
 

@@ -16,9 +16,9 @@ from becalm.cleaning.pipeline import Cleaned
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 from becalm.web.tuner import picture
 from becalm.web.tuner.picture import Clean, View, clean_of, raw_of, view_of
 from tuner_records import GATE, ROWS, Case, cases, even, motion, walk

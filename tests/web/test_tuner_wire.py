@@ -11,7 +11,7 @@ import pytest
 
 import becalm
 from becalm.cleaning.recipe import Recipe
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.web.tuner import picture_queue
 from tuner_served import ROWS, Served, Talk, drive_in, served
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.errors import UsageError
-from becalm.identification.rest.allan_terms import NoiseTerm, NoiseTerms
-from becalm.identification.rest.datasheet import convert, random_walk_in, white_noise_in
+from becalm.identification.at_rest.allan_terms import NoiseTerm, NoiseTerms
+from becalm.identification.at_rest.datasheet import convert, random_walk_in, white_noise_in
 
 
 class _Sheet(NamedTuple):
@@ -109,7 +109,7 @@ def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], ra
     Parameters
     ----------
     terms : NoiseTerms
-        From `becalm.identification.rest.allan_terms.noise_terms`.
+        From `becalm.identification.at_rest.allan_terms.noise_terms`.
     unit : str
         Unit of the readings, "" if unknown.
     stretch_s : (float, float)

@@ -18,7 +18,7 @@ from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.slopes import timing_sentences
 from becalm.cleaning.steps import SOON
 from becalm.core.health.outlier_rule import MOST_OUTLIERS
-from becalm.core.verdict import ADVICE, Verdict
+from becalm.core.reading_verdicts import ADVICE, Verdict
 from becalm.identification.trust.tuning_spread import excess_error
 
 _NOTHING_REMOVED = "Next to nothing was removed: noise and motion cannot be distinguished here; noise_std is a guess."

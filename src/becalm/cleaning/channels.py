@@ -23,8 +23,8 @@ from becalm.core.filter.restarting_flow import RestartingFlow
 from becalm.core.health.faults import possible_steps
 from becalm.core.health.monitor import InnovationMonitor
 from becalm.core.imm.flow import comparable_state
+from becalm.core.reading_verdicts import Verdict, counted
 from becalm.core.rows import EstimatedRows, Judge
-from becalm.core.verdict import Verdict, counted
 from becalm.identification.choose import FEWEST_READINGS
 from becalm.metrics.whiteness import Running
 

@@ -13,9 +13,9 @@ from becalm.cleaning.figures import response_of
 from becalm.cleaning.pipeline import Cleaned, clean, in_mode
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import judge
 from becalm.core.recording import Recording
 from becalm.core.steady.response import Response, decibels
-from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
 from becalm.metrics.delay import lag_of
 from becalm.metrics.truth import rms_error

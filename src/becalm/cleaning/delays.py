@@ -12,7 +12,7 @@ from becalm.cleaning.limits_entry import delay_to_smooth
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import in_steps
 from becalm.errors import ModelError
-from becalm.identification.wishes.waiting import Delay, delay_curve, delays_of
+from becalm.identification.wishes.gain_of_waiting import Delay, delay_curve, delays_of
 
 
 def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:

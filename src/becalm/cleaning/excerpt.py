@@ -15,8 +15,8 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.core.arrays import BLOCK, Codes, Floats, Integers
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 
 _PUSHED = 1 << 19
 """Rows in one block for a filter."""

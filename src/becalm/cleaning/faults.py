@@ -17,8 +17,8 @@ from becalm.core.health.limits import Limits, find_limits, stuck_at_once
 from becalm.core.health.look_ahead import LookAhead
 from becalm.core.health.monitor import InnovationMonitor, noise_change_message
 from becalm.core.health.outlier_rule import verdicts_from_neighbours
+from becalm.core.reading_verdicts import ADVICE, LOST, Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import ADVICE, LOST, Verdict
 from becalm.native.scans import EVERY_REPEAT
 
 FALSE_ALARMS_PER_HOUR = 1.0

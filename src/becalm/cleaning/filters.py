@@ -24,9 +24,9 @@ from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow, rows_between
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.parts import largest_magnitude_for_noise
+from becalm.core.reading_verdicts import Verdict, counted
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.core.steady.steady_filter import NEGLIGIBLE_SHARE, rows_until_decayed
-from becalm.core.verdict import Verdict, counted
 from becalm.identification.likelihood import Tuning
 
 

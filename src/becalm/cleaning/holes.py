@@ -1,7 +1,7 @@
 """Correct a smoother's estimates where readings are missing.
 
 A motion that predicts single readings well may predict badly where many are missing. How well is measured by hiding
-readings in blocks (`hidden_blocks`). In a hole, the departure of the estimate from a straight line is reduced, and
+readings in blocks (`errors_in_holes`). In a hole, the departure of the estimate from a straight line is reduced, and
 sigma is increased. Both corrections are powers of sigma divided by sigma at the edge of the hole.
 """
 
@@ -14,8 +14,8 @@ import numpy as np
 
 from becalm.cleaning.recipe_parts import HoleRecipe
 from becalm.core.arrays import Booleans, Floats
+from becalm.core.reading_verdicts import LOST
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import LOST
 
 
 class Across(NamedTuple):

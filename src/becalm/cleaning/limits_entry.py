@@ -11,8 +11,8 @@ from becalm.core.health.look_ahead import rows_ahead
 from becalm.core.health.monitor import NEVER, Alarms
 from becalm.core.health.outlier_rule import Outliers
 from becalm.core.health.quantisation import rounding_left
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.core.time.clock import GAP_STEPS
-from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.tuning_spread import independence_steps
 

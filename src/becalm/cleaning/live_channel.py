@@ -18,8 +18,8 @@ from becalm.core.filter.live_restarting import LiveFlow, LiveRestarting
 from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels
+from becalm.core.reading_verdicts import Verdict, counted
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict, counted
 from becalm.native.scans import HOP
 
 

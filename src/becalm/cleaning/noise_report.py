@@ -9,14 +9,14 @@ import numpy as np
 
 from becalm.cleaning.allan_figures import AllanNoise, allan_noise
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import GAP_STEPS
-from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import RecordingError, UsageError
-from becalm.identification.rest.allan import allan_deviation
-from becalm.identification.rest.allan_terms import noise_terms
-from becalm.identification.rest.detection import Stretch, detect_rests, named_rests, quantum, runs_of
-from becalm.identification.rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
+from becalm.identification.at_rest.allan import allan_deviation
+from becalm.identification.at_rest.allan_terms import noise_terms
+from becalm.identification.at_rest.detection import Stretch, detect_rests, named_rests, quantum, runs_of
+from becalm.identification.at_rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
 
 MOST_SLOW = 1.5
 """Ratio of the variance over half a second to R, above which the report calls the noise slower than the readings."""
@@ -45,7 +45,7 @@ class ChannelNoise:
     noise_std, noise_std_error : float or None
         Square root of R, from differences of neighbours, and its standard error if the noise is white, in unit.
     slowness : float or None
-        Variance over half a second, divided by R; see `becalm.identification.rest.rest_noise.RestNoise`.
+        Variance over half a second, divided by R; see `becalm.identification.at_rest.rest_noise.RestNoise`.
     spikes : int
         Number of jumps beyond six standard deviations; they do not count in `noise_std`.
     cutoff_hz : float

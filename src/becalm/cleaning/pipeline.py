@@ -34,7 +34,7 @@ class Cleaned:
     parts : Recording or None
         Parts of each channel, (N, p), if `split` was set: "ax_motion", "ax_tone_50Hz".
     verdicts : dict of str to (N,) int8 array
-        The verdict on each reading of each channel: values of `becalm.core.verdict.Verdict`.
+        The verdict on each reading of each channel: values of `becalm.core.reading_verdicts.Verdict`.
     """
 
     signal: Recording

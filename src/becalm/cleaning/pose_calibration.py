@@ -6,7 +6,7 @@ import numpy as np
 
 from becalm.core.recording import Recording
 from becalm.errors import SensorError
-from becalm.identification.rest.detection import SHORTEST_S, detect_rests
+from becalm.identification.at_rest.detection import SHORTEST_S, detect_rests
 from becalm.sensors.poses import FEWEST_POSES, Rests
 
 _AXES = 3

@@ -6,8 +6,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from becalm.core.reading_verdicts import AGREE, AT_MOST
 from becalm.core.time.clock import GAP_STEPS
-from becalm.core.verdict import AGREE, AT_MOST
 
 # Strict: neither true nor "1.0" is a number.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]

@@ -20,9 +20,9 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.cleaning.stream_modes import NO_MODES, modes_in, modes_of, with_modes
 from becalm.core.arrays import Codes, Floats, input_of
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
 from becalm.core.snapshot_bytes import packed, unpacked
-from becalm.core.verdict import Verdict
 from becalm.errors import ModelError, RecipeError
 
 _VERSION = 8  # version 2 changed gross outliers; 3 filters; 4 to 7 the states; 8 when readings are judged
@@ -35,7 +35,7 @@ class Streamed(NamedTuple):
 
     signal: Floats  # (R, m)
     sigma: Floats  # (R, m) inf before the first information, NaN where it is unknown
-    verdicts: Codes  # (R, m) values of `becalm.core.verdict.Verdict`
+    verdicts: Codes  # (R, m) values of `becalm.core.reading_verdicts.Verdict`
     modes: Floats = NO_MODES  # (R, K) probability of each mode of each channel with modes; (0, 0) without modes
 
 

@@ -11,28 +11,28 @@ import numpy as np
 
 from becalm.cleaning.alarms import with_alarms
 from becalm.cleaning.cleaner import Cleaner
+from becalm.cleaning.errors_in_holes import holes_shown
 from becalm.cleaning.faults import find_healthy
 from becalm.cleaning.figures import modes_in_seconds
-from becalm.cleaning.hidden_blocks import holes_shown
 from becalm.cleaning.limits_entry import with_rounding
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipe_parts import CalibrationRecipe, GateRecipe, TareRecipe, TimingRecipe
 from becalm.cleaning.slopes import Slopes
 from becalm.cleaning.steps import SOON, gate_of, in_seconds, lag_in_rows
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import judge
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import Timebase
-from becalm.core.verdict import judge
 from becalm.errors import RecordingError, UsageError
+from becalm.identification.at_rest.detection import named_rests
 from becalm.identification.choose import Choice, PriorKnowledge
 from becalm.identification.coloured import NoiseModel, fit_noise
 from becalm.identification.damping import spread_std
 from becalm.identification.gating import choose_gated, forecasts
 from becalm.identification.imputation import nearly_complete
 from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
-from becalm.identification.lines import MOST_TONES
 from becalm.identification.modes.switching import Switched, choose_robust, find_switching
-from becalm.identification.rest.detection import named_rests
+from becalm.identification.tones import MOST_TONES
 from becalm.identification.trust.tuning_spread import tuning_spread
 from becalm.identification.wishes.dial import Dial, may_judge, turn
 from becalm.installation import load_scipy, version

@@ -17,7 +17,7 @@ from becalm.cli.messages import stderr
 from becalm.cli.stopping import call_in_thread, stop_cleanly
 from becalm.errors import InputError, UsageError
 from becalm.files.read_options import ReadOptions
-from becalm.web.extra import need_app
+from becalm.web.needed_libraries import need_app
 
 DEFAULT_PORT = 8765
 _SIZE = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)\s*(?P<unit>kb|mb|gb|tb)", re.IGNORECASE)

@@ -23,7 +23,7 @@ from becalm.export.channel.sources import own_files
 from becalm.export.facts import cost_words
 from becalm.export.kind import Span
 from becalm.export.layouts import library_name
-from becalm.export.written import FOLDER
+from becalm.export.shared_parts import FOLDER
 from becalm.files.atomic_file import make_folder, refuse_unwritable, removed_afterwards, write_folder, write_text
 
 if TYPE_CHECKING:

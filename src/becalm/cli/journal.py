@@ -19,8 +19,8 @@ from becalm.files.registry import format_to_write
 from becalm.files.writing import open_output
 from becalm.live.address import seconds_of
 from becalm.live.journal.checking import faults, rows_text
+from becalm.live.journal.parquet_files import prune
 from becalm.live.journal.reading import JournalReader, JournalStretch, open_journal
-from becalm.live.journal.recording import prune
 from becalm.live.tables import table_schema
 
 DAMAGED = 3

@@ -121,7 +121,7 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
 
 def _page(options: PageAsked, meter: Meter, retune: Retune, log: Log, opened: ExitStack) -> Sink:
     """Serve the live page; return its sink."""
-    from becalm.web.extra import need_app
+    from becalm.web.needed_libraries import need_app
 
     need_app()
     from becalm.cli.live_page import serve

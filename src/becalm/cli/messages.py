@@ -12,7 +12,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from becalm.cleaning.report import ChannelReport
     from becalm.files.opening import OpenSource
-    from becalm.identification.wishes.waiting import Delay
+    from becalm.identification.wishes.gain_of_waiting import Delay
 
 _MOST_NAMED = 8  # channels that are named for one sentence
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)

@@ -23,7 +23,7 @@ from becalm.core.imm.live import LiveImm
 from becalm.core.imm.live_fixed_lag import new_live_imm, restored_imm
 from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.model import Model
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import ModelError
 
 _VERSION = 4

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 
 Judge = Callable[[Floats, Floats], None]
 """A function that takes innovations and their expected standard deviations, (B,) each."""

@@ -25,11 +25,11 @@ from becalm.export.kinds import kind_of
 from becalm.export.layouts import layouts
 from becalm.export.naming import comment, identifier, identifiers
 from becalm.export.number_type import FLOAT, Precision
+from becalm.export.shared_parts import WrittenChannel, words_of
 from becalm.export.templates import render
 from becalm.export.vector_text import bits_of, vector_texts
 from becalm.export.vectors import Vector, extremes, golden_vectors
 from becalm.export.word_length import refuse_coarse
-from becalm.export.written import WrittenChannel, words_of
 from becalm.installation import version
 
 _LARGEST_UHZ = (1 << 62) - 1

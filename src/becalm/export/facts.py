@@ -9,7 +9,7 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.export.design import Design
-from becalm.export.written import WrittenChannel
+from becalm.export.shared_parts import WrittenChannel
 
 _MOST_WRITTEN = 36  # numbers written of a matrix
 

@@ -13,8 +13,8 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.export.design import Design
 from becalm.export.number_type import NumberType
+from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Reference, Vector
-from becalm.export.written import WrittenChannel
 
 Span = tuple[float, float]
 

@@ -11,8 +11,8 @@ from becalm.export.design import Design
 from becalm.export.expressions import in_lines
 from becalm.export.kind import Kind, Opened, Raw
 from becalm.export.number_type import DOUBLE
+from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Vector
-from becalm.export.written import WrittenChannel
 
 _NUMBERS, _CODES = 6, 24  # on a line
 

@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Codes, Floats
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
-from becalm.core.verdict import Verdict
 from becalm.errors import RecordingError
 from becalm.files.groups import START, TIME
 from becalm.files.opening import OpenSource

@@ -112,7 +112,7 @@ def _refuse_unlike(written: tuple[str, str], one: Unit, other: Unit) -> None:
     if root != other_root:
         raise UsageError(
             f"{written[0]!r} and {written[1]!r} are densities of two conventions, one-sided per root of hertz and"
-            " two-sided per root of time; becalm.identification.rest.datasheet converts between them."
+            " two-sided per root of time; becalm.identification.at_rest.datasheet converts between them."
         )
     if ratio and other_ratio and ratio != other_ratio:
         raise UsageError(

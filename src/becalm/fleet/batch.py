@@ -21,6 +21,7 @@ from becalm.fleet.class_outliers import marked
 from becalm.fleet.grouped.cleaning import clean_grouped
 from becalm.fleet.job import STRETCH_ROWS, Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, MultiSensorLake, SensorPlace, find_sensor_layout
+from becalm.fleet.leftovers import remove_leftovers
 from becalm.fleet.marks import CompletionMark
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.output_lock import lock_output
@@ -28,7 +29,6 @@ from becalm.fleet.recipes import RecipeBook
 from becalm.fleet.sensor_cleaning import all_died, clean_whole
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.cleaning import clean_long
-from becalm.fleet.sweeping import remove_leftovers
 from becalm.report.fleet_order import summary
 from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import FleetRow

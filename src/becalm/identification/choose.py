@@ -19,8 +19,8 @@ from becalm.identification.cross_validation import simplest, tune_smoother
 from becalm.identification.damping import damped
 from becalm.identification.known_noise import tune_with_known_noise
 from becalm.identification.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning, tune_motion
-from becalm.identification.lines import add_lines
 from becalm.identification.risk import less_risky, retune
+from becalm.identification.tones import add_lines
 
 __all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "PriorKnowledge", "choose"]
 

@@ -15,7 +15,7 @@ from becalm.core.arrays import Booleans, Floats, input_of
 from becalm.core.filter.channel import Channel
 from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.filter.gate import Gate
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.identification.choose import NOTHING_KNOWN, Choice, PriorKnowledge, choose
 from becalm.identification.imputation import imputed
 from becalm.identification.likelihood import Tuning

@@ -122,7 +122,7 @@ class Output:
     signal, sigma : (B, m) float arrays
         Estimated signal and its standard uncertainty.
     verdicts : (B, m) int8 array
-        Verdict on each reading, values of `becalm.core.verdict.Verdict`.
+        Verdict on each reading, values of `becalm.core.reading_verdicts.Verdict`.
     losses : tuple of Loss
         Losses before or in these rows.
     arrived_s : float

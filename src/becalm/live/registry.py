@@ -25,7 +25,7 @@ SOURCES = {
 
 SINKS = {
     "stdout": "becalm.live.sinks.stdout:StdoutSink",
-    "journal": "becalm.live.journal.keeper:Journal",
+    "journal": "becalm.live.journal.journal:Journal",
     "parquet": "becalm.live.sinks.parquet:ParquetSink",
     "mqtt": "becalm.live.sinks.mqtt:MqttSink",
     "nats": "becalm.live.sinks.nats:NatsSink",

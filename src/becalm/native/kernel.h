@@ -20,7 +20,7 @@ typedef double real;
 
 enum { NN_MAX = N_MAX * N_MAX };
 
-/* The verdict on a measurement; the values of `becalm.core.verdict.Verdict`. */
+/* The verdict on a measurement; the values of `becalm.core.reading_verdicts.Verdict`. */
 enum {
     USED = 0, MISSING = 1, NONFINITE = 2, OVERRANGE = 3, SPIKE = 4, STEP = 5, CLIPPED = 6, STUCK = 7, DEAD = 8,
     DRIFT = 9, OUTLIER = 13, HOLE = 14, RUNAWAY = 15, VERDICTS = 16

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport, amount
 from becalm.core.steady.response import decibels
-from becalm.identification.wishes.front import TradeOffCurve
+from becalm.identification.wishes.noise_against_lag import TradeOffCurve
 from becalm.report.description import Figure
 from becalm.report.gathering import Gathering
 from becalm.report.innovation_figures import innovation_figures

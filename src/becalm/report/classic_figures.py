@@ -8,8 +8,8 @@ from becalm.classic.register import CLASSICS
 from becalm.cleaning.comparison import BECALM, RULES, ChannelComparison, Comparison, Contender
 from becalm.cleaning.comparison_cells import cells, headings
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import judge
 from becalm.core.recording import Recording
-from becalm.core.verdict import judge
 from becalm.report.description import Axis, Curve, Figure, Layer, Role
 from becalm.report.page import Addition, Cells
 from becalm.report.pictures import TIME, Title, slug_of

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows, Judge
-from becalm.core.verdict import Verdict
 from becalm.metrics.whiteness import PIECE
 from becalm.report.closeup import Closeup, Farthest, Middle
 from becalm.report.envelope import Cut, Envelope, Kinds, Means, Stretches

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.metrics.spectrum import Spectrum
 from becalm.report.closeup import Closeup
 from becalm.report.description import Axis, Band, Curve, Figure, Lane, Layer, Role

@@ -16,8 +16,8 @@ from becalm.cleaning.report import ChannelReport
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.recording import Recording
 from becalm.core.steady.response import Response
-from becalm.identification.wishes.front import TradeOffCurve, noise_lag_front
-from becalm.identification.wishes.waiting import Wait, waiting_curve
+from becalm.identification.wishes.gain_of_waiting import Wait, waiting_curve
+from becalm.identification.wishes.noise_against_lag import TradeOffCurve, noise_lag_front
 from becalm.report.description import Axis, Curve, Figure, Layer
 from becalm.report.pictures import Title
 

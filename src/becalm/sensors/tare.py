@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.errors import SensorError
 
 BLOCKS = 8

@@ -17,7 +17,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.core.recording import Recording
-from becalm.identification.rest.detection import detect_rests
+from becalm.identification.at_rest.detection import detect_rests
 from becalm.identification.several.step_spectrum import Sensor
 
 RATE_HZ = 1e4

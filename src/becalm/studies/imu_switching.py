@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
 from becalm.identification.several.step_spectrum import Sensor, StepTrial
-from becalm.identification.wishes.front import noise_lag_front
+from becalm.identification.wishes.noise_against_lag import noise_lag_front
 from becalm.studies.imu_records import PRINTED, RATE_HZ, SENSORS
 from becalm.studies.imu_responses import reached_ms
 

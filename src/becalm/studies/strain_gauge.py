@@ -13,8 +13,8 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
 from becalm.files.opening import read
-from becalm.identification.rest.detection import detect_rests
-from becalm.identification.rest.rest_noise import split_at_cutoff
+from becalm.identification.at_rest.detection import detect_rests
+from becalm.identification.at_rest.rest_noise import split_at_cutoff
 from becalm.studies.strain_methods import TRIED
 from becalm.studies.strain_model import Noise, likeliest, strain_model
 

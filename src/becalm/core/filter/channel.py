@@ -17,8 +17,8 @@ from becalm.core.health.faults import FaultCount
 from becalm.core.health.monitor import HOPS
 from becalm.core.model.components import Component
 from becalm.core.model.parts import largest_magnitude_for_noise
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 from becalm.native import loaded, process, reduced, reset_counts, saved, score, set_history, start
 from becalm.native.library import SETTINGS
 from becalm.native.smoothers import Smoother

@@ -20,9 +20,9 @@ from becalm.core.filter.channel_settings import ChannelSettings, StepTable, pack
 from becalm.core.filter.gate import Gate
 from becalm.core.model.components import Component
 from becalm.core.model.parts import largest_magnitude_for_noise
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR, Verdict
+from becalm.core.reading_verdicts import judge as judge_readings
 from becalm.core.rows import EstimatedRows, Judge, Rows
-from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
-from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 from becalm.native.smoothers import LateSmoother
 

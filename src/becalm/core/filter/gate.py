@@ -8,7 +8,7 @@ from numbers import Integral, Real
 import numpy as np
 
 from becalm.core.model.model import Model
-from becalm.core.verdict import AGREE, AT_MOST
+from becalm.core.reading_verdicts import AGREE, AT_MOST
 from becalm.errors import ModelError
 from becalm.native.library import CONSTANTS
 

@@ -10,8 +10,8 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel_settings import GapLimit
 from becalm.core.filter.restarting_flow import Gaps
+from becalm.core.reading_verdicts import judge as judge_readings
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import judge as judge_readings
 
 
 class LiveFlow(Protocol):

@@ -17,9 +17,9 @@ from becalm.core.model.model import Model
 from becalm.core.model.parts import largest_magnitude_for_noise
 from becalm.core.model.prior import WIDE, refuse_singular, root_of, wide_prior
 from becalm.core.model.step_matrices import model_system
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR, Verdict
+from becalm.core.reading_verdicts import judge as judge_readings
 from becalm.core.rows import Rows
-from becalm.core.verdict import BEYOND_ANY_SENSOR, Verdict
-from becalm.core.verdict import judge as judge_readings
 from becalm.errors import ModelError
 from becalm.native import DETERMINED, GATHERING, loaded, process, saved, start, stepper
 

@@ -12,9 +12,9 @@ from becalm.core.filter.channel import Channel
 from becalm.core.filter.channel_settings import ChannelSettings, GapLimit
 from becalm.core.filter.gate import Gate
 from becalm.core.model.components import Component
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
+from becalm.core.reading_verdicts import judge as judge_readings
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import BEYOND_ANY_SENSOR
-from becalm.core.verdict import judge as judge_readings
 
 _LOOK = 4096  # rows that are searched at once
 _SHORTEST = 1e-300  # steps: replaces a time of 0, because inf * 0 is NaN

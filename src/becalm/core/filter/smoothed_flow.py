@@ -21,10 +21,10 @@ from becalm.core.filter.channel_settings import ChannelSettings, StepTable, pack
 from becalm.core.filter.gate import Gate
 from becalm.core.model.components import Component
 from becalm.core.model.parts import largest_magnitude_for_noise
+from becalm.core.reading_verdicts import Verdict
+from becalm.core.reading_verdicts import judge as judge_readings
 from becalm.core.rows import EstimatedRows, Judge, Rows
 from becalm.core.steady.steady_filter import NEGLIGIBLE_SHARE, rows_until_decayed
-from becalm.core.verdict import Verdict
-from becalm.core.verdict import judge as judge_readings
 from becalm.native import DETERMINED
 from becalm.native.smoothers import ForwardPass, Smoother
 

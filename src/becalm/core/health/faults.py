@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
 from becalm.core.health.limits import Limits
-from becalm.core.verdict import ADVICE, Verdict
+from becalm.core.reading_verdicts import ADVICE, Verdict
 from becalm.errors import ModelError, UsageError
 from becalm.native.scans import LIMITS, new_limits, reduced_limits, restored, scan_faults
 

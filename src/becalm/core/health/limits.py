@@ -19,8 +19,8 @@ from becalm.core.health.held_readings import repeats_readings
 from becalm.core.health.outlier_rule import MOST_OUTLIERS, NO_OUTLIERS, Outliers, find_outlier_rule, is_outlier
 from becalm.core.health.saturation import SaturationLimits, find_saturation, is_noisy
 from becalm.core.model.parts import find_largest
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.core.time.clock import GAP_STEPS
-from becalm.core.verdict import BEYOND_ANY_SENSOR
 from becalm.errors import UsageError
 from becalm.native.library import SETTINGS
 from becalm.native.scans import EVERY_REPEAT

@@ -13,7 +13,7 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
 from becalm.core.health.faults import FaultCount, possible_steps, require_steps
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.errors import ModelError, UsageError
 from becalm.native.library import SETTINGS
 from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, new_watched, restored, scan_innovations

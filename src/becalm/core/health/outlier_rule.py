@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Booleans, Codes, Floats, Integers, input_of
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.native.library import SETTINGS
 from becalm.native.scans import (
     SHORTEST_FILL,

@@ -18,8 +18,8 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.health.limits import Limits
+from becalm.core.reading_verdicts import LOST, NOT_READ, Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import LOST, NOT_READ, Verdict
 
 _NO_ROW = -1
 

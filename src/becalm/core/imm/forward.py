@@ -10,8 +10,8 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.core.imm.modes import InteractingModels
 from becalm.core.model.parts import largest_magnitude_for_noise, level_from_first_reading
+from becalm.core.reading_verdicts import Judged, Verdict, judge
 from becalm.core.rows import EstimatedRows, Judge
-from becalm.core.verdict import Judged, Verdict, judge
 from becalm.errors import ModelError
 from becalm.native.imm import Bank, Steps, Trace, filter_rows, new_state, restored
 

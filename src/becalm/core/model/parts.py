@@ -17,7 +17,7 @@ import numpy as np
 from becalm.core.arrays import Floats, block_diagonal, frozen
 from becalm.core.model.discretisation import Recursion, balancing, discretise, repeat
 from becalm.core.model.model import Model
-from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.errors import ModelError
 
 

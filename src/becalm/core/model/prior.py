@@ -14,7 +14,7 @@ import numpy as np
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.model.covariances import covariance_ahead
 from becalm.core.model.model import Model, System
-from becalm.core.verdict import BEYOND_ANY_SENSOR
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.errors import ModelError
 
 WIDE = 1e9  # P0 over R: above it P - K S K' keeps less than seven digits

@@ -18,8 +18,8 @@ from becalm.export.channel.text import channel_door, written_door
 from becalm.export.design import Design
 from becalm.export.kind import Floating, Span
 from becalm.export.number_type import NumberType
+from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Reference
-from becalm.export.written import WrittenChannel
 
 _LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # limits of a noise's standard deviation, in unit
 

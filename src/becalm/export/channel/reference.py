@@ -17,8 +17,8 @@ from becalm.core.filter.channel import Channel
 from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits
+from becalm.core.reading_verdicts import LOST, Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import LOST, Verdict
 from becalm.export.vectors import STARTING
 
 _SINGLE = 1000  # rows of a gap that an IMM processes one by one; see `native/device_modes.c`

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from becalm import native
 from becalm.export.channel.kind import Sizes
+from becalm.export.shared_parts import FOLDER
 from becalm.export.templates import render
-from becalm.export.written import FOLDER
 
 _FILTER, _MODES = ("channel.c", "device.c", "filter.c"), ("device_modes.c", "imm.c")
 _SIZES = "sizes.h"

@@ -13,8 +13,8 @@ from becalm.core.filter.channel_settings import ChannelSettings, StepTable, pack
 from becalm.core.model.covariances import covariance_after
 from becalm.export.design import Design
 from becalm.export.number_type import DOUBLE, NumberType
+from becalm.export.shared_parts import WrittenChannel, words_of
 from becalm.export.templates import render
-from becalm.export.written import WrittenChannel, words_of
 from becalm.native import packed_size
 from becalm.native.library import COEFFICIENTS, MOST_STATES, SETTINGS
 

@@ -14,8 +14,8 @@ from becalm.export.fixed.word_length import STATE_BITS, fit
 from becalm.export.kind import Opened, Raw, Span
 from becalm.export.number_type import NumberType
 from becalm.export.settled.reference import SettledReference
+from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Reference, Vector
-from becalm.export.written import WrittenChannel
 
 COUNT = NumberType("q31", "int32_t", "", 31, np.int32, float(GREATEST))
 """The number type of a reading in fixed point."""

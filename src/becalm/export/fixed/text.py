@@ -15,8 +15,8 @@ from becalm.export.expressions import OperationCount, in_lines
 from becalm.export.fixed.word_length import BinaryPoint, fit
 from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.schedule import Schedule, schedule_of
+from becalm.export.shared_parts import WrittenChannel, unit_name, words_of
 from becalm.export.templates import render
-from becalm.export.written import WrittenChannel, unit_name, words_of
 
 GREATEST = (1 << 31) - 1
 """Largest counts of a reading and of the signal, where the converter or the filter saturates."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.errors import BecalmError, UsageError
-from becalm.export.written import FOLDER
+from becalm.export.shared_parts import FOLDER
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror", "-ffp-contract=off")
 """Flags with which the filters compile without a warning."""

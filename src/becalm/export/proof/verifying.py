@@ -12,7 +12,7 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
-from becalm.core.verdict import LOST
+from becalm.core.reading_verdicts import LOST
 from becalm.export.bundle import Bundle, Exported
 from becalm.export.channel.kind import WholeChannel
 from becalm.export.design import NOT_IN_C

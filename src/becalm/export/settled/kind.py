@@ -7,8 +7,8 @@ from becalm.export.design import Design
 from becalm.export.kind import Floating, Span, apart
 from becalm.export.settled.reference import SettledReference
 from becalm.export.settled.text import schedule_in, written_settled
+from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Reference
-from becalm.export.written import WrittenChannel
 
 
 class Settled(Floating):

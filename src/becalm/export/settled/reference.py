@@ -12,7 +12,7 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.core.health.faults import Faults
 from becalm.core.health.limits import Limits
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.export.design import Design
 from becalm.export.schedule import Schedule
 from becalm.export.vectors import STARTING

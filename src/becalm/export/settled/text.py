@@ -12,9 +12,9 @@ from becalm.export.expressions import cost_of, in_lines, product_sum
 from becalm.export.number_type import NumberType
 from becalm.export.schedule import MOST_NUMBERS, Schedule, schedule_of
 from becalm.export.settled.word_length import prove
+from becalm.export.shared_parts import WrittenChannel, look_of, moved_level
 from becalm.export.templates import render
 from becalm.export.word_length import WordLength
-from becalm.export.written import WrittenChannel, look_of, moved_level
 
 _NEAR = {"float64": 1e-13, "float32": 1e-8}  # relative precision of the schedule
 _MOST_NUMBERS = {"float64": 8192, "float32": MOST_NUMBERS}

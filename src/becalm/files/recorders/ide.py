@@ -18,8 +18,8 @@ from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import Foreign
 from becalm.files.numbers import NO_UNIT, Column
 from becalm.files.source import FormatTime, RawTable
-from becalm.files.stamps import instant
 from becalm.files.text.csv_header import unique_names
+from becalm.files.timing.integer_stamps import instant
 
 _PER_SECOND = 1e-6  # the library returns microseconds
 

@@ -16,8 +16,8 @@ from becalm.files.numbers import NO_UNIT, Column
 from becalm.files.robots import json_messages, ros_messages
 from becalm.files.robots.series import Series
 from becalm.files.source import FormatTime
-from becalm.files.stamps import Ordered, in_order, instant, seconds_of
 from becalm.files.text.csv_header import unique_names
+from becalm.files.timing.integer_stamps import Ordered, in_order, instant, seconds_of
 
 JSON = "json"
 ROS = ("ros1", "cdr")

@@ -17,8 +17,8 @@ from becalm.files.library_reader import Foreign
 from becalm.files.numbers import NO_UNIT, Column
 from becalm.files.robots.topics import few
 from becalm.files.source import FormatTime, RawTable
-from becalm.files.stamps import in_order, seconds_of
 from becalm.files.text.csv_header import unique_names
+from becalm.files.timing.integer_stamps import in_order, seconds_of
 
 _STAMP = ("uint64_t", 0, "timestamp")  # type, length of a list, and name
 _PADDING = "_padding"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from pyspark.sql import functions as sql
 
 from becalm.errors import UsageError
+from becalm.fleet.stream.columns import BATCH, MESSAGE, StreamSchema, quoted, shape_of
 from becalm.fleet.stream.gathering import gathered
 from becalm.fleet.stream.plan import SensorPlan
-from becalm.fleet.stream.shape import BATCH, MESSAGE, StreamSchema, quoted, shape_of
 from becalm.live.messages.encoding import TIME
 
 if TYPE_CHECKING:

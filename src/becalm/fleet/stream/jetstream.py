@@ -16,9 +16,9 @@ import pyarrow as pa
 from pyspark.sql.datasource import DataSource, DataSourceStreamReader, InputPartition
 from pyspark.sql.streaming.datasource import ReadLimit, ReadMaxRows, SupportsTriggerAvailableNow
 
+from becalm.fleet.stream.columns import MESSAGE
 from becalm.fleet.stream.jetstream_range import StreamRange, found_in, messages_of
 from becalm.fleet.stream.plan import START, most_of
-from becalm.fleet.stream.shape import MESSAGE
 from becalm.live.address import Address
 from becalm.live.protocols import AwayError
 

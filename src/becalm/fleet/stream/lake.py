@@ -21,9 +21,9 @@ from becalm.files.lake.listing import is_hidden
 from becalm.files.parquet import PARQUET_ENDINGS, ParquetRows, units_of
 from becalm.fleet.names import values_in
 from becalm.fleet.stream.blocks import Garbled
+from becalm.fleet.stream.columns import StreamSchema, is_reading, shape_of
 from becalm.fleet.stream.gathering import Seconds, SensorBlockBuffer, numbers_in, seconds_of
 from becalm.fleet.stream.plan import SensorPlan
-from becalm.fleet.stream.shape import StreamSchema, is_reading, shape_of
 from becalm.live.lines.cells import NumberStamps, stamp_reader
 
 _ROWS = 1 << 16

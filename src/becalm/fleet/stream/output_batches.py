@@ -11,7 +11,7 @@ import pyarrow as pa
 from becalm.files.roles import SIGMA
 from becalm.files.tables import VERDICT, in_words
 from becalm.fleet.stream.blocks import EstimatedBlock
-from becalm.fleet.stream.shape import EVENTS, KIND, READINGS, StreamSchema
+from becalm.fleet.stream.columns import EVENTS, KIND, READINGS, StreamSchema
 
 _ROWS = 1 << 15
 _MICRO = 1e6

@@ -14,12 +14,12 @@ from becalm.errors import InputError
 from becalm.files.roles import SIGMA
 from becalm.fleet.session import reason_of
 from becalm.fleet.stream.claim import claim, refuse_other
+from becalm.fleet.stream.columns import ANSWER, KIND, StreamSchema
 from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.output_batches import to_output_batches
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
 from becalm.fleet.stream.processor import SensorProcessor
 from becalm.fleet.stream.sensor import SensorWalk
-from becalm.fleet.stream.shape import ANSWER, KIND, StreamSchema
 from becalm.fleet.stream.sources import opened
 
 if TYPE_CHECKING:

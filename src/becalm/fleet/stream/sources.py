@@ -15,10 +15,10 @@ from pyspark.sql import functions as sql
 
 from becalm.errors import OutputError, UsageError
 from becalm.files.parquet import PARQUET_ENDINGS
+from becalm.fleet.stream.columns import BATCH, MESSAGE, StreamSchema
 from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.lake import lake_shape, read_files
 from becalm.fleet.stream.plan import MOST, START, SensorPlan, StreamPlan, most_of
-from becalm.fleet.stream.shape import BATCH, MESSAGE, StreamSchema
 from becalm.live.address import Address
 from becalm.live.messages.stream import MessageStream
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from becalm.cleaning.faults import Fault
 from becalm.cleaning.report import ChannelReport
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.fleet.outcome import SHOWN, Outcome, noted
 from becalm.fleet.stretching.long import Long
 from becalm.fleet.stretching.run import StretchEstimates

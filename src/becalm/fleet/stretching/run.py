@@ -16,8 +16,8 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
+from becalm.core.reading_verdicts import Verdict, counted
 from becalm.core.snapshot_bytes import packed, unpacked
-from becalm.core.verdict import Verdict, counted
 from becalm.files.chunked_cleaning import CleanChunk, answered, rows_of_chunks
 from becalm.files.opening import select_table
 from becalm.files.read_options import asked_by

@@ -13,7 +13,7 @@ from becalm.cleaning.filters import Filter
 from becalm.cleaning.limits_entry import rows_that_judge
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
-from becalm.core.verdict import judge
+from becalm.core.reading_verdicts import judge
 from becalm.files.chunked_cleaning import columns_of, rows_of_chunks
 from becalm.files.shared_source import known_of
 from becalm.fleet.job import Job, Sensor

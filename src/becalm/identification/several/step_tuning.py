@@ -2,7 +2,8 @@
 
 The gain of a filter does not change when R, Q and the initial covariance are scaled together. So the cost is a valley
 along Q/R = constant with a level floor, and a search over R and Q stops anywhere on it. A search over Q/R alone looks
-for the one number that the cost determines; R comes from the record itself (`becalm.identification.rest.rest_noise`).
+for the one number that the cost determines; R comes from the record itself
+(`becalm.identification.at_rest.rest_noise`).
 """
 
 from __future__ import annotations

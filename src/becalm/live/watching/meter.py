@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from becalm.core.arrays import Floats, Integers
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.installation import version
 from becalm.live.block import Block, Loss, LossKind, Output
 from becalm.live.watching.memory import resident_bytes

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.live.block import Output
 
 LEVELS = 5

@@ -9,7 +9,7 @@ import numpy as np
 from becalm.classic.matching import equal_noise
 from becalm.classic.register import CLASSICS
 from becalm.cleaning.excerpt import ChannelRows
-from becalm.core.verdict import judge
+from becalm.core.reading_verdicts import judge
 from becalm.errors import UsageError
 from becalm.report.envelope import Envelope
 from becalm.web.tuner.picture import View

@@ -13,7 +13,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.identification.gating import forecasts
 from becalm.identification.likelihood import UNSCORED, Evidence, Tuning
-from becalm.identification.surface import surface
+from becalm.identification.likelihood_surface import surface
 
 MOST_READINGS = 20_000
 

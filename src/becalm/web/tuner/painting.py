@@ -13,7 +13,7 @@ from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Integers
-from becalm.core.verdict import Verdict
+from becalm.core.reading_verdicts import Verdict
 from becalm.report.envelope import Envelope
 from becalm.web.frames import frame, relative
 from becalm.web.tuner.comparing import run_classic

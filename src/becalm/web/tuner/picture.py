@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from becalm.cleaning.excerpt import ChannelRows, ChannelRun
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats, Integers
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 from becalm.report.envelope import Envelope, Kinds, Stretches
 from becalm.report.gathering import WIDTH
 

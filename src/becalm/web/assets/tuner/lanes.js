@@ -2,7 +2,7 @@
 
 import { colour, other } from "../colours.js";
 
-/** Names in the order of `becalm.core.verdict.Verdict`; the first one is not drawn. */
+/** Names in the order of `becalm.core.reading_verdicts.Verdict`; the first one is not drawn. */
 export const VERDICTS = ["used", "missing", "nonfinite", "overrange", "spike", "step", "clipped", "stuck", "dead", "drift", "late", "repeated", "gap", "outlier", "hole", "runaway"];
 const ROW = 18;
 

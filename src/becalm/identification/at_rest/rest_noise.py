@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import GAP_STEPS
 from becalm.errors import RecordingError
-from becalm.identification.rest.detection import FEWEST, Stretch, quantum, window_size
+from becalm.identification.at_rest.detection import FEWEST, Stretch, quantum, window_size
 
 _SPIKE = 6.0  # standard deviations
 _KEPT = 0.9  # share of the differences that set the limit for spikes

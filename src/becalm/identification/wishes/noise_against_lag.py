@@ -17,7 +17,7 @@ from becalm.core.steady.dials import motion_filter
 from becalm.core.steady.response import describe
 from becalm.errors import UsageError
 from becalm.identification.wishes.dial import Dial, Kind, ratio_for
-from becalm.identification.wishes.waiting import refuse_variance
+from becalm.identification.wishes.gain_of_waiting import refuse_variance
 
 _CUTOFFS = np.geomspace(1e-4, 4.0, 48)  # radians a step
 _SAME = 1e-9  # relative difference below which two numbers are equal

@@ -11,8 +11,8 @@ from becalm.cleaning.holes import across, has_reading, widening
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import HoleRecipe
 from becalm.core.arrays import Booleans, Floats
+from becalm.core.reading_verdicts import LOST
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import LOST
 from becalm.identification.likelihood import Evidence
 
 LENGTHS = (8, 40, 200)

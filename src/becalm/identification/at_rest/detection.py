@@ -1,7 +1,7 @@
 """Find where a sensor is at rest, or take rests that a person names.
 
 A sensor at rest shows only its noise, and noise has two marks that need no unit and no datasheet: its power is
-constant, and it cannot be predicted. See `becalm.identification.rest.detection`.
+constant, and it cannot be predicted. See `becalm.identification.at_rest.detection`.
 """
 
 from __future__ import annotations

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
 from becalm.errors import RecordingError, UsageError
-from becalm.identification.rest.allan import AllanCurve
-from becalm.identification.rest.allan_covariance import shapes, spreads
-from becalm.identification.rest.datasheet import noise_variance
+from becalm.identification.at_rest.allan import AllanCurve
+from becalm.identification.at_rest.allan_covariance import shapes, spreads
+from becalm.identification.at_rest.datasheet import noise_variance
 
 FEWEST_CLUSTER_TIMES = 6
 

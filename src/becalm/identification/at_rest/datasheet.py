@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.errors import UsageError
-from becalm.identification.rest.datasheet_units import reading_size, walk_size, white_size
+from becalm.identification.at_rest.datasheet_units import reading_size, walk_size, white_size
 
 
 def convert(value: float, unit: str, reading_unit: str) -> float:

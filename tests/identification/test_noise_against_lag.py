@@ -13,8 +13,8 @@ from becalm.core.model.components import motion
 from becalm.core.steady.dials import motion_filter
 from becalm.errors import ModelError, UsageError
 from becalm.identification.likelihood import Evidence, tune_motion
-from becalm.identification.wishes.front import TradeOffCurve, noise_lag_front, pick
-from becalm.identification.wishes.waiting import waiting_curve
+from becalm.identification.wishes.gain_of_waiting import waiting_curve
+from becalm.identification.wishes.noise_against_lag import TradeOffCurve, noise_lag_front, pick
 
 RATE_HZ = 500.0
 R = 0.04  # unit^2

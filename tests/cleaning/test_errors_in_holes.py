@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import becalm
-from becalm.cleaning.hidden_blocks import LENGTHS, hidden_rows
+from becalm.cleaning.errors_in_holes import LENGTHS, hidden_rows
 from becalm.cleaning.holes import Holes
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.recipe_parts import HoleRecipe
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.core.verdict import Verdict
 
 RATE_HZ = 200.0
 SHOWN = (

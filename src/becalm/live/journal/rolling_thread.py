@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Event, Lock, Thread
 
 from becalm.live.journal.database import NAME, connect_reading, rolled_blocks
-from becalm.live.journal.recording import remove
+from becalm.live.journal.parquet_files import remove
 from becalm.live.journal.records import RollRow
 from becalm.live.journal.rolling import Rolled, Stopped, next_piece, roll
 

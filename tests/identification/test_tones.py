@@ -17,12 +17,12 @@ from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.components import Component, motion, oscillator
 from becalm.core.recording import Recording
 from becalm.errors import RecipeError
-from becalm.identification import lines
+from becalm.identification import tones
 from becalm.identification.choose import choose
 from becalm.identification.damping import damped
 from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence
-from becalm.identification.lines import Fit, _turned, fit_spectrum
 from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, line_power
+from becalm.identification.tones import Fit, _turned, fit_spectrum
 from becalm.metrics.truth import coverage, rms_error
 
 ROWS = 8192
@@ -119,23 +119,23 @@ def test_short_records_are_not_searched() -> None:
     assert tones_of(z, causal=True) == []
 
 
-def tones(count: int) -> Floats:
+def several_tones(count: int) -> Floats:
     return np.asarray(sum(4 * np.sin(2 * np.pi * f * T / 100) for f in (3, 9, 17, 28, 41, 6.3, 35)[:count]))
 
 
 @pytest.mark.slow
 def test_five_tones_are_found() -> None:
     white = np.random.default_rng(6).normal(size=ROWS)
-    five = clean(Recording(tones(5) + white, rate_hz=100.0), causal=True)
+    five = clean(Recording(several_tones(5) + white, rate_hz=100.0), causal=True)
     assert five.describes
-    assert rms_error(five.signal.samples[2000:, 0], tones(5)[2000:]) < 0.3
+    assert rms_error(five.signal.samples[2000:, 0], several_tones(5)[2000:]) < 0.3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("causal", [True, False])
 def test_tones_beyond_the_most_are_said_to_be_left(causal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lines, "MOST_TONES", 2)
-    z = tones(4) + np.random.default_rng(6).normal(size=ROWS)
+    monkeypatch.setattr(tones, "MOST_TONES", 2)
+    z = several_tones(4) + np.random.default_rng(6).normal(size=ROWS)
     assert not clean(Recording(z, rate_hz=100.0), causal=causal).describes
 
 

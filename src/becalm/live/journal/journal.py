@@ -1,4 +1,4 @@
-"""The journal as a keeper: commit a block of rows, the filters and the position in one transaction."""
+"""The journal as a sink: commit a block of rows, the filters and the position in one transaction."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, Output
 from becalm.live.journal.database import NAME, connect, get, put, reading, transaction, writing
 from becalm.live.journal.mark import Mark, MarkFile, locked
-from becalm.live.journal.recording import give_up, record, remove_leftovers, remove_rolled
+from becalm.live.journal.parquet_files import give_up, record, remove_leftovers, remove_rolled
 from becalm.live.journal.records import BlockRow, HeadRow, LossRow, RollRow
-from becalm.live.journal.roller import Roller
 from becalm.live.journal.rolling import MOST_BYTES, Rolled
+from becalm.live.journal.rolling_thread import Roller
 from becalm.live.journal.row_bytes import by_period, joined, packed
 from becalm.live.journal.salvage import mend
 from becalm.live.tables import column_names
