@@ -74,7 +74,7 @@ def choosing() -> list[str]:
         for what, z in (("walk", walk), ("walk and five tones", tones)):
             start = time.perf_counter()
             found = choose(z, np.ones(SAMPLES), causal).tuning
-            took, heard = time.perf_counter() - start, len(found.lines) if found else 0
+            took, heard = time.perf_counter() - start, len(found.tones) if found else 0
             mode = "causal" if causal else "smoothed"
             rows.append(f"| choosing, 1 000 000 samples, {what}, {mode}: {heard} tones found | under 10 | {took:.1f} |")
     return rows

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import becalm
-from becalm.cleaning.errors_in_holes import LENGTHS, hidden_rows
+from becalm.cleaning.errors_in_holes import LENGTHS, choose_hidden_rows
 from becalm.cleaning.holes import Holes
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.recipe_parts import HoleRecipe
@@ -82,7 +82,7 @@ def test_one_missing_reading_is_the_models() -> None:
 
 @pytest.mark.parametrize("length", LENGTHS)
 def test_blocks_are_apart_and_inside(length: int) -> None:
-    hidden = hidden_rows(5000, length)
+    hidden = choose_hidden_rows(5000, length)
     starts = np.flatnonzero(np.diff(hidden.astype(int)) == 1) + 1
     assert (np.diff(starts) >= 2 * length).all()
     assert hidden.sum() == length * len(starts)

@@ -66,7 +66,7 @@ def test_a_recipe_that_cannot_be_converted_is_refused(logs: tuple[Path, Path], r
     recipe.write_text(recipe.read_text().replace('unit = "m/s^2"', 'unit = "V"'))
     ran = run("clean", logs[0], "-o", "out.csv", "--recipe", "si.toml")
     assert ran.returncode == 2
-    assert "The recipe wants 'a x (g)' in V: 'g' is a unit of acceleration, 'V' of voltage" in ran.stderr
+    assert "The recipe asks for 'a x (g)' in V: 'g' is a unit of acceleration, 'V' of voltage" in ran.stderr
     assert "becalm tune" in ran.stderr
     recipe.write_text(recipe.read_text().replace('unit = ""', 'unit = "mV"').replace('unit = "V"', 'unit = "g"'))
     ran = run("clean", logs[0], "-o", "out.csv", "--recipe", "si.toml")

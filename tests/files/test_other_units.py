@@ -12,7 +12,7 @@ import pytest
 import becalm
 from becalm.errors import UsageError
 from becalm.files.opening import open_source, read_source
-from becalm.files.other_units import Converted, ConvertedRows
+from becalm.files.other_units import ColumnConversion, ConvertedRows
 from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
 from becalm.files.rows import HeldRows
 from becalm.files.time_bases import open_file
@@ -93,7 +93,7 @@ def test_read_takes_units(log: Path) -> None:
 
 def test_blocks_are_those_of_the_rows_beneath() -> None:
     table = pa.table({"a": pa.array([1, None, 3, 4]), "b": [1.0, 2, 3, 4], "c": ["x", "y", "z", "w"]})
-    rows = ConvertedRows(HeldRows(table), {"a": Converted("A", "K", Conversion(2.0, 1.0))})
+    rows = ConvertedRows(HeldRows(table), {"a": ColumnConversion("A", "K", Conversion(2.0, 1.0))})
     assert (rows.schema.names, rows.count) == (["A", "b", "c"], 4)
     blocks = list(rows.blocks(["c", "A"], most_rows=2, start=1))
     assert [block.num_rows for block in blocks] == [2, 1]
@@ -136,10 +136,10 @@ def test_only_channels_that_are_wanted_need_a_recipe_s_unit(log: Path) -> None:
 
 MISTAKES = {
     "no such column": (in_units(forces="N"), "--unit names 'forces', which is not a column; the columns are 'time_s'"),
-    "another quantity": (ReadOptions(units={"Accelerometer X": "V"}), "wants 'Accelerometer X \\(g\\)' in V: 'g' is"),
-    "the time": (in_units(time_s="ms"), "--unit names 'time_s', which is a time"),
+    "another quantity": (ReadOptions(units={"Accelerometer X": "V"}), "asks for .* in V: 'g' is"),
+    "the time": (in_units(time_s="ms"), "--unit names 'time_s', a time, which"),
     "twice": (ReadOptions(units={"Accelerometer X": "mg", "Accelerometer X (g)": "mg"}), "twice; give it one unit"),
-    "a recipe": (fit(**{"Accelerometer X": "V"}), "The recipe wants .* they cannot be converted.* Make another."),
+    "a recipe": (fit(**{"Accelerometer X": "V"}), "The recipe asks for .* they cannot be converted.* Make another."),
 }
 
 
@@ -155,7 +155,7 @@ def test_mistakes_are_sentences(log: Path, mistake: str) -> None:
 def test_text_and_taken_names_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "odd.csv"
     path.write_text("time_s,a (g),a (mg),b (V)\n0,1,2,x\n1,1.5,2,y\n2,1,3,z\n", encoding="utf-8")
-    with pytest.raises(UsageError, match="renames 'a \\(g\\)' to 'a \\(mg\\)', but another column has that name"):
+    with pytest.raises(UsageError, match="renames 'a \\(g\\)' to 'a \\(mg\\)', which another column is called"):
         open_source(path, ReadOptions(units={"a (g)": "mg"}))
-    with pytest.raises(UsageError, match="wants 'b \\(V\\)' in mV, but not all of its cells are numbers"):
+    with pytest.raises(UsageError, match="asks for 'b \\(V\\)' in mV, but not all of its cells are numbers"):
         open_source(path, ReadOptions(units={"b": "mV"}))

@@ -187,7 +187,7 @@ def test_a_column_that_is_not_of_numbers_is_refused(cells: str, tmp_path: Path) 
 
 def test_a_share_of_a_temperature_is_none_of_another_scale(log: Path) -> None:
     text = TRIAXIAL.replace('"m/s^2"', '"degC"')
-    with pytest.raises(UsageError, match="which differs on another temperature scale"):
+    with pytest.raises(UsageError, match="which depends on where the scale has its zero"):
         open_source(log, ReadOptions(sensors=sensors(log.parent, text), units={"x": "K"}))
 
 

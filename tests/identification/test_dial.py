@@ -30,14 +30,14 @@ def through(tuning: Tuning, z: Floats, causal: bool) -> Floats:
 
 
 def found(order: int) -> Tuning:
-    return Tuning(order, 1e-3, 0.25, 1000, lines=(ToneOscillator(1.0, 0.01, 1.0),))
+    return Tuning(order, 1e-3, 0.25, 1000, tones=(ToneOscillator(1.0, 0.01, 1.0),))
 
 
 @pytest.mark.parametrize("causal", [True, False])
 @pytest.mark.parametrize("order", ORDERS)
 def test_half_of_the_power_passes_at_the_bandwidth(order: int, causal: bool) -> None:
     tuning = turn(found(order), Dial("bandwidth_hz", 40.0), 1 / RATE_HZ, causal)
-    assert (tuning.order, tuning.noise_variance, tuning.lines) == (order, 0.25, ())
+    assert (tuning.order, tuning.noise_variance, tuning.tones) == (order, 0.25, ())
     turns = 2 * np.pi * 40.0 / RATE_HZ * np.arange(6000)
     middle = slice(2500, 3500)  # whole periods, the ends forgotten
     parts = [

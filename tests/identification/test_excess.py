@@ -52,9 +52,9 @@ def test_a_true_model_has_no_excess() -> None:
 
 
 def test_what_is_taken_off_counts_as_noise() -> None:
-    angle, line = np.array([0.3, 1.0]), ToneOscillator(1.0, 0.01, 0.1)
-    kept, white = powers(Tuning(1, 0.01, 2.0, 0, lines=(line,)), angle)
-    signal, noise = powers(Tuning(1, 0.01, 2.0, 0, lines=(line._replace(disturbance=True),)), angle)
+    angle, tone = np.array([0.3, 1.0]), ToneOscillator(1.0, 0.01, 0.1)
+    kept, white = powers(Tuning(1, 0.01, 2.0, 0, tones=(tone,)), angle)
+    signal, noise = powers(Tuning(1, 0.01, 2.0, 0, tones=(tone._replace(disturbance=True),)), angle)
     np.testing.assert_allclose(signal + noise, kept + white)
     np.testing.assert_allclose(white, 2.0)
     assert noise[1] > 100

@@ -14,10 +14,10 @@ from becalm.identification.cross_validation import read_residuals
 from becalm.identification.spectrum import (
     ToneOscillator,
     binned,
-    line_power,
     periodogram,
     pooled,
     sine_spectrum,
+    tone_power,
     welch_power,
 )
 
@@ -42,7 +42,7 @@ def test_the_power_of_a_motion_is_that_of_its_model(order: int) -> None:
 @pytest.mark.parametrize("damping", [1e-6, 0.01, 2.0])
 def test_the_power_of_a_tone_is_that_of_its_model(damping: float) -> None:
     tone = oscillator(0.7 / (2 * np.pi), damping / np.pi, 0.3)
-    np.testing.assert_allclose(line_power(ToneOscillator(0.7, damping, 0.3), ANGLE), power_of(tone), rtol=1e-10)
+    np.testing.assert_allclose(tone_power(ToneOscillator(0.7, damping, 0.3), ANGLE), power_of(tone), rtol=1e-10)
 
 
 @pytest.mark.parametrize("spectrum", [sine_spectrum, periodogram])
@@ -55,7 +55,7 @@ def test_white_noise_has_its_variance_everywhere(spectrum: object) -> None:
         assert mean == pytest.approx(9.0, rel=0.05)
 
 
-def test_gathering_keeps_the_power_and_what_is_near_a_line() -> None:
+def test_gathering_keeps_the_power_and_what_is_near_a_tone() -> None:
     whole = periodogram(np.random.default_rng(2).normal(size=5000))
     some = binned(whole, [ToneOscillator(1.5, 0.01, 1.0)])
     assert some.weight.sum() == len(whole.angle)

@@ -21,8 +21,8 @@ from becalm.identification import tones
 from becalm.identification.choose import choose
 from becalm.identification.damping import damped
 from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence
-from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, line_power
-from becalm.identification.tones import Fit, _turned, fit_spectrum
+from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, tone_power
+from becalm.identification.tones import Fit, _moved_tone, fit_spectrum
 from becalm.metrics.truth import coverage, rms_error
 
 ROWS = 8192
@@ -32,7 +32,7 @@ T = np.arange(ROWS)
 def tones_of(z: Floats, causal: bool) -> list[float]:
     choice = choose(z, np.ones(len(z)), causal)
     assert choice.tuning is not None
-    return sorted(line.angle for line in choice.tuning.lines)
+    return sorted(tone.angle for tone in choice.tuning.tones)
 
 
 @pytest.mark.parametrize("causal", [True, False])
@@ -53,9 +53,9 @@ def test_a_tone_that_fades_is_found_with_its_width() -> None:
         z[k] = state.real + 0.3 * rng.normal()
     choice = choose(z, np.ones(ROWS), True)
     assert choice.tuning is not None
-    (line,) = choice.tuning.lines
-    assert line.angle == pytest.approx(0.5, abs=0.005)
-    assert line.damping == pytest.approx(-np.log(0.99), rel=0.3)
+    (tone,) = choice.tuning.tones
+    assert tone.angle == pytest.approx(0.5, abs=0.005)
+    assert tone.damping == pytest.approx(-np.log(0.99), rel=0.3)
 
 
 NOISES = ["white", "walk", "slope", "steps", "spikes", "integers"]
@@ -81,13 +81,13 @@ def test_no_tone_is_found_where_there_is_none(name: str, seed: int) -> None:
 def test_a_spectrum_is_fitted_to_what_it_was_made_of() -> None:
     """Without scatter the fit ends at the truth, from afar."""
     angle = np.pi * (np.arange(4000) + 0.5) / 4000
-    line = ToneOscillator(0.8, 0.004, 3e-4)
-    power = 2.0 + 1e-4 * motion_power(2, angle) + line_power(line, angle)
+    tone = ToneOscillator(0.8, 0.004, 3e-4)
+    power = 2.0 + 1e-4 * motion_power(2, angle) + tone_power(tone, angle)
     start = Fit(2, 1.0, 1e-5, (ToneOscillator(0.8005, 0.02, 1e-3),), 0.0)
     found = fit_spectrum(start, BinnedPeriodogram(angle, power, np.ones(4000)))
     assert found.noise_variance == pytest.approx(2.0, rel=1e-3)
     assert found.density == pytest.approx(1e-4, rel=1e-2)
-    np.testing.assert_allclose(found.lines[0], line, rtol=2e-2)
+    np.testing.assert_allclose(found.tones[0], tone, rtol=2e-2)
 
 
 @pytest.mark.parametrize("causal", [True, False])
@@ -181,8 +181,8 @@ def test_a_tone_is_found_by_a_clock_that_jitters(causal: bool) -> None:
     z = np.sin(2 * np.pi * 0.21 * times) + rng.normal(size=count)
     found = choose(z, elapsed, causal).tuning
     assert found is not None
-    (line,) = found.lines
-    assert line.angle / (2 * np.pi) == pytest.approx(0.21, abs=2e-5)
+    (tone,) = found.tones
+    assert tone.angle / (2 * np.pi) == pytest.approx(0.21, abs=2e-5)
 
 
 def drawn(component: Component, rng: np.random.Generator, count: int) -> Floats:
@@ -206,7 +206,7 @@ def test_noise_of_a_narrow_band_is_found_and_followed(middle: float, width: floa
     z = signal + rng.normal(0, 0.5, count)
     found = choose(z, np.ones(count), causal).tuning
     assert found is not None
-    assert min(abs(line.angle / (2 * np.pi) / middle - 1) for line in found.lines) < 0.1
+    assert min(abs(tone.angle / (2 * np.pi) / middle - 1) for tone in found.tones) < 0.1
 
     def error(one: Component, noise_variance: float) -> float:
         run = kalman_filter if causal else kalman_smoother
@@ -223,7 +223,7 @@ def test_a_chirp_is_no_band(causal: bool) -> None:
     z = np.sin(2 * np.pi * (0.05 + 0.02475 * t) * t) + np.random.default_rng(1).normal(0, 0.05, t.size)
     found = choose(z, np.ones(t.size), causal).tuning
     assert found is not None
-    assert found.lines == ()
+    assert found.tones == ()
 
 
 PERIODIC = {
@@ -256,5 +256,5 @@ def test_tones_of_a_wave_with_many_harmonics_make_nothing_worse(
 
 @pytest.mark.parametrize("far", [-1e9, 1e9])
 def test_a_tone_stays_a_tone_however_far_a_fit_would_go(far: float) -> None:
-    line = _turned(ToneOscillator(1e-3, 1e-3, 1.0), np.array([far, 1.0]), 1e-4)
-    assert 0 < line.damping <= line.angle < np.pi
+    tone = _moved_tone(ToneOscillator(1e-3, 1e-3, 1.0), np.array([far, 1.0]), 1e-4)
+    assert 0 < tone.damping <= tone.angle < np.pi

@@ -118,7 +118,7 @@ def test_a_long_record_is_widened_by_next_to_nothing() -> None:
     tuning = tune_motion(1, evidence)
     assert 0 < tuning_spread(tuning, evidence, causal=True) < 0.01
     assert tuning_spread(replace(tuning, at_edge="low"), evidence, causal=True) == 0.0
-    toned = replace(tuning, lines=(ToneOscillator(1.0, 0.01, 0.1),))
+    toned = replace(tuning, tones=(ToneOscillator(1.0, 0.01, 0.1),))
     assert 0 < tuning_spread(toned, evidence, causal=False) < 0.01
     assert delta_widening(Tuning(1, 0.0, 1.0, 100), causal=True) == 1.0  # never settles
     assert delta_widening(Tuning(1, 0.05, 1.0, 0), causal=True) == 1.0  # no reading tells it

@@ -18,7 +18,7 @@ from becalm.errors import OutputError, UsageError
 from becalm.live.block import Loss, LossKind
 from becalm.live.watching import logs
 from becalm.live.watching.logs import Log
-from becalm.live.watching.secrets import Scrubber
+from becalm.live.watching.scrubber import Scrubber
 from metered import Clock
 
 SECRETS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0*"), min_size=4, max_size=30)
@@ -45,7 +45,7 @@ def test_a_secret_of_the_environment_never_comes_out(secret: str, around: list[s
     assume(not any(secret in part for part in around))
     scrub = Scrubber({name: secret, "HOME": "here", "OTHER_PASSWORD": "abcd"})
     text = secret.join(around)
-    assert secret not in scrub.text(text)
+    assert secret not in scrub.scrub_text(text)
     told = scrub(
         None, "", {"event": text, "deep": {"list": [text, (text,)], text: {"cause": ValueError(text)}}, "rows": 3}
     )
@@ -57,13 +57,13 @@ def test_a_secret_of_the_environment_never_comes_out(secret: str, around: list[s
 def test_a_secret_is_hidden_however_it_is_written(secret: str) -> None:
     scrub = Scrubber({"A_TOKEN": secret})
     for written in (repr(secret), json.dumps(secret), json.dumps(secret, ensure_ascii=False), ascii(secret)):
-        assert written[1:-1] not in scrub.text(f"<{written}>")
-    assert quote(secret, safe="") not in scrub.text(f"x={quote(secret, safe='')}")
+        assert written[1:-1] not in scrub.scrub_text(f"<{written}>")
+    assert quote(secret, safe="") not in scrub.scrub_text(f"x={quote(secret, safe='')}")
 
 
 @given(st.text(st.characters(exclude_categories=["Z", "Cc", "Cs"]), min_size=1))
 def test_user_and_password_of_an_address_never_come_out(login: str) -> None:
-    said = Scrubber({}).text(f"mqtt://{login}@host:1883/topic is away")
+    said = Scrubber({}).scrub_text(f"mqtt://{login}@host:1883/topic is away")
     assert said.startswith("mqtt://***@")
     assert said.endswith("host:1883/topic is away")
     assert len(said) == len("mqtt://***@host:1883/topic is away")
@@ -77,11 +77,13 @@ def test_user_and_password_of_an_address_never_come_out(login: str) -> None:
         ("Password=a b", "Password=*** b"),
         ("?password_file=/etc/p", "?password_file=/etc/p"),
         ("client_secret=s3", "client_secret=***"),
+        ("token=abc", "token=***"),
+        ("at\nSecret=abc lost", "at\nSecret=*** lost"),
         ("a@b.org wrote", "a@b.org wrote"),
     ],
 )
 def test_options_that_are_secrets_are_hidden_and_others_told(told: str, said: str) -> None:
-    assert Scrubber({}).text(told) == said
+    assert Scrubber({}).scrub_text(told) == said
 
 
 def test_a_value_whose_name_says_that_it_is_secret_is_hidden() -> None:

@@ -137,7 +137,7 @@ def fixed_figures(tuning: Tuning, step_s: float, lag: int | None) -> Figures:
     steps = independence_steps(tuning, lag == 0)
     independent = None if steps is None else steps * step_s
     if response is None:
-        return Figures(None if tuning.lines else 0.0, None, independent)
+        return Figures(None if tuning.tones else 0.0, None, independent)
     return Figures(response.bandwidth_hz, response.lag_s, independent, noise_gain=gain)
 
 

@@ -18,7 +18,7 @@ from becalm.core.reading_verdicts import LOST
 from becalm.core.rows import EstimatedRows
 
 
-class Across(NamedTuple):
+class HoleLines(NamedTuple):
     """The lines across the holes of a record; only valid in rows without a reading."""
 
     line: Floats  # (N,) from the estimate before the hole to the one after it, in unit; NaN where one is missing
@@ -37,9 +37,9 @@ class ReadingRow(NamedTuple):
 NO_ROW = ReadingRow(np.nan, np.nan, np.nan)
 
 
-def across(
+def lines_across_holes(
     times: Floats, estimates: EstimatedRows, used: Booleans, own_steps: float, before: ReadingRow = NO_ROW
-) -> Across:
+) -> HoleLines:
     """Return the lines across the holes of a record.
 
     Parameters
@@ -65,7 +65,7 @@ def across(
     length = end - start
     share = np.divide(times - start, length, out=np.zeros(len(times)), where=length > 0)
     edge = np.fmin(sigma, sigma_after)
-    return Across(y + share * (y_after - y), edge, np.maximum(length / own_steps - 1.0, 0.0))
+    return HoleLines(y + share * (y_after - y), edge, np.maximum(length / own_steps - 1.0, 0.0))
 
 
 class Holes:
@@ -114,13 +114,13 @@ class Holes:
         times = np.concatenate(self._times)
         self._times, times = [times[count:]], times[:count]
         used = has_reading(now)
-        hole = across(times, now, used, self._own_steps, self._before)
+        hole = lines_across_holes(times, now, used, self._own_steps, self._before)
         if used.any():
             last = int(np.flatnonzero(used)[-1])
             self._before = ReadingRow(float(times[last]), float(now.signal[last]), float(now.sigma[last]))
         return [now if used.all() else self._in_holes(now, used, hole)]
 
-    def _in_holes(self, rows: EstimatedRows, used: Booleans, hole: Across) -> EstimatedRows:
+    def _in_holes(self, rows: EstimatedRows, used: Booleans, hole: HoleLines) -> EstimatedRows:
         length = np.log(np.maximum(np.nan_to_num(hole.missing, nan=np.inf), 1.0))
         fading, growth = (np.interp(length, self._lengths, of) for of in (self._fading, self._growth))
         wider = widening(rows.sigma, hole.edge)

@@ -1,4 +1,7 @@
-"""Clean one channel of a stream: with a fixed lag, with several modes, or passed on unchanged."""
+"""Clean one channel of a stream: with a fixed lag, with several modes, or unfiltered.
+
+A channel with one causal filter is a `CausalChannel`.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ class LiveChannel(Protocol):
         ...
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the remaining rows; only a snapshot from before this call can continue the channel."""
+        """Return the remaining rows. The channel takes no more; a state that was saved before can be continued."""
         ...
 
     def saved(self) -> dict[str, Any]:
@@ -48,7 +51,7 @@ class LiveChannel(Protocol):
         ...
 
 
-class LiveMotion(FilteredChannel):
+class LiveFilteredChannel(FilteredChannel):
     """A channel that is filtered; parameters as in `FilteredChannel`, `lag` in rows."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int) -> None:
@@ -56,9 +59,9 @@ class LiveMotion(FilteredChannel):
         runs, look = self._runs, self.sensor.look
         self._flow: LiveFlow
         if runs.modes is None:
-            part, variance = runs.tuning.component, runs.noise_variance
+            component, variance = runs.tuning.component, runs.noise_variance
             assert runs.lag, "a causal filter without modes is a `CausalChannel`"
-            self._flow = FixedLagFlow(part, variance, lag=runs.lag, judge=look, gate=runs.gate)
+            self._flow = FixedLagFlow(component, variance, lag=runs.lag, judge=look, gate=runs.gate)
         else:
             self._flow = LiveRestarting(partial(self._open_modes, runs.modes), runs.gap_limit, runs.largest)
 
@@ -75,7 +78,7 @@ class LiveMotion(FilteredChannel):
         return self._counted(self._filter(*self.sensor.push(z, elapsed)))
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the remaining rows; only a snapshot from before this call can continue the channel."""
+        """Return the remaining rows. The channel takes no more; a state that was saved before can be continued."""
         return self._counted([*self._filter(*self.sensor.finish()), *self._flow.finish()])
 
     def _filter(self, usable: Floats, elapsed: Floats) -> list[EstimatedRows]:
@@ -104,14 +107,14 @@ class LiveMotion(FilteredChannel):
             self._timing.restore(arrays)
 
 
-class LiveUnchanged:
-    """A channel that passes unchanged; parameters as in `FilteredChannel`."""
+class LiveUnfilteredChannel:
+    """A channel without a filter; parameters as in `FilteredChannel`."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
         self.sensor, self.counts = SensorWatch(recipe.limits, step_s, shown=False), Counter[Verdict]()
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and return them."""
+        """Take readings (B,) and return them; faulty ones become NaN, with a verdict."""
         (readings, _), count = self.sensor.push(z, elapsed), len(z)
         unchanged = EstimatedRows(readings, np.full(count, np.nan), np.empty((0, count)), np.zeros(count, np.int8))
         rows = self.sensor.named([unchanged])
@@ -133,13 +136,13 @@ class LiveUnchanged:
 
 
 def open_live(recipe: ChannelRecipe, step_s: float, lag: int) -> LiveChannel:
-    """Return the cleaner of one channel of a stream for its recipe; `lag` in rows."""
-    return LiveUnchanged(recipe, step_s) if recipe.motion is None else LiveMotion(recipe, step_s, lag)
+    """Return the cleaner of one channel of a stream that is not causal (`is_causal`); `lag` in rows."""
+    return LiveUnfilteredChannel(recipe, step_s) if recipe.motion is None else LiveFilteredChannel(recipe, step_s, lag)
 
 
-def mean_power(powers: Floats) -> float | None:
-    """Return the mean squared innovation, in sigma^2, from its sums over hops (H,); None without any."""
-    return float(powers.mean()) / HOP if len(powers) else None
+def mean_nis_of_hops(sums: Floats) -> float | None:
+    """Return the mean squared normalised innovation from sums over 16 rows each (H,); None without any."""
+    return float(sums.mean()) / HOP if len(sums) else None
 
 
 def _to_array(counts: Counter[Verdict]) -> Any:

@@ -44,7 +44,7 @@ def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: floa
         noise_std=float(np.sqrt(tuning.noise_variance)),
         damped_below_hz=tuning.damping / (2 * np.pi * step_s) if tuning.damping else None,
         tuning_spread=spread,
-        tone=tuple(_tone_in_seconds(line, step_s) for line in tuning.lines),
+        tone=tuple(_tone_in_seconds(tone, step_s) for tone in tuning.tones),
         coloured_noise=None
         if noise is None
         else ColouredNoiseRecipe(
@@ -75,10 +75,10 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
             " this recording."
         )
     _refuse_twins(tuned.tones)
-    lines = tuple(_tone_in_steps(tone, variance, step_s) for tone in tuned.tones)
+    tones = tuple(_tone_in_steps(tone, variance, step_s) for tone in tuned.tones)
     coloured = _coloured_in_steps(tuned.coloured_noise, step_s)
     damping = _damping_in_steps(tuned.damped_below_hz, step_s)
-    found = Tuning(tuned.order, density / variance, variance, 0, lines=lines, coloured=coloured, damping=damping)
+    found = Tuning(tuned.order, density / variance, variance, 0, tones=tones, coloured=coloured, damping=damping)
     try:
         found.component  # noqa: B018  (refuses unstable noise)
     except ModelError as cause:
@@ -125,12 +125,12 @@ def _refuse_twins(tones: Sequence[ToneRecipe]) -> None:
             )
 
 
-def _tone_in_seconds(line: ToneOscillator, step_s: float) -> ToneRecipe:
+def _tone_in_seconds(tone: ToneOscillator, step_s: float) -> ToneRecipe:
     return ToneRecipe(
-        frequency_hz=line.angle / (2 * np.pi * step_s),
-        bandwidth_hz=line.damping / (np.pi * step_s),
-        process_noise_density=line.density / step_s,
-        disturbance=line.disturbance,
+        frequency_hz=tone.angle / (2 * np.pi * step_s),
+        bandwidth_hz=tone.damping / (np.pi * step_s),
+        process_noise_density=tone.density / step_s,
+        disturbance=tone.disturbance,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from becalm.cleaning.causal_channel import CausalChannel, is_causal
 from becalm.cleaning.cleaner import ReadyRows
-from becalm.cleaning.live_channel import mean_power, open_live
+from becalm.cleaning.live_channel import mean_nis_of_hops, open_live
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.cleaning.stream_modes import NO_MODES, modes_in, modes_of, with_modes
@@ -145,11 +145,11 @@ class StreamCleaner:
         names = [channel.name for channel in self._recipe.channel]
         for c, causal in self._causal.items():
             now = causal.filter
-            nis = mean_power(now.powers)
+            nis = mean_nis_of_hops(now.powers)
             found[c] = ChannelHealth(names[c], _by_name(now.counts), nis, now.drift_since, now.is_silent)
         for c, channel in self._others.items():
             monitor, counts = channel.sensor.monitor, _by_name(channel.counts)
-            nis = mean_power(monitor.powers)
+            nis = mean_nis_of_hops(monitor.powers)
             found[c] = ChannelHealth(names[c], counts, nis, monitor.drift_since, monitor.is_silent)
         return tuple(found[c] for c in range(len(names)))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from becalm.cleaning.alarms import with_alarms
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.errors_in_holes import holes_shown
+from becalm.cleaning.errors_in_holes import measure_hole_corrections
 from becalm.cleaning.faults import find_healthy
 from becalm.cleaning.figures import modes_in_seconds
 from becalm.cleaning.limits_entry import with_rounding
@@ -215,7 +215,7 @@ def explore(
 def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> ChannelTuning:
     tuned = _identify_channel(recording, causal, wishes, name)
     if not causal and wishes.lag_s is None and tuned.channel.motion is not None:
-        hole = holes_shown(tuned.channel, tuned.believed, recording.timebase.step_s)
+        hole = measure_hole_corrections(tuned.channel, tuned.believed, recording.timebase.step_s)
         tuned = tuned._replace(channel=tuned.channel.model_copy(update={"hole": hole}))
     progress(name)
     return tuned

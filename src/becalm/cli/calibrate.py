@@ -23,7 +23,9 @@ from becalm.sensors.record import COVERAGE
 _AXES = 3
 
 
-def run(file: Path, said: FileOptions, output: Path, unit: str, gravity: float | None, *, as_json: bool) -> None:  # noqa: PLR0913  (one argument for each option)
+def run(  # noqa: PLR0913  (one argument for each option)
+    file: Path, file_options: FileOptions, output: Path, unit: str, gravity: float | None, *, as_json: bool
+) -> None:
     """Calibrate the accelerometer of a file, and write its sensor file.
 
     Raises
@@ -35,7 +37,7 @@ def run(file: Path, said: FileOptions, output: Path, unit: str, gravity: float |
     """
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    with open_as(file, said) as source:
+    with open_as(file, file_options) as source:
         if len(source.names) != _AXES:
             raise UsageError(
                 f"{len(source.names)} channels came ({', '.join(source.names)}); an accelerometer has three axes. "

@@ -1,4 +1,4 @@
-"""Clean a file: check all options first, then write all outputs or none."""
+"""Clean a file: check all options, then write the clean file and its recipe together; report and figures follow."""
 
 from __future__ import annotations
 
@@ -11,9 +11,17 @@ import typer
 from becalm.cleaning.pipeline import fitted, in_mode, joined
 from becalm.cleaning.tuning import with_new_tares
 from becalm.cli.messages import print_bands, print_not_removed, print_reports, progress
-from becalm.cli.opened_file import is_same, load, open_every, recipe_path_of, refuse_overwriting, refuse_taken, tuned
-from becalm.cli.report_files import Done, Picturing
-from becalm.cli.times import pass_through, print_times, refuse_times, timed
+from becalm.cli.opened_file import (
+    is_same,
+    load,
+    open_every,
+    recipe_path_of,
+    refuse_existing_columns,
+    refuse_overwriting,
+    tuned,
+)
+from becalm.cli.report_files import CleanedSource, ReportWriter
+from becalm.cli.times import copy_other_groups, print_time_bases, refuse_several_time_bases, with_time_column
 from becalm.errors import UsageError
 from becalm.files.atomic_file import refuse_unwritable, staged_text
 from becalm.files.chunked_cleaning import clean_chunks
@@ -21,19 +29,22 @@ from becalm.files.registry import format_to_write
 from becalm.files.writing import open_output, refuse_columns
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.report import ChannelReport
     from becalm.cli.opened_file import FileOptions
     from becalm.cli.options import FilterOptions
     from becalm.files.opening import OpenSource
 
 
 class CleanOptions(NamedTuple):
-    """The options for the filters."""
+    """The recipe, or how to make one."""
 
     recipe: Path | None
     causal: bool
     lag_s: float | None
-    asked: FilterOptions
+    filters: FilterOptions
 
 
 class Outputs(NamedTuple):
@@ -46,75 +57,66 @@ class Outputs(NamedTuple):
     figures: str | None
 
     @property
-    def recipe(self) -> Path:
-        """Return the path of the recipe."""
+    def recipe_path(self) -> Path:
+        """Return the path of the recipe that is written next to the output."""
         return recipe_path_of(self.output)
 
 
-def run(file: Path, said: FileOptions, asking: CleanOptions, outputs: Outputs, *, as_json: bool) -> bool:
+def run(file: Path, file_options: FileOptions, options: CleanOptions, outputs: Outputs, *, as_json: bool) -> bool:
     """Clean a file; return whether the model of every channel describes its signal."""
-    output, recipe_path, filters = outputs.output, outputs.recipe, asking.asked
-    if asking.recipe is not None and filters.anything:
+    output, recipe_path, filters = outputs.output, outputs.recipe_path, options.filters
+    if options.recipe is not None and filters.anything:
         raise UsageError("A recipe already has its filters; give either --recipe, or options for new filters.")
-    picturing = Picturing(output, outputs.report, outputs.figures)
+    reporting = ReportWriter(output, outputs.report, outputs.figures)
     format_to_write(output)
     refuse_overwriting(file, output, recipe_path)
-    picturing.refuse_overwriting(file, asking.recipe)
-    refuse_unwritable(output, recipe_path, *picturing.paths)
-    given = load(asking.recipe)
-    said = said if given is None else said.or_as(given)
-    with open_every(file, said) as opened:
+    reporting.refuse_overwriting(file, options.recipe)
+    refuse_unwritable(output, recipe_path, *reporting.paths)
+    given = load(options.recipe)
+    if given is not None:
+        file_options = file_options.with_defaults_of(given)
+    with open_every(file, file_options) as opened:
         sources = opened.sources
-        refuse_times(output, [source.group for source in sources])
+        refuse_several_time_bases(output, [source.group for source in sources])
         for source in sources:
             refuse_columns(output, source.schema)
-        recipes = [_recipe_for(source, said, asking, given) for source in sources]
-        recipe = joined(recipes)
+        source_recipes = [_recipe_for(source, file_options, options, given) for source in sources]
+        recipe = joined(source_recipes)
         for source in sources:
-            refuse_taken(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
-        if asking.recipe is not None and is_same(recipe_path, asking.recipe) and recipe != given:
+            refuse_existing_columns(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
+        if options.recipe is not None and is_same(recipe_path, options.recipe) and recipe != given:
             raise UsageError(f"{recipe_path} is the given recipe and would change; give another output with -o.")
-        text, gatherings = recipe.to_toml(), picturing.gatherings(sources, recipes)
-        done: list[Done] = []
+        text, gatherings = recipe.to_toml(), reporting.gatherings(sources, source_recipes)
+        done: list[CleanedSource] = []
         with (
             staged_text(recipe_path, text),
             open_output(output, {"becalm.recipe": text}) as out,
             progress("cleaning", sum(source.rows for source in sources)) as step,
         ):
-            for source, part, gathering in zip(sources, recipes, gatherings, strict=True):
+            for source, part, gathering in zip(sources, source_recipes, gatherings, strict=True):
                 part_reports = clean_chunks(
                     source,
                     part,
-                    timed(output, source, out.write),
+                    with_time_column(output, source, out.write),
                     step,
                     split=outputs.split,
                     verdicts=outputs.verdicts,
                     gathering=gathering,
                 )
-                done.append(Done(source, part, part_reports, gathering))
-            pass_through(output, opened, out.write)
+                done.append(CleanedSource(source, part, part_reports, gathering))
+            copy_other_groups(output, opened, out.write)
         reports = tuple(report for one in done for report in one.reports)
         print_reports(reports, recipe.mode == "causal")
         print_not_removed(reports, filters.removed_hz)
-        print_times(output, opened)
+        print_time_bases(output, opened)
         for source in sources:
             print_bands(source, reports)
-        times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
         typer.echo(f"Wrote {output} and {recipe_path}.", err=True)
-        drawn = picturing.draw(recipe, done)
+        drawn = reporting.draw(recipe, done)
     describes = all(report.describes for report in reports)
     if as_json:
-        summary = {
-            "file": str(file),
-            "output": str(output),
-            "recipe": str(recipe_path),
-            **drawn,
-            **({"rows": times[0]["rows"], "rate_hz": times[0]["rate_hz"]} if len(times) == 1 else {"times": times}),
-            "mode": recipe.mode,
-            "describes": describes,
-            "channels": [report.as_dict() for report in reports],
-        }
-        print(json.dumps(summary, indent=2))  # noqa: T201
+        files = {"file": str(file), "output": str(output), "recipe": str(recipe_path), **drawn}
+        print(json.dumps(files | _summary(recipe, sources, reports), indent=2))  # noqa: T201
     if not describes:
         typer.echo(
             "The output is written, but some models do not describe their channels: leave those channels out with"
@@ -124,10 +126,22 @@ def run(file: Path, said: FileOptions, asking: CleanOptions, outputs: Outputs, *
     return describes
 
 
+def _summary(recipe: Recipe, sources: Sequence[OpenSource], reports: Sequence[ChannelReport]) -> dict[str, object]:
+    """Return for JSON what was read and found."""
+    times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
+    return {
+        **({"rows": times[0]["rows"], "rate_hz": times[0]["rate_hz"]} if len(times) == 1 else {"times": times}),
+        "mode": recipe.mode,
+        "describes": all(report.describes for report in reports),
+        "channels": [report.as_dict() for report in reports],
+    }
+
+
 def _recipe_for(source: OpenSource, file_options: FileOptions, options: CleanOptions, given: Recipe | None) -> Recipe:
-    """Return the recipe for a file: the given one, or one that is tuned on the file."""
-    recipe = tuned(source, options.causal, options.asked, options.lag_s) if given is None else given
-    wanted = in_mode(recipe, options.causal or None, options.lag_s)
+    """Return the recipe for one time base: the given one, or one that is tuned on it."""
+    recipe = tuned(source, options.causal, options.filters, options.lag_s) if given is None else given
+    wanted = in_mode(recipe, options.causal or None, options.lag_s)  # without --causal, the mode of the recipe stays
+    # A recipe may have channels of other time bases.
     names = source.names if file_options.channels or source.group else None
     chosen = fitted(wanted, source.names, source.units, channels=names)
     return file_options.with_time_options(

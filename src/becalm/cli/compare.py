@@ -35,14 +35,16 @@ class CompareOptions(NamedTuple):
     folder: Path | None
 
 
-def run(source: OpenSource, said: FileOptions, asking: CompareOptions, *, as_json: bool) -> None:
+def run(source: OpenSource, file_options: FileOptions, options: CompareOptions, *, as_json: bool) -> None:
     """Compare on a file, or on the beginning of a long one, and print the result."""
-    truth, causal, folder = asking
+    truth, causal, folder = options
     page = None if folder is None else _page_in(folder)
     print_notes(source)
     recording = beginning(source)
-    true_signal = None if truth is None else _truth(truth, source, said)
-    comparison = compare(recording, said.recipe, truth=true_signal, causal=causal or None, channels=source.names)
+    true_signal = None if truth is None else _truth(truth, source, file_options)
+    comparison = compare(
+        recording, file_options.recipe, truth=true_signal, causal=causal or None, channels=source.names
+    )
     if as_json:
         print(json.dumps(_summary(source, recording, comparison), indent=2, allow_nan=False))  # noqa: T201
     else:
@@ -80,11 +82,11 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
 
 def _truth(path: Path, source: OpenSource, file_options: FileOptions) -> Recording:
     """Read the same channels of the truth; the time options hold for both files."""
-    asker = RequestOrigin("The recording", " Give a truth of the same channels, or choose some with --channels.")
-    fitting = Fitting(asker, dict(zip(source.names, source.units, strict=True)))
+    origin = RequestOrigin("The recording", " Give a truth of the same channels, or choose some with --channels.")
+    fitting = Fitting(origin, dict(zip(source.names, source.units, strict=True)))
     kept = file_options.stamps == AS_WRITTEN
     options = ReadOptions(
-        file_options.time, file_options.rate_hz, tuple(source.names), asker, fitting=fitting, as_written=kept
+        file_options.time, file_options.rate_hz, tuple(source.names), origin, fitting=fitting, as_written=kept
     )
     with open_source(path, options) as other:
         print_notes(other)

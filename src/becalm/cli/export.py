@@ -195,7 +195,7 @@ def _read_recording(recipe: Recipe, file: Path, channels: str | None) -> dict[st
     """Return the channels of a recording, in the recipe's units."""
     from becalm.cli.options import When
 
-    file_options = read_file_options(channels, When(None, None, None, None), None, None).or_as(recipe)
+    file_options = read_file_options(channels, When(None, None, None, None), None, None).with_defaults_of(recipe)
     with open_as(file, file_options) as source:
         read = source.recording()
         step_s = read.timebase.step_s

@@ -279,7 +279,7 @@ def compare(  # noqa: PLR0913  (one argument for each option)
 
     loaded = load(recipe)
     file_options = read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)
-    file_options = file_options if loaded is None else file_options.or_as(loaded)
+    file_options = file_options if loaded is None else file_options.with_defaults_of(loaded)
     with open_as(file, file_options) as source:
         run(source, file_options, CompareOptions(truth, causal, output), as_json=as_json)
 

@@ -35,7 +35,7 @@ class FileOptions(NamedTuple):
     sensors: tuple[SensorRecord, ...] = ()
     stamps: str | None = None
 
-    def or_as(self, recipe: Recipe) -> FileOptions:
+    def with_defaults_of(self, recipe: Recipe) -> FileOptions:
         """Return the options with this recipe, and with its rate, time column and stamps where no option gives them."""
         if self.rate_hz is None and self.time is None:
             rate_hz = None if self.stamps == AS_WRITTEN else recipe.rate_hz
@@ -85,33 +85,43 @@ def read_file_options(channels: str | None, when: When, units: list[str] | None,
     return FileOptions(channels, when.rate_hz, when.time, None, when.group, units_of(units), records, when.stamps)
 
 
-def open_as(file: Path, said: FileOptions) -> OpenSource:
+def open_as(file: Path, file_options: FileOptions) -> OpenSource:
     """Open one time base of a file with these options."""
     from becalm.files.opening import open_source
 
-    return open_source(file, _options(file, said))
+    return open_source(file, _options(file, file_options))
 
 
-def open_every(file: Path, said: FileOptions) -> AbstractContextManager[OpenFile]:
+def open_every(file: Path, file_options: FileOptions) -> AbstractContextManager[OpenFile]:
     """Open a file with these options and all its time bases."""
     from becalm.files.time_bases import open_file
 
-    return open_file(file, _options(file, said))
+    return open_file(file, _options(file, file_options))
 
 
-def _options(file: Path, said: FileOptions) -> ReadOptions:
+def _options(file: Path, file_options: FileOptions) -> ReadOptions:
     from becalm.files.read_options import COMMAND_LINE, Fitting, ReadOptions, RequestOrigin
 
-    asker = COMMAND_LINE
-    if said.recipe is not None and said.channels is None:
+    origin = COMMAND_LINE
+    if file_options.recipe is not None and file_options.channels is None:
         another = f"make another recipe with: becalm tune {file} -o R.toml"
-        asker = RequestOrigin("The recipe", f" Choose some of its channels with --channels, or {another}")
+        origin = RequestOrigin("The recipe", f" Choose some of its channels with --channels, or {another}")
     fitting = None
-    if said.recipe is not None:
+    if file_options.recipe is not None:
         needs = RequestOrigin("The recipe", f" Make another recipe with: becalm tune {file} -o R.toml")
-        fitting = Fitting(needs, {channel.name: channel.unit for channel in said.recipe.channel})
-    kept = said.stamps == AS_WRITTEN
-    return ReadOptions(said.time, said.rate_hz, said.names, asker, said.group, fitting, said.units, said.sensors, kept)
+        fitting = Fitting(needs, {channel.name: channel.unit for channel in file_options.recipe.channel})
+    kept = file_options.stamps == AS_WRITTEN
+    return ReadOptions(
+        file_options.time,
+        file_options.rate_hz,
+        file_options.names,
+        origin,
+        file_options.group,
+        fitting,
+        file_options.units,
+        file_options.sensors,
+        kept,
+    )
 
 
 def recipe_path_of(output: Path) -> Path:
@@ -159,7 +169,7 @@ def is_same(one: Path, other: Path) -> bool:
         return False
 
 
-def refuse_taken(recipe: Recipe, columns: list[str], *, split: bool, verdicts: bool) -> None:
+def refuse_existing_columns(recipe: Recipe, columns: list[str], *, split: bool, verdicts: bool) -> None:
     """Refuse to overwrite columns of a file with the parts of channels or with verdicts.
 
     Raises

@@ -12,7 +12,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.sensor_file import load_sensors
 from becalm.cli.messages import stderr
 from becalm.cli.opened_file import recipe_path_of, refuse_overwriting
-from becalm.cli.times import refuse_times
+from becalm.cli.times import refuse_several_time_bases
 from becalm.errors import UsageError
 from becalm.files.opening import close
 from becalm.files.recalibrating import recalibrated, recalibrated_blocks
@@ -44,7 +44,7 @@ def run(file: Path, output: Path, sensors: Calibrations) -> None:
     recipe, old, new = Recipe.load(recipe_path), load_sensors(sensors.old), load_sensors(sensors.new)
     tables = read_tables(file)
     try:
-        refuse_times(output, [table.group for table in tables])
+        refuse_several_time_bases(output, [table.group for table in tables])
         by_table = recalibrated(tables, recipe, old, new)
         for table in tables:
             refuse_columns(output, table.rows.schema)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from becalm.report.printing import Kind
 
 
-class Done(NamedTuple):
+class CleanedSource(NamedTuple):
     """The cleaning of one time base of a file."""
 
     source: OpenSource
@@ -33,7 +33,7 @@ class Done(NamedTuple):
 _PAGES = (".html", ".htm")
 
 
-class Picturing:
+class ReportWriter:
     """Draws the report and the figures of a file; libraries are loaded only if they are needed.
 
     Parameters
@@ -106,7 +106,7 @@ class Picturing:
             for source, recipe in zip(sources, recipes, strict=True)
         ]
 
-    def draw(self, recipe: Recipe, done: Sequence[Done]) -> dict[str, str]:
+    def draw(self, recipe: Recipe, done: Sequence[CleanedSource]) -> dict[str, str]:
         """Draw the report and the figures of all time bases, and print the paths; return them for JSON.
 
         Raises

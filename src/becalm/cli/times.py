@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _MOST_NAMED = 12
 
 
-def refuse_times(output: Path, groups: Sequence[str]) -> None:
+def refuse_several_time_bases(output: Path, groups: Sequence[str]) -> None:
     """Refuse an output with one time base for an input with several.
 
     Raises
@@ -37,12 +37,12 @@ def refuse_times(output: Path, groups: Sequence[str]) -> None:
         )
 
 
-def timed(output: Path, source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
+def with_time_column(output: Path, source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
     """Return the function that writes one time base; outputs for several time bases always get a time in seconds."""
     return with_time(source, write) if holds_times(format_to_write(output)) else write
 
 
-def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], None]) -> None:
+def copy_other_groups(output: Path, opened: OpenFile, write: Callable[[pa.Table], None]) -> None:
     """Copy groups that are not cleaned, if the output can have several time bases."""
     if holds_times(format_to_write(output)):
         for raw, _ in opened.passed:
@@ -50,7 +50,7 @@ def pass_through(output: Path, opened: OpenFile, write: Callable[[pa.Table], Non
                 write(block)
 
 
-def print_times(output: Path, opened: OpenFile) -> None:
+def print_time_bases(output: Path, opened: OpenFile) -> None:
     """Print the notes on a file, and what was not cleaned."""
     print_notes(*opened.sources)
     for source in opened.sources:

@@ -128,8 +128,8 @@ def chosen_table(path: Path, tables: Sequence[RawTable], options: ReadOptions) -
     holding = [table for table in tables if any(holds(table, name) for name in options.channels)]
     if not holding:
         raise UsageError(
-            f"{options.asker.name} names {options.channels[0]!r}, which is not in {path}; it holds"
-            f" {listed(tables)}.{options.asker.way_out}"
+            f"{options.origin.name} names {options.channels[0]!r}, which is not in {path}; it holds"
+            f" {listed(tables)}.{options.origin.way_out}"
         )
     if len(holding) > 1:
         raise UsageError(

@@ -115,7 +115,7 @@ class OpenSource:
         times = row_times(raw, options)
         self._raw, self._stamps, self._time, raw = times.raw, times.stamps, times.layout, times.raw
         self.names, self.columns = choose_channels(
-            raw, self._time.columns, times.candidates, options.channels, options.asker
+            raw, self._time.columns, times.candidates, options.channels, options.origin
         )
         refuse_uncertainties(self.names)
         self.units = tuple(unit_of(raw, name) for name in self.names)

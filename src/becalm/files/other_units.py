@@ -26,8 +26,8 @@ UNIT_OPTION = RequestOrigin("--unit")
 SAME = Conversion()
 
 
-class Converted(NamedTuple):
-    """A converted column.
+class ColumnConversion(NamedTuple):
+    """How a column is converted.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Converted(NamedTuple):
     unit : str
         Its new unit.
     conversion : Conversion
-        From the unit of the file to the new unit.
+        The conversion from the unit of the file to the new unit.
     note : str
         A sentence for the user about the conversion; "" for none.
     """
@@ -54,11 +54,11 @@ class ConvertedRows:
     ----------
     rows : TableRows
         The rows as they are in the file; `close` closes them.
-    columns : mapping of str to Converted
+    columns : mapping of str to ColumnConversion
         The converted columns, by their names in the file; other columns are not changed.
     """
 
-    def __init__(self, rows: TableRows, columns: Mapping[str, Converted]) -> None:
+    def __init__(self, rows: TableRows, columns: Mapping[str, ColumnConversion]) -> None:
         self._rows = rows
         self._columns = {converted.name: (name, converted.conversion) for name, converted in columns.items()}
         self.count: int = rows.count
@@ -67,10 +67,10 @@ class ConvertedRows:
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
         """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
-        own, factors = zip(*(self._columns.get(name, (name, SAME)) for name in names), strict=True)
+        own, conversions = zip(*(self._columns.get(name, (name, SAME)) for name in names), strict=True)
         fields = [self.schema.field(name) for name in names]
         for block in self._rows.blocks(own, most_rows, start):
-            columns = list(map(_scaled, block.columns, factors))
+            columns = list(map(_scaled, block.columns, conversions))
             yield pa.table(columns, schema=pa.schema(fields, metadata=block.schema.metadata))
 
     def close(self) -> None:
@@ -112,9 +112,9 @@ def convert_units(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tup
     return tuple(next(converted) if options.group in (None, table.group) else table for table in tables), options
 
 
-def _requested_conversions(tables: Sequence[RawTable], units: Mapping[str, str]) -> dict[str, Converted]:
+def _requested_conversions(tables: Sequence[RawTable], units: Mapping[str, str]) -> dict[str, ColumnConversion]:
     """Return the conversion of each column that --unit names; a unit in its name is replaced by the new one."""
-    columns: dict[str, Converted] = {}
+    columns: dict[str, ColumnConversion] = {}
     for requested, unit in units.items():
         holding = [table for table in tables if holds(table, requested)] or tables
         if len(holding) > 1:
@@ -124,14 +124,16 @@ def _requested_conversions(tables: Sequence[RawTable], units: Mapping[str, str])
             raise UsageError(f"--unit names {name!r} twice; give it one unit.")
         old_unit = unit_of(holding[0], name)
         if old_unit not in ("", unit) and is_time_name(name):
-            raise UsageError(f"--unit names {name!r}, which is a time; times are always read in seconds. Leave it out.")
+            raise UsageError(f"--unit names {name!r}, a time, which becalm converts to seconds itself; leave it out.")
         bare, in_header = parse_header(name)
         renamed = f"{bare} ({unit})" if in_header and old_unit != unit else name
-        columns[name] = _converted(holding[0], name, Converted(renamed, unit, SAME), UNIT_OPTION)
+        columns[name] = _converted(holding[0], name, ColumnConversion(renamed, unit, SAME), UNIT_OPTION)
     return columns
 
 
-def _needed_conversions(tables: Sequence[RawTable], options: ReadOptions, fitting: Fitting) -> dict[str, Converted]:
+def _needed_conversions(
+    tables: Sequence[RawTable], options: ReadOptions, fitting: Fitting
+) -> dict[str, ColumnConversion]:
     """Return the conversions of columns to the names and units of a recipe; names are matched without their units."""
     owners = {name: table for table in tables for name in table.names}
     bare: dict[str, list[str]] = {}
@@ -141,11 +143,11 @@ def _needed_conversions(tables: Sequence[RawTable], options: ReadOptions, fittin
     for needed, unit in fitting.units.items():
         alike = [needed] if needed in owners else bare.get(parse_header(needed)[0], [])
         if len(alike) != 1 or not _is_wanted(alike[0], needed, options):
-            continue  # if the column is missing, `named_column` raises later
+            continue  # a missing or ambiguous column is refused later, by `named_column`
         (name,) = alike
         old_unit = unit_of(owners[name], name)
         if old_unit and unit and (old_unit, name) != (unit, needed):
-            columns[name] = _converted(owners[name], name, Converted(needed, unit, SAME), fitting.asker)
+            columns[name] = _converted(owners[name], name, ColumnConversion(needed, unit, SAME), fitting.origin)
     return columns
 
 
@@ -154,7 +156,7 @@ def _is_wanted(name: str, needed: str, options: ReadOptions) -> bool:
     return options.channels is None or any(channel.strip() in names for channel in options.channels)
 
 
-def _converted(raw: RawTable, name: str, wanted: Converted, asker: RequestOrigin) -> Converted:
+def _converted(raw: RawTable, name: str, wanted: ColumnConversion, origin: RequestOrigin) -> ColumnConversion:
     """Return the wanted column with its conversion and a note for the user.
 
     Raises
@@ -164,28 +166,28 @@ def _converted(raw: RawTable, name: str, wanted: Converted, asker: RequestOrigin
     """
     old_unit, (renamed, unit, *_) = unit_of(raw, name), wanted
     if not old_unit:
-        note = f"{asker.name}: the file has no unit for {name!r}; {unit} is assumed."
+        note = f"{origin.name}: the file has no unit for {name!r}; {unit} is assumed."
         return wanted._replace(note=note)
     try:
-        factor, offset = scale = conversion(old_unit, unit)
+        factor, offset = change = conversion(old_unit, unit)
     except UsageError as cause:
-        raise UsageError(f"{asker.name} wants {name!r} in {unit}: {cause}{asker.way_out}") from cause
-    if scale != SAME and not _is_number(raw.type_of(name)):
+        raise UsageError(f"{origin.name} asks for {name!r} in {unit}: {cause}{origin.way_out}") from cause
+    if change != SAME and not _is_number(raw.type_of(name)):
         raise UsageError(
-            f"{asker.name} wants {name!r} in {unit}, but not all of its cells are numbers (it holds"
+            f"{origin.name} asks for {name!r} in {unit}, but not all of its cells are numbers (it holds"
             f" {raw.type_of(name)}); name a column of numbers, or correct this one."
         )
     if renamed != name and renamed in raw.names:
-        raise UsageError(f"{asker.name} renames {name!r} to {renamed!r}, but another column has that name; rename one.")
+        raise UsageError(f"{origin.name} renames {name!r} to {renamed!r}, which another column is called; rename one.")
     if old_unit == unit:
-        note = "" if renamed == name else f"{asker.name}: {name!r} is read as {renamed!r}."
+        note = "" if renamed == name else f"{origin.name}: {name!r} is read as {renamed!r}."
         return wanted._replace(note=note)
     shift = f" {'+' if offset > 0 else '-'} {abs(offset):.6g}" if offset else ""
-    note = f"{asker.name}: {name!r} is converted from {old_unit} to {unit} (times {factor:.6g}{shift})."
-    return wanted._replace(conversion=scale, note=note)
+    note = f"{origin.name}: {name!r} is converted from {old_unit} to {unit} (times {factor:.6g}{shift})."
+    return wanted._replace(conversion=change, note=note)
 
 
-def _convert(raw: RawTable, columns: Mapping[str, Converted]) -> RawTable:
+def _convert(raw: RawTable, columns: Mapping[str, ColumnConversion]) -> RawTable:
     """Return a table with converted columns and converted uncertainties."""
     own = {name: converted for name, converted in columns.items() if name in raw.names}
     if not own:
@@ -193,27 +195,28 @@ def _convert(raw: RawTable, columns: Mapping[str, Converted]) -> RawTable:
     notes = tuple(converted.note for converted in own.values() if converted.note)
     for name, (renamed, unit, (factor, _), _) in tuple(own.items()):
         if name + SIGMA in raw.names and _is_number(raw.type_of(name + SIGMA)):
-            own[name + SIGMA] = Converted(renamed + SIGMA, unit, Conversion(factor))
+            own[name + SIGMA] = ColumnConversion(renamed + SIGMA, unit, Conversion(factor))
     units = {name: unit for name, unit in raw.units.items() if name not in own}
     units |= {converted.name: converted.unit for converted in own.values()}
     calibrations = {
-        own[name].name if name in own else name: _scaled_zero(one, own[name].conversion if name in own else SAME)
+        own[name].name if name in own else name: _scaled_calibration(name, one, own.get(name))
         for name, one in raw.calibrations.items()
     }
     rows = ConvertedRows(raw.rows, own)
     return replace(raw, rows=rows, units=units, notes=(*raw.notes, *notes), calibrations=calibrations)
 
 
-def _scaled_zero(calibration: Calibration, size: Conversion) -> Calibration:
-    if size.offset and calibration.relative_std:
+def _scaled_calibration(name: str, calibration: Calibration, wanted: ColumnConversion | None) -> Calibration:
+    change, unit = (SAME, "") if wanted is None else (wanted.conversion, wanted.unit)
+    if change.offset and calibration.relative_std:
         raise UsageError(
-            "A sensor's data sheet gives the uncertainty of its sensitivity as a fraction of the result, which differs"
-            " on another temperature scale; keep the unit of the data sheet, or write the sensor file for the other."
+            f"{name!r} cannot be converted to {unit}: its sensor file gives an uncertainty as a share of the result,"
+            f" which depends on where the scale has its zero. Keep its unit, or write the sensor file in {unit}."
         )
-    return calibration._replace(offset_std=calibration.offset_std * size.factor)
+    return calibration._replace(offset_std=calibration.offset_std * change.factor)
 
 
-def _renamed(options: ReadOptions, columns: Mapping[str, Converted]) -> ReadOptions:
+def _renamed(options: ReadOptions, columns: Mapping[str, ColumnConversion]) -> ReadOptions:
     """Return the options with the new names of the channels."""
     if options.channels is None:
         return options
@@ -221,11 +224,11 @@ def _renamed(options: ReadOptions, columns: Mapping[str, Converted]) -> ReadOpti
     return replace(options, channels=tuple(names.get(name, name) for name in options.channels))
 
 
-def _scaled(column: pa.ChunkedArray, factors: Conversion) -> pa.ChunkedArray:
-    if factors == SAME or pa.types.is_null(column.type):
+def _scaled(column: pa.ChunkedArray, change: Conversion) -> pa.ChunkedArray:
+    if change == SAME or pa.types.is_null(column.type):
         return column
-    scaled = pc.multiply(column.cast(pa.float64(), safe=False), factors.factor)
-    return pc.add(scaled, factors.offset) if factors.offset else scaled
+    scaled = pc.multiply(column.cast(pa.float64(), safe=False), change.factor)
+    return pc.add(scaled, change.offset) if change.offset else scaled
 
 
 def _is_number(kind: pa.DataType) -> bool:
@@ -233,7 +236,7 @@ def _is_number(kind: pa.DataType) -> bool:
     return any(is_so(kind) for is_so in numeric)
 
 
-def _field(field: pa.Field, converted: Converted | None) -> pa.Field:
+def _field(field: pa.Field, converted: ColumnConversion | None) -> pa.Field:
     if converted is None:
         return field
     kept = converted.conversion == SAME or pa.types.is_null(field.type)

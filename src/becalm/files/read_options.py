@@ -37,13 +37,13 @@ class Fitting(NamedTuple):
 
     Attributes
     ----------
-    asker : RequestOrigin
+    origin : RequestOrigin
         The origin of the requirement.
     units : mapping of str to str
         Units by channel name.
     """
 
-    asker: RequestOrigin
+    origin: RequestOrigin
     units: Mapping[str, str]
 
 
@@ -59,7 +59,7 @@ class ReadOptions:
         Count rows at this rate in Hz; a time column, if any, is only copied to the output.
     channels : tuple of str, optional
         Columns to read, as in the header or without their units; all that look like signals by default.
-    asker : RequestOrigin
+    origin : RequestOrigin
         The origin of `channels`, for messages.
     group : str, optional
         The time base to read from a file with several.
@@ -76,7 +76,7 @@ class ReadOptions:
     time: str | None = None
     rate_hz: float | None = None
     channels: tuple[str, ...] | None = None
-    asker: RequestOrigin = COMMAND_LINE
+    origin: RequestOrigin = COMMAND_LINE
     group: str | None = None
     fitting: Fitting | None = None
     units: Mapping[str, str] = field(default_factory=dict)
@@ -94,14 +94,14 @@ def asked_by(recipe: Recipe, again: str) -> ReadOptions:
     again : str
         The command that makes another recipe, for messages.
     """
-    asker = RequestOrigin("The recipe", f" Make another recipe with: {again}")
+    origin = RequestOrigin("The recipe", f" Make another recipe with: {again}")
     units = {channel.name: channel.unit for channel in recipe.channel}
     return ReadOptions(
         recipe.time,
         recipe.rate_hz,
         tuple(units),
-        asker,
-        fitting=Fitting(asker, units),
+        origin,
+        fitting=Fitting(origin, units),
         as_written=recipe.stamps is not None,
     )
 

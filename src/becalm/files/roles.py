@@ -28,7 +28,7 @@ def choose_channels(
     time: Sequence[str],
     other_times: Sequence[str],
     asked: Sequence[str] | None,
-    asker: RequestOrigin = COMMAND_LINE,
+    origin: RequestOrigin = COMMAND_LINE,
 ) -> tuple[tuple[str, ...], tuple[ColumnLayout, ...]]:
     """Decide the role of each column.
 
@@ -42,7 +42,7 @@ def choose_channels(
         Columns that look like a time but are not used as the time.
     asked : sequence of str, optional
         The requested channels; by default all columns that look like signals.
-    asker : RequestOrigin
+    origin : RequestOrigin
         The origin of the request, for messages.
 
     Returns
@@ -60,7 +60,7 @@ def choose_channels(
         If a numeric column has a cell that is not a number, or there is no channel.
     """
     times = (*time, *other_times)
-    wanted = None if asked is None else _requested_columns(raw, asked, time, asker)
+    wanted = None if asked is None else _requested_columns(raw, asked, time, origin)
     passed = _why_passed(raw, times) if wanted is None else {}
     columns = []
     for name in raw.names:
@@ -107,16 +107,16 @@ def missing_in(raw: RawTable) -> list[int]:
 
 
 def _requested_columns(
-    raw: RawTable, asked: Sequence[str], time: Sequence[str], asker: RequestOrigin
+    raw: RawTable, asked: Sequence[str], time: Sequence[str], origin: RequestOrigin
 ) -> tuple[str, ...]:
-    wanted = tuple(dict.fromkeys(named_column(raw, name, asker) for name in asked))
+    wanted = tuple(dict.fromkeys(named_column(raw, name, origin) for name in asked))
     if not wanted:
         raise UsageError(f"--channels is empty; name some of {', '.join(map(repr, raw.names[:20]))}.")
     for name in wanted:
         if name in time:
             raise UsageError(
-                f"{asker.name} names {name!r}, which is the time column; leave it out, or name another time with"
-                f" --time.{asker.way_out}"
+                f"{origin.name} names {name!r}, which is the time column; leave it out, or name another time with"
+                f" --time.{origin.way_out}"
             )
     return wanted
 

@@ -112,6 +112,6 @@ def _refuse_strangers(file: Path, tables: Sequence[RawTable], options: ReadOptio
     for name in options.channels or ():
         if not any(holds(table, name) for table in tables):
             raise UsageError(
-                f"{options.asker.name} names {name!r}, which is not in {file}; it holds"
-                f" {listed(tables)}.{options.asker.way_out}"
+                f"{options.origin.name} names {name!r}, which is not in {file}; it holds"
+                f" {listed(tables)}.{options.origin.way_out}"
             )

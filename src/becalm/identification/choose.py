@@ -19,8 +19,8 @@ from becalm.identification.cross_validation import simplest, tune_smoother
 from becalm.identification.damping import damped
 from becalm.identification.known_noise import tune_with_known_noise
 from becalm.identification.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning, tune_motion
-from becalm.identification.risk import less_risky, retune
-from becalm.identification.tones import add_lines
+from becalm.identification.risk import choose_by_risk, retune
+from becalm.identification.tones import add_tones
 
 __all__ = ["FEWEST_READINGS", "NOTHING_KNOWN", "Choice", "PriorKnowledge", "choose"]
 
@@ -140,7 +140,7 @@ def _add_tones(alone: Tuning, evidence: Evidence, causal: bool, removed: tuple[f
 
     The spectrum alone may mislead: it averages over the whole record, also where the signal changes, as a chirp does.
     """
-    toned = add_lines(alone, evidence, removed)
-    if not toned.lines or any(line.disturbance for line in toned.lines):
+    toned = add_tones(alone, evidence, removed)
+    if not toned.tones or any(tone.disturbance for tone in toned.tones):
         return toned
-    return less_risky(toned, alone, evidence, causal)
+    return choose_by_risk(toned, alone, evidence, causal)

@@ -51,7 +51,7 @@ def damped(tuning: Tuning, evidence: Evidence) -> Tuning:
     if not (density > 0 and _LEAST < tuning.noise_variance < 1 / _LEAST):
         return tuning
     z, steps = evidence.z[:, 0], float(evidence.elapsed[1:].sum()) / max(len(evidence.z) - 1, 1)
-    other_variance = tuning.noise_variance + sum(line.density / (2 * line.damping) for line in tuning.lines)
+    other_variance = tuning.noise_variance + sum(tone.density / (2 * tone.damping) for tone in tuning.tones)
     other_variance += 0.0 if tuning.coloured is None else tuning.coloured.variance
     least = max(_CHANCE * other_variance * np.sqrt(2 / len(z)), evidence.smallest_variance)
     spread, damping = float(np.var(z)), 0.0

@@ -206,7 +206,7 @@ class Tuning:
         Cross-validation criterion of a smoother's tuning, see `cross_validation.criterion`; otherwise NaN.
     at_edge : {"", "low", "high"}
         Whether the search ended at its slowest ("low") or fastest ("high") filter; see `search.Edge`.
-    lines : tuple of ToneOscillator
+    tones : tuple of ToneOscillator
         Tones in addition to the motion.
     coloured : ColouredNoise or None
         Coloured noise in addition to the motion; it is a disturbance.
@@ -221,7 +221,7 @@ class Tuning:
     log_likelihood: float = np.nan
     loss: float = np.nan
     at_edge: Edge = ""
-    lines: tuple[ToneOscillator, ...] = ()
+    tones: tuple[ToneOscillator, ...] = ()
     coloured: ColouredNoise | None = None
     damping: float = 0.0
 
@@ -236,12 +236,12 @@ class Tuning:
         if steps == 1.0:
             return self
         assert self.coloured is None, "coloured noise is known at whole steps only"
-        lines = tuple(
-            line._replace(angle=line.angle * steps, damping=line.damping * steps, density=line.density * steps)
-            for line in self.lines
+        tones = tuple(
+            tone._replace(angle=tone.angle * steps, damping=tone.damping * steps, density=tone.density * steps)
+            for tone in self.tones
         )
         ratio = self.ratio * steps ** (2 * self.order - 1)
-        return replace(self, ratio=ratio, lines=lines, damping=self.damping * steps)
+        return replace(self, ratio=ratio, tones=tones, damping=self.damping * steps)
 
     @cached_property
     def component(self) -> Component:
@@ -251,7 +251,7 @@ class Tuning:
     @property
     def companions(self) -> list[Component]:
         """The tones and the coloured noise, in steps."""
-        tones = [_tone(line) for line in self.lines]
+        tones = [_tone(tone) for tone in self.tones]
         if self.coloured is None:
             return tones
         return [*tones, autoregressive(self.coloured.coefficients, float(np.sqrt(self.coloured.variance)))]
@@ -273,9 +273,9 @@ class Tuning:
         )
 
 
-def _tone(line: ToneOscillator) -> Component:
-    tone = oscillator(line.angle / (2 * np.pi), line.damping / np.pi, line.density)
-    return tone.as_disturbance() if line.disturbance else tone
+def _tone(tone: ToneOscillator) -> Component:
+    component = oscillator(tone.angle / (2 * np.pi), tone.damping / np.pi, tone.density)
+    return component.as_disturbance() if tone.disturbance else component
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class _Passes:
             tuning,
             ratio=1.0,
             noise_variance=1.0,
-            lines=tuple(line._replace(density=line.density / r) for line in tuning.lines),
+            tones=tuple(tone._replace(density=tone.density / r) for tone in tuning.tones),
             coloured=None if noise is None else noise._replace(variance=noise.variance / r),
         )
         component = unit.component

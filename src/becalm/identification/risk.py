@@ -1,4 +1,4 @@
-"""Retune a model by the white floor of the spectrum and the estimated risk, where no motion describes the signal.
+"""Retune a model that does not fit: R from the noise floor of the spectrum, the cut-off from the estimated risk.
 
 Maximum likelihood is right when the model is. When it is not (a sine is not a random walk), it takes white noise for
 motion. Two facts hold without any model: white noise lies under every band of the spectrum, so the quietest band bounds
@@ -22,21 +22,21 @@ from becalm.identification.spectrum import periodogram, welch_power
 from becalm.metrics.whiteness import whiteness
 
 MISFIT = 0.02
-"""Share of the innovation power above which a motion does not describe the signal."""
+"""Predictable share of the innovation power above which a motion does not describe the signal."""
 
 _SEGMENT = 512
 _FEWEST = 4 * _SEGMENT
 _SEARCH = (-1.0, 0.7)  # range of the search about the likeliest cut-off, in its logarithm
 _PRECISION = 3e-3
-_BETTER = 0.1  # relative reduction of the mean squared error that tones need
-_EXPLAINED = 4.0  # times below the floor between lines, tones have taken the place of white noise
-_HONEST = 4.0  # times sigma^2, up to which an error agrees with it
+_BETTER = 0.1  # least reduction of the mean squared error by tones, of the error or sigma^2 without them
+_ABSORBED = 4.0  # if R is so many times below the noise floor, the tones have absorbed white noise
+_CONSISTENT = 4.0  # largest ratio of squared error to sigma^2 that counts as consistent
 _PARTS = 8  # of the band
 _PIECE, _PIECES = 1 << 15, 4  # readings in a piece of a long record, and pieces, that filters are compared on
 
 
 def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
-    """Return white noise that the likelihood took for motion to R; a tuning that fits is returned unchanged.
+    """Move white noise that the likelihood took for motion into R; return a tuning that fits unchanged.
 
     Parameters
     ----------
@@ -51,8 +51,8 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
     readings, evidence = len(evidence.z), completed(evidence, tuning)
     if not _is_whole(evidence) or len(evidence.z) < readings:
         return tuning
-    _, share = _risk(tuning, evidence)
-    floor = white_floor(evidence.z[:, 0])
+    _, share = _risk_and_predictable_share(tuning, evidence)
+    floor = noise_floor_welch(evidence.z[:, 0])
     if share <= MISFIT or floor <= tuning.noise_variance:
         return tuning
 
@@ -62,7 +62,7 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
 
     likeliest = np.log(ratio_to_cutoff(tuning.order, tuning.ratio))
     result = minimize_scalar(
-        lambda log_cutoff: _risk(at(log_cutoff), evidence)[0],
+        lambda log_cutoff: _risk_and_predictable_share(at(log_cutoff), evidence)[0],
         bounds=(likeliest + _SEARCH[0], likeliest + _SEARCH[1]),
         method="bounded",
         options={"xatol": _PRECISION},
@@ -72,23 +72,23 @@ def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
     return replace(best, log_likelihood=float(likelihood), at_edge="")
 
 
-def white_floor(z: Floats) -> float:
+def noise_floor_welch(z: Floats) -> float:
     """Return the variance, in unit^2, of white noise as loud as the quietest quarter of the band of z (N,).
 
     Notes
     -----
-    The spectrum is that of Hann segments of 512, without the lowest two frequencies, which hold the level, and without
-    the highest.
+    The spectrum is that of Hann segments of 512, without the lowest two frequencies, into which the window leaks slow
+    motion, and without the highest.
     """
     power = welch_power(z, np.hanning(_SEGMENT))[2:-1]
     quarter = len(power) // 4
     return float(np.convolve(power, np.ones(quarter) / quarter, "valid").min())
 
 
-def floor_between_lines(z: Floats) -> float:
-    """Return the variance, in unit^2, of white noise as loud as the quietest part of the band of z (N,), without lines.
+def noise_floor_median(z: Floats) -> float:
+    """Return the variance, in unit^2, of white noise as loud as the quietest eighth of the band of z (N,).
 
-    The median of a periodogram, which a few lines do not move, is log 2 times its mean where it is noise. Its standard
+    The median of a periodogram, which a few tones do not move, is log 2 times its mean where it is noise. Its standard
     error is 1.44 over the root of the number of frequencies; the lowest of eight medians lies 1.4 standard errors too
     low.
     """
@@ -97,18 +97,18 @@ def floor_between_lines(z: Floats) -> float:
     return lowest * (1 + 1.4 * 1.44 / float(np.sqrt(len(parts[0]))))
 
 
-def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) -> Tuning:
+def choose_by_risk(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) -> Tuning:
     """Return the first tuning if the estimated risk of its filter, or smoother, is smaller; otherwise the second.
 
-    The tones of the first must not have taken the place of white noise: then its noise variance would be far below the
-    quietest part of the band. Its risk must be smaller by a tenth. Its sigma must not be too small by more than a
-    factor of two, unless its risk is smaller by half.
+    The first is rejected if its tones have absorbed white noise, which an R far below the noise floor shows. Its risk
+    must be smaller by a tenth of the second one's risk or sigma^2, whichever is smaller. Its sigma must not be too
+    small by more than a factor of two beyond chance, unless its risk is less than half.
 
     Parameters
     ----------
     tuning, other : Tuning
-        Motion models, the first with tones. The noise variance of the first is used for both, or that of the quietest
-        part of the band between lines if it is smaller, since a model takes for noise what it does not describe.
+        Motion models, the first with tones. Both are judged with one R: the smaller of the first tuning's R and the
+        noise floor, because a model counts as noise what it does not describe.
     evidence : Evidence
         Readings in unit; a few long pieces of a very long record are used.
     causal : bool
@@ -116,26 +116,28 @@ def less_risky(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) 
 
     Notes
     -----
-    Cross-validation cannot compare a smoother in which a reading keeps half of its weight with one in which it keeps a
-    tenth: it predicts a reading from the others only, and the first smoother relies on the reading itself.
+    Cross-validation cannot compare a smoother that gives a reading the weight 0.5 in its own estimate with one that
+    gives it 0.1: it predicts a reading from the others only, and the first smoother relies on the reading itself.
     """
     whole = completed(evidence, tuning)
     longest = max(whole.even, key=lambda part: part.stop - part.start, default=slice(0))
-    floors = [floor_between_lines(whole.z[longest, 0])] if longest.stop else []
-    if floors and tuning.noise_variance < floors[0] / _EXPLAINED:
+    floors = [noise_floor_median(whole.z[longest, 0])] if longest.stop else []
+    if floors and tuning.noise_variance < floors[0] / _ABSORBED:
         return other
     R = min(tuning.noise_variance, *floors)
     one, two = (estimated_risk(each, evidence, R, causal) for each in (tuning, other))
-    better = one.error < two.error - _BETTER * min(two.error, two.claimed)
-    honest = one.error < _HONEST * one.claimed + 3 * R * np.sqrt(2 / max(one.readings, 1)) or one.error < two.error / 2
-    return tuning if better and honest else other
+    better = one.error < two.error - _BETTER * min(two.error, two.predicted)
+    consistent = (
+        one.error < _CONSISTENT * one.predicted + 3 * R * np.sqrt(2 / max(one.readings, 1)) or one.error < two.error / 2
+    )
+    return tuning if better and consistent else other
 
 
 class Risk(NamedTuple):
     """The error of a filter or smoother over a record, estimated without the truth."""
 
     error: float  # mean square, unit^2, estimated; NaN where no stretch determines the state
-    claimed: float  # mean of sigma^2, unit^2
+    predicted: float  # the same by the model: mean of sigma^2, unit^2
     readings: int
 
 
@@ -150,9 +152,9 @@ def estimated_risk(tuning: Tuning, evidence: Evidence, noise_variance: float, ca
         z = evidence.z[part, 0]
         record = ChannelRecord(component, r, z, evidence.elapsed[part])
         estimate = record.filtered() if causal else record.smoothed()
-        known = np.isfinite(estimate.sigma)
-        squares.append((z - estimate.signal)[known] ** 2)
-        weights.append(estimate.sigma[known] ** 2 / r)
+        determined = np.isfinite(estimate.sigma)
+        squares.append((z - estimate.signal)[determined] ** 2)
+        weights.append(estimate.sigma[determined] ** 2 / r)
     every = np.concatenate(squares)
     if not len(every):
         return Risk(np.nan, np.nan, 0)
@@ -173,18 +175,18 @@ def _is_whole(evidence: Evidence) -> bool:
     return len(evidence.z) >= _FEWEST and evidence.complete == [slice(0, len(evidence.z))]
 
 
-def _risk(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
+def _risk_and_predictable_share(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
     """Return the estimated mean squared error of the causal filter, and the predictable share of its innovations.
 
     Where the readings never determine the state, the first is inf and the second 0.
     """
     component, r, z = tuning.component, tuning.noise_variance, evidence.z[:, 0]
     estimate = ChannelRecord(component, r, z, evidence.elapsed).filtered()
-    known = np.isfinite(estimate.sigma)
-    known[: len(component.drift)] = False
-    if not known.any():
+    determined = np.isfinite(estimate.sigma)
+    determined[: len(component.drift)] = False  # the first n estimates pass through the readings themselves
+    if not determined.any():
         return np.inf, 0.0
-    weight = float(np.mean(estimate.sigma[known] ** 2)) / r  # of each reading in its own estimate
-    residual = (z - estimate.signal)[known]
+    weight = float(np.mean(estimate.sigma[determined] ** 2)) / r  # of each reading in its own estimate
+    residual = (z - estimate.signal)[determined]
     normalised = estimate.innovation / estimate.deviation
     return float(np.mean(residual**2)) + r * (2 * weight - 1), whiteness(normalised).predictable_share

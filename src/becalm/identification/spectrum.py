@@ -16,7 +16,7 @@ from becalm.core.arrays import Floats
 _RESOLUTION = 0.02  # width of a bin over its frequency
 _ENDS = 8  # readings whose mean is the level of a record's start, or end
 _FIRST = 4  # lowest frequency kept; below it, the window mixes in the level
-_UNBINNED = 60  # frequencies on each side of a line that are not binned
+_UNBINNED = 60  # frequencies on each side of a tone that are not binned
 
 
 class BinnedPeriodogram(NamedTuple):
@@ -106,17 +106,17 @@ def welch_power(z: Floats, window: Floats) -> Floats:
     return power
 
 
-def binned(spectrum: BinnedPeriodogram, lines: Sequence[ToneOscillator]) -> BinnedPeriodogram:
-    """Gather frequencies into bins, except those near a line."""
+def binned(spectrum: BinnedPeriodogram, tones: Sequence[ToneOscillator]) -> BinnedPeriodogram:
+    """Gather frequencies into bins, except those near a tone."""
     spacing = spectrum.angle[1] - spectrum.angle[0]
-    apart = [round((line.angle - spectrum.angle[0]) / spacing) for line in lines]
+    apart = [round((tone.angle - spectrum.angle[0]) / spacing) for tone in tones]
     return _gather(spectrum.angle, spectrum.power, apart)
 
 
 def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> BinnedPeriodogram:
     unbinned = np.zeros(len(angle), dtype=bool)
-    for line in apart:
-        unbinned[max(0, line - _UNBINNED) : line + _UNBINNED + 1] = True
+    for tone in apart:
+        unbinned[max(0, tone - _UNBINNED) : tone + _UNBINNED + 1] = True
     starts, at = [], 0
     while at < len(angle):
         starts.append(at)
@@ -127,11 +127,11 @@ def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> BinnedPeriodo
     return BinnedPeriodogram(np.add.reduceat(angle, first) / weight, np.add.reduceat(power, first) / weight, weight)
 
 
-def line_power(line: ToneOscillator, angle: Floats) -> Floats:
+def tone_power(tone: ToneOscillator, angle: Floats) -> Floats:
     """Return the power (k,), unit^2, of a tone, sampled once a step, at angles (k,) in radians per step."""
-    shrunk = np.exp(-line.damping)
-    variance = line.density * -np.expm1(-2 * line.damping) / (2 * line.damping)
-    real, imaginary, turn = shrunk * np.cos(line.angle), shrunk * np.sin(line.angle), np.exp(1j * angle)
+    shrunk = np.exp(-tone.damping)
+    variance = tone.density * -np.expm1(-2 * tone.damping) / (2 * tone.damping)
+    real, imaginary, turn = shrunk * np.cos(tone.angle), shrunk * np.sin(tone.angle), np.exp(1j * angle)
     power: Floats = (
         variance * (np.abs(turn - real) ** 2 + imaginary**2) / np.abs((turn - real) ** 2 + imaginary**2) ** 2
     )

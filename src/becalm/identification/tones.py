@@ -1,8 +1,9 @@
 """Find tones in a record, where its spectrum exceeds that of the motion model, and tune them with the motion.
 
 A motion model that follows a tone lets the noise around it through; a slower motion plus an oscillator does not. All
-parameters are fitted at once to the periodogram, whose ordinates are nearly independent and exponentially distributed
-about the model's spectrum. Sources: Whittle, Ark. Mat. 2 (1953) 423; Fisher scoring with Levenberg-Marquardt damping.
+parameters are fitted at once to the periodogram, whose ordinates count as independent (a Hann window correlates
+neighbours by 0.44) and exponentially distributed about the model's spectrum. Sources: Whittle, Ark. Mat. 2 (1953) 423;
+Fisher scoring with Levenberg-Marquardt damping.
 """
 
 from __future__ import annotations
@@ -17,27 +18,27 @@ from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio, motion_power, ratio_to_cutoff
 from becalm.identification.imputation import completed
 from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
-from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, binned, line_power, periodogram
+from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, binned, periodogram, tone_power
 
 MOST_TONES = 5
 """Largest number of tones in a model."""
 
-_CYCLES = 8  # in the record: slower tones belong to the motion; so close to half the rate, tones are left out too
-_PARTS = 8  # of the band; the quietest one bounds the noise
-_RESOLUTIONS = ((3, 15.0), (31, 3.0), (311, 1.5))  # width in frequencies; least mean power over its surroundings'
-_AROUND, _APART = 13, 2  # widths on each side of a tone that are its surroundings, without the nearest
+_CYCLES = 8  # per record: slower tones belong to the motion; none is searched so near half the rate either
+_PARTS = 8  # of the band; the one with the least power bounds the noise
+_RESOLUTIONS = ((3, 15.0), (31, 3.0), (311, 1.5))  # width in bins; least ratio of its mean power to its surroundings
+_AROUND, _APART = 13, 2  # surroundings: on each side, from 2 to 13 widths away
 _FEWEST_WIDTHS = 8  # widths that the band must have
-_MOST_TRIED = 5
+_MOST_CANDIDATES = 5  # bins with the highest power, per resolution
 _GAIN = 100.0  # least gain in log-likelihood of a tone: it adds three parameters and two states
 _GAIN_NAMED = 10.0  # the same for a tone whose frequency was given
-_NEAR = 0.02  # a given frequency may differ by this share of it, or ...
-_NEAR_CYCLES = 4  # ... by so many cycles in the record
+_NEAR = 0.02  # a tone is near a given frequency if it differs by no more than this share of it, ...
+_NEAR_CYCLES = 4  # ... or than twice so many cycles per record
 _ORDERS = (1, 2, 3)  # of a motion with tones ...
 _MOST_STATES = 12  # ... and most states of both together
 _HIGHEST = np.pi * (1 - 1e-9)  # radians a step
-_LEAST_NOISE = 1e-3  # of the power of the quietest part of the band
-_ROUNDS, _ENOUGH = 60, 0.03
-_LONGEST_STEP = 1.0  # of a logarithm, and of a frequency in frequencies of the record
+_LEAST_NOISE = 1e-3  # of the least power of a part of the band
+_MOST_ITERATIONS, _LEAST_GAIN = 60, 0.03  # a smaller gain in log-likelihood ends them
+_LONGEST_STEP = 1.0  # of the logarithm of a parameter, and of a frequency in spacings of the bins
 
 
 class SpectralPeak(NamedTuple):
@@ -53,16 +54,16 @@ class Fit(NamedTuple):
     order: int
     noise_variance: float
     density: float  # of the motion, unit^2/step^(2n - 1)
-    lines: tuple[ToneOscillator, ...]
-    cost: float  # minus the log-likelihood
+    tones: tuple[ToneOscillator, ...]
+    cost: float  # minus the Whittle log-likelihood over the bins of this fit, up to a constant
 
     @property
     def tuning(self) -> Tuning:
-        """The fit as a tuning, with nothing scored yet."""
-        return Tuning(self.order, self.density / self.noise_variance, self.noise_variance, 0, lines=self.lines)
+        """Return the fit as a tuning that no reading has scored."""
+        return Tuning(self.order, self.density / self.noise_variance, self.noise_variance, 0, tones=self.tones)
 
 
-def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ()) -> Tuning:
+def add_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ()) -> Tuning:
     """Add the tones of a record to a motion model; a record without tones leaves the tuning unchanged.
 
     Parameters
@@ -76,7 +77,7 @@ def add_lines(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
     """
     whole = completed(evidence, tuning)
     toned = _with_tones(tuning, whole, removed)
-    if whole is evidence or not toned.lines:
+    if whole is evidence or not toned.tones:
         return toned
     return _with_tones(tuning, completed(evidence, toned), removed)  # now the draws in holes contain the tones
 
@@ -88,22 +89,25 @@ def _with_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float]) ->
     if len(z) < FEWEST_FOR_TONES or not np.var(z) > 0:
         return tuning
     spectrum, step = periodogram(z), evidence.mean_step(longest)
-    removed = [angle * step for angle in removed]
-    now = _fit_removed(removed, _fit_motions(tuning, spectrum), spectrum) if removed else _fit_motion(tuning, spectrum)
-    while len(now.lines) < MOST_TONES and (peaks := find_lines(spectrum, now)):
-        more = [_with_line(now, peak, spectrum) for peak in peaks]
+    angles = [angle * step for angle in removed]
+    if angles:
+        now = _fit_disturbances(angles, _fit_best_order(tuning, spectrum), spectrum)
+    else:
+        now = _fit_motion(tuning, spectrum)
+    while len(now.tones) < MOST_TONES and (peaks := find_peaks(spectrum, now)):
+        more = [_with_tone(now, peak, spectrum) for peak in peaks]
         best = max(more, key=lambda fit: _gain(now, fit, spectrum))
         if _gain(now, best, spectrum) < _GAIN:
             break
         now = best
-    if not now.lines:
+    if not now.tones:
         return tuning
-    judged = (_with_disturbance(line, removed, spectrum) for line in now.lines)
-    lines = tuple(line._replace(angle=min(line.angle / step, _HIGHEST)) for line in judged)
-    return replace(now.tuning, count=tuning.count, lines=lines)
+    named = (tone._replace(disturbance=_is_near(tone, angles, spectrum)) for tone in now.tones)
+    tones = tuple(tone._replace(angle=min(tone.angle / step, _HIGHEST)) for tone in named)
+    return replace(now.tuning, count=tuning.count, tones=tones)
 
 
-def find_lines(spectrum: BinnedPeriodogram, fit: Fit) -> list[SpectralPeak]:
+def find_peaks(spectrum: BinnedPeriodogram, fit: Fit) -> list[SpectralPeak]:
     """Find the peaks of a spectrum over that of a fit.
 
     Parameters
@@ -127,44 +131,41 @@ def find_lines(spectrum: BinnedPeriodogram, fit: Fit) -> list[SpectralPeak]:
 
 
 def _peak(excess: Floats, spectrum: BinnedPeriodogram, width: int, least_ratio: float) -> SpectralPeak | None:
-    """Return the frequency whose mean over some width stands out from its surroundings, if any does."""
+    """Return the highest peak of the mean over `width` bins that exceeds its surroundings; None if none does."""
     if len(excess) < _FEWEST_WIDTHS * width:
         return None
     raised = np.convolve(excess, np.full(width, 1 / width), mode="same")  # too small at both ends
     spacing = float(spectrum.angle[1] - spectrum.angle[0])
     raised[np.minimum(spectrum.angle, np.pi - spectrum.angle) < max(_CYCLES, width) * spacing] = 0.0
     reach, apart = _AROUND * width, _APART * width
-    highest = np.argpartition(raised, -_MOST_TRIED)[-_MOST_TRIED:]
+    highest = np.argpartition(raised, -_MOST_CANDIDATES)[-_MOST_CANDIDATES:]
     for place in highest[np.argsort(raised[highest])[::-1]].tolist():
         around = np.concatenate(
             [excess[max(0, place - reach) : max(0, place - apart)], excess[place + apart + 1 : place + reach + 1]]
         )
-        if raised[place] > least_ratio * max(1.0, float(np.median(around)) / np.log(2)):
+        background = float(np.median(around)) / np.log(2)  # of exponential noise, the median is log 2 times the mean
+        if raised[place] > least_ratio * max(1.0, background):
             return SpectralPeak(float(spectrum.angle[place]), width * spacing)
     return None
 
 
-def _fit_removed(removed: Sequence[float], now: Fit, spectrum: BinnedPeriodogram) -> Fit:
-    """Fit tones at the given angles where the spectrum shows some."""
+def _fit_disturbances(removed: Sequence[float], now: Fit, spectrum: BinnedPeriodogram) -> Fit:
+    """Fit a tone at each of the given angles, if it gains enough there and stays near."""
     for angle in removed:
-        more = _with_line(now, SpectralPeak(angle, float(spectrum.angle[1] - spectrum.angle[0])), spectrum)
-        if (
-            _gain(now, more, spectrum) > _GAIN_NAMED
-            and _with_disturbance(more.lines[-1], (angle,), spectrum).disturbance
-        ):
+        more = _with_tone(now, SpectralPeak(angle, float(spectrum.angle[1] - spectrum.angle[0])), spectrum)
+        if _gain(now, more, spectrum) > _GAIN_NAMED and _is_near(more.tones[-1], (angle,), spectrum):
             now = more
     return now
 
 
-def _with_disturbance(line: ToneOscillator, removed: Sequence[float], spectrum: BinnedPeriodogram) -> ToneOscillator:
-    """Return the tone, as a disturbance if it is one of those to be removed."""
+def _is_near(tone: ToneOscillator, angles: Sequence[float], spectrum: BinnedPeriodogram) -> bool:
+    """Return whether a tone is near one of the angles."""
     spacing = float(spectrum.angle[1] - spectrum.angle[0])
-    near = any(abs(line.angle - angle) <= max(_NEAR * angle, 2 * _NEAR_CYCLES * spacing) for angle in removed)
-    return line._replace(disturbance=near)
+    return any(abs(tone.angle - angle) <= max(_NEAR * angle, 2 * _NEAR_CYCLES * spacing) for angle in angles)
 
 
-def quietest(spectrum: BinnedPeriodogram) -> float:
-    """Return the mean power, unit^2, of the quietest part of the band, an upper bound of the white noise."""
+def least_band_power(spectrum: BinnedPeriodogram) -> float:
+    """Return the least mean power, unit^2, of an eighth of the bins, an upper bound of the white noise."""
     return min(float(part.mean()) for part in np.array_split(spectrum.power, _PARTS))
 
 
@@ -184,10 +185,10 @@ def fit_spectrum(start: Fit, spectrum: BinnedPeriodogram) -> Fit:
         The likeliest fit that was reached, with its cost.
     """
     motion = motion_power(start.order, spectrum.angle)
-    spacing = 2 * np.pi / (2 * float(spectrum.weight.sum()))
-    least = _LEAST_NOISE * quietest(spectrum)
+    spacing = np.pi / float(spectrum.weight.sum())  # radians per step between frequencies
+    least = _LEAST_NOISE * least_band_power(spectrum)
     now, cost, damping = start, _whittle(start, spectrum, motion), 1e-2
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ITERATIONS):
         slopes, modelled = _slopes(now, spectrum, motion, spacing)
         curvature = (slopes * spectrum.weight) @ slopes.T
         uphill = (slopes * spectrum.weight) @ (spectrum.power / modelled - 1)
@@ -201,7 +202,7 @@ def fit_spectrum(start: Fit, spectrum: BinnedPeriodogram) -> Fit:
                 break
             continue
         gained, now, cost, damping = cost - new, moved, new, max(damping / 5, 1e-6)
-        if gained < _ENOUGH:
+        if gained < _LEAST_GAIN:
             break
     return now._replace(cost=cost)
 
@@ -212,80 +213,80 @@ def _fit_motion(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
     return fit_spectrum(start, binned(spectrum, ()))
 
 
-def _fit_motions(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
-    """Fit a motion without tones, of the best order, so that a tone does not stand in for another order."""
+def _fit_best_order(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
+    """Fit a motion of the best order; with a wrong order, a tone would make up for it."""
     cutoff = ratio_to_cutoff(tuning.order, tuning.ratio)
     alike = [replace(tuning, order=order, ratio=cutoff_to_ratio(order, cutoff)) for order in {tuning.order, *_ORDERS}]
     return min((_fit_motion(one, spectrum) for one in alike), key=lambda fit: fit.cost)
 
 
-def _with_line(now: Fit, peak: SpectralPeak, spectrum: BinnedPeriodogram) -> Fit:
+def _with_tone(now: Fit, peak: SpectralPeak, spectrum: BinnedPeriodogram) -> Fit:
     """Fit one more tone, with a motion of the order that fits best."""
     angle, width = peak
     at = int(np.argmin(np.abs(spectrum.angle - angle)))
-    noise, fits = max(now.noise_variance, quietest(spectrum)), []
+    noise, fits = max(now.noise_variance, least_band_power(spectrum)), []
     for damping in (width, 10 * width):
         new = ToneOscillator(angle, damping, float(spectrum.power[at]) * damping**2)
-        bins = binned(spectrum, (*now.lines, new))
-        for order in [n for n in _ORDERS if n + 2 * (len(now.lines) + 1) <= _MOST_STATES]:
+        bins = binned(spectrum, (*now.tones, new))
+        for order in [n for n in _ORDERS if n + 2 * (len(now.tones) + 1) <= _MOST_STATES]:
             cutoff = ratio_to_cutoff(now.order, now.density / noise)
             density = noise * cutoff_to_ratio(order, min(cutoff, angle / 2))
-            fits.append(fit_spectrum(Fit(order, noise, density, (*now.lines, new), 0.0), bins))
+            fits.append(fit_spectrum(Fit(order, noise, density, (*now.tones, new), 0.0), bins))
     return min(fits, key=lambda fit: fit.cost)
 
 
 def _gain(now: Fit, more: Fit, spectrum: BinnedPeriodogram) -> float:
-    """Return the gain in log-likelihood of a fit with one more tone, over the bins of that fit."""
-    bins = binned(spectrum, more.lines)
+    """Return the gain in log-likelihood of a fit with one more tone, over bins around its tones."""
+    bins = binned(spectrum, more.tones)
     return _whittle(now, bins, motion_power(now.order, bins.angle)) - more.cost
 
 
 def _power(fit: Fit, angle: Floats) -> Floats:
-    return _sum(fit, angle, motion_power(fit.order, angle))
+    return _power_given_motion(fit, angle, motion_power(fit.order, angle))
 
 
-def _sum(fit: Fit, angle: Floats, motion: Floats) -> Floats:
+def _power_given_motion(fit: Fit, angle: Floats, motion: Floats) -> Floats:
     """Return the power (k,), unit^2, of a fit.
 
-    `excess.powers` computes the same for a tuning, with signal and noise apart. Here a fit changes hundreds of times at
-    the same angles, so the motion's power, the most expensive part, is computed once by the caller.
+    `tuning_spread.powers` computes the same for a tuning, with signal and noise apart. Here a fit changes hundreds of
+    times at the same angles, so the motion's power, the most expensive part, is computed once by the caller.
     """
-    return sum((line_power(line, angle) for line in fit.lines), fit.noise_variance + fit.density * motion)
+    return sum((tone_power(tone, angle) for tone in fit.tones), fit.noise_variance + fit.density * motion)
 
 
 def _whittle(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats) -> float:
     """Return minus the log-likelihood of a spectrum, up to a constant."""
-    modelled = _sum(fit, spectrum.angle, motion)
+    modelled = _power_given_motion(fit, spectrum.angle, motion)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         cost = float(spectrum.weight @ (np.log(modelled) + spectrum.power / modelled))
     return cost if np.isfinite(cost) else np.inf
 
 
 def _slopes(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats, spacing: float) -> tuple[Floats, Floats]:
-    """Return the derivative of the log of the modelled power by each parameter (p, k), and that power (k,)."""
-    modelled = _sum(fit, spectrum.angle, motion)
+    """Return the derivatives (p, k) of the log power of the model by its parameters, and that power (k,)."""
+    modelled = _power_given_motion(fit, spectrum.angle, motion)
     rows = [np.full_like(modelled, fit.noise_variance), fit.density * motion]
-    for line in fit.lines:
-        rows.append(line_power(line, spectrum.angle))
+    for tone in fit.tones:
+        rows.append(tone_power(tone, spectrum.angle))
         for i in (0, 1):
             step = np.eye(2)[i] * 1e-3
-            ahead, behind = (line_power(_turned(line, sign * step, spacing), spectrum.angle) for sign in (1, -1))
+            ahead, behind = (tone_power(_moved_tone(tone, sign * step, spacing), spectrum.angle) for sign in (1, -1))
             rows.append((ahead - behind) / 2e-3)
     return np.array(rows) / modelled, modelled
 
 
 def _moved(fit: Fit, step: Floats, spacing: float, least: float) -> Fit:
-    """Return the fit after a step; its white noise is at least `least`, since less looks like none."""
-    lines = []
-    for k, line in enumerate(fit.lines):
+    """Return the fit after a step; its noise variance is at least `least`, below which it could not be told from 0."""
+    tones = []
+    for k, tone in enumerate(fit.tones):
         own = step[2 + 3 * k : 5 + 3 * k]
-        lines.append(_turned(line._replace(density=line.density * float(np.exp(own[0]))), own[1:], spacing))
+        tones.append(_moved_tone(tone._replace(density=tone.density * float(np.exp(own[0]))), own[1:], spacing))
     r, density = max(fit.noise_variance * float(np.exp(step[0])), least), fit.density * float(np.exp(step[1]))
-    return fit._replace(noise_variance=r, density=density, lines=tuple(lines))
+    return fit._replace(noise_variance=r, density=density, tones=tuple(tones))
 
 
-def _turned(line: ToneOscillator, step: Floats, spacing: float) -> ToneOscillator:
+def _moved_tone(tone: ToneOscillator, step: Floats, spacing: float) -> ToneOscillator:
     """Move a tone's frequency by `step[0]` spacings and its log damping by `step[1]`, within the range of tones."""
-    angle = float(np.clip(line.angle + float(step[0]) * spacing, spacing, np.pi - spacing))
-    damping = float(np.clip(line.damping * float(np.exp(step[1])), 0.1 * spacing, angle))
-    return line._replace(angle=angle, damping=damping)
+    angle = float(np.clip(tone.angle + float(step[0]) * spacing, spacing, np.pi - spacing))
+    damping = float(np.clip(tone.damping * float(np.exp(step[1])), 0.1 * spacing, angle))
+    return tone._replace(angle=angle, damping=damping)

@@ -1,9 +1,10 @@
-"""Read HDF5 files with h5py, arrays only when needed; netCDF 4 and the tables of pandas and PyTables are HDF5 too."""
+"""Read HDF5 files with h5py, values only when needed. netCDF 4, pandas and PyTables files are HDF5 too."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import shorten
 from types import ModuleType
 
 from becalm.errors import InputError
@@ -17,7 +18,10 @@ from becalm.files.source import RawTable
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Read the tables of an HDF5 file; arrays of one group form a table if they share a time, or have one length.
+    """Read the tables of an HDF5 file.
+
+    Arrays that share a time, in their group or in one above it, form a table; so do arrays of one group and one length
+    that have no time.
 
     Raises
     ------
@@ -34,7 +38,7 @@ def _grouping(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
 
 
 def read_tree(
-    foreign: Foreign, form: str, understood: Callable[[Foreign, Hdf5File, ModuleType], Grouping], base: int = 0
+    foreign: Foreign, form: str, group_contents: Callable[[Foreign, Hdf5File, ModuleType], Grouping], base: int = 0
 ) -> tuple[RawTable, ...]:
     """Read the tables of a file that is HDF5 inside; close it if nothing can be read.
 
@@ -44,7 +48,7 @@ def read_tree(
         The file.
     form : str
         Short name of its format.
-    understood : callable
+    group_contents : callable
         Reads the contents of the open file and returns their grouping.
     base : int
         Number of bytes before the HDF5 signature.
@@ -60,10 +64,12 @@ def read_tree(
         foreign.cut = opened.size is not None
     try:
         with foreign.explain_damage():
-            grouping = understood(foreign, opened, h5py)
+            grouping = group_contents(foreign, opened, h5py)
             groups = grouping.groups()
         if not groups and grouping.notes:
-            raise InputError(f"{foreign.path} holds no channel that can be read: {' '.join(grouping.notes)[:500]}")
+            raise InputError(
+                f"{foreign.path} holds no channel that can be read: {shorten(' '.join(grouping.notes), 500)}"
+            )
     except BaseException as cause:
         opened.close()
         if foreign.cut and isinstance(cause, InputError):

@@ -1,4 +1,4 @@
-"""Mark the chunks of a dataset that were never written; HDF5 returns zeros for them, which are not readings."""
+"""Mark the chunks of a dataset that were never written; HDF5 returns its fill value for them, usually 0."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from becalm.files.arrays.arrays import Key
 _ABSENT = {"M": np.datetime64("NaT"), "m": np.timedelta64("NaT"), "c": complex(np.nan, np.nan), "O": ""}
 
 
-def is_there(chunk: Any, end: int) -> bool:
-    """Return whether a chunk lies before the end of the file; empty ones, and those at offset 0, come from zeros."""
+def is_in_file(chunk: Any, end: int) -> bool:
+    """Return whether all bytes of a chunk are in a file of `end` bytes.
+
+    The index of a file that was cut off reads as zeros: chunks of size 0, or at offset 0.
+    """
     return bool(chunk.byte_offset > 0 and 0 < chunk.size <= end - chunk.byte_offset)
 
 
 class WrittenChunks:
-    """The chunks of a dataset that are in the file.
+    """Knows which chunks of a dataset are in the file.
 
     Parameters
     ----------
@@ -42,11 +45,11 @@ class WrittenChunks:
             if any(at >= count for at, count in zip(place, self._there.shape, strict=True)):
                 return
             self._there[place] = True
-            if not is_there(chunk, end):
+            if not is_in_file(chunk, end):
                 absent.append(place)
 
         dataset.id.chunk_iter(look)
-        for place in absent:
+        for place in absent:  # after all others: a damaged index may list a chunk twice
             self._there[place] = False
 
     @property
@@ -54,18 +57,18 @@ class WrittenChunks:
         """Return the number of missing chunks."""
         return int(self._there.size - np.count_nonzero(self._there))
 
-    def type_of(self, plain: np.dtype[Any]) -> np.dtype[Any]:
-        """Return a type that can hold these values and missing ones."""
-        return np.dtype(np.float64) if plain.kind in "biu" else plain
+    def nullable_type(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
+        """Return a type that holds values of this type, and a missing value; integers become float64."""
+        return np.dtype(np.float64) if dtype.kind in "biu" else dtype
 
-    def applied(self, values: NDArray[Any], key: Key) -> NDArray[Any]:
+    def mark_missing(self, values: NDArray[Any], key: Key) -> NDArray[Any]:
         """Return values with those of missing chunks replaced by the missing value.
 
-        `key` has an index or a slice for each axis of the dataset; the values may have further axes after these.
+        `key` has an index or a slice for each axis of the dataset; further ones, for axes within a field, are ignored.
         """
         axes = [range(size)[part] for size, part in zip(self._shape, key, strict=False)]
         chunks = [np.atleast_1d(np.asarray(one)) // step for one, step in zip(axes, self._steps, strict=True)]
         there = self._there[np.ix_(*chunks)].reshape([len(one) for one in axes if isinstance(one, range)])
         there = there.reshape(there.shape + (1,) * (values.ndim - there.ndim))
-        kind = self.type_of(values.dtype)
+        kind = self.nullable_type(values.dtype)
         return np.where(there, values.astype(kind, copy=False), np.array(_ABSENT.get(kind.kind, np.nan), kind))

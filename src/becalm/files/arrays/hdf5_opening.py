@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from becalm.files.arrays.hdf5_gaps import WrittenChunks, is_there
+from becalm.files.arrays.hdf5_gaps import WrittenChunks, is_in_file
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _CACHE_BYTES = 8 << 20
@@ -72,7 +72,7 @@ class Hdf5File:
             return self._contiguous_rows(dataset, int(rows))
         for number in range(dataset.id.get_num_chunks()):
             chunk = dataset.id.get_chunk_info(number)
-            if not is_there(chunk, self._length):
+            if not is_in_file(chunk, self._length):
                 rows = min(rows, chunk.chunk_offset[0])
         return int(rows)
 

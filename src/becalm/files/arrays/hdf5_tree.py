@@ -35,7 +35,9 @@ class _Shapes(NamedTuple):
         if self.written is None:
             return leaf
         written, read = self.written, leaf.take
-        return leaf._replace(type=written.type_of(leaf.type), take=lambda key: written.applied(read(key), key))
+        return leaf._replace(
+            type=written.nullable_type(leaf.type), take=lambda key: written.mark_missing(read(key), key)
+        )
 
 
 class Tree:

@@ -169,7 +169,7 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
     return found[0]
 
 
-def named_column(raw: RawTable, asked: str, asker: RequestOrigin) -> str:
+def named_column(raw: RawTable, asked: str, origin: RequestOrigin) -> str:
     """Return the name of a column, given with or without its unit.
 
     Raises
@@ -184,6 +184,6 @@ def named_column(raw: RawTable, asked: str, asker: RequestOrigin) -> str:
     if len(bare) == 1:
         return bare[0]
     if bare:
-        raise UsageError(f"{asker.name} {asked!r} matches {', '.join(map(repr, bare))}; write one of these in full.")
+        raise UsageError(f"{origin.name} {asked!r} matches {', '.join(map(repr, bare))}; write one of these in full.")
     listed = ", ".join(map(repr, names[:20])) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
-    raise UsageError(f"{asker.name} names {asked!r}, which is not a column; the columns are {listed}.{asker.way_out}")
+    raise UsageError(f"{origin.name} names {asked!r}, which is not a column; the columns are {listed}.{origin.way_out}")

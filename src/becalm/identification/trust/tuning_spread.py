@@ -29,7 +29,7 @@ from becalm.core.filter.channel import ChannelRecord, Estimates
 from becalm.core.steady.steady_filter import SteadyFilter, steady
 from becalm.errors import ModelError
 from becalm.identification.likelihood import Candidate, Evidence, Tuning
-from becalm.identification.spectrum import line_power
+from becalm.identification.spectrum import tone_power
 from becalm.metrics.whiteness import whiteness
 
 # Estimate how much smaller a smoother's error could be, from the colour of its innovations.
@@ -73,9 +73,9 @@ def powers(tuning: Tuning, angle: Floats) -> tuple[Floats, Floats]:
     """Return the power (k,) of the signal and of the noise in readings, unit^2, at angles (k,) in radians a step."""
     signal = tuning.motion_power(angle)
     noise = np.full_like(angle, tuning.noise_variance)
-    for line in tuning.lines:
-        power = line_power(line, angle)
-        signal, noise = (signal, noise + power) if line.disturbance else (signal + power, noise)
+    for tone in tuning.tones:
+        power = tone_power(tone, angle)
+        signal, noise = (signal, noise + power) if tone.disturbance else (signal + power, noise)
     if tuning.coloured is not None:
         coefficients, innovation_variance = tuning.coloured.coefficients, tuning.coloured.innovation_variance
         noise = noise + autoregressive_power(coefficients, innovation_variance, angle)
@@ -232,7 +232,7 @@ def tuning_spread(tuning: Tuning, evidence: Evidence, causal: bool, *, noise_kno
         0 or more, without unit: sigma becomes (1 + spread) sigma. A *small* one trusts the tuning. It is 0 where
         neither method gives a result: for a long record whose search ended at its slowest or fastest filter.
     """
-    simple = not (tuning.lines or tuning.coloured or noise_known)
+    simple = not (tuning.tones or tuning.coloured or noise_known)
     if simple and len(evidence.z) < LONG:
         factor = posterior_widening(tuning, evidence, causal)
         if factor is not None:

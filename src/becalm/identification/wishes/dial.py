@@ -83,12 +83,12 @@ def may_judge(tuning: Tuning, identified: Tuning) -> bool:
     A slower filter does not follow the signal, and its gate would take motion for spikes.
     """
     quick = tuning.ratio >= identified.ratio and tuning.noise_variance >= identified.noise_variance
-    same = (tuning.order, tuning.lines, tuning.coloured) == (identified.order, identified.lines, identified.coloured)
+    same = (tuning.order, tuning.tones, tuning.coloured) == (identified.order, identified.tones, identified.coloured)
     return quick and same
 
 
 def _with_ratio(tuning: Tuning, ratio: float) -> Tuning:
-    return replace(tuning, ratio=ratio, lines=(), coloured=None, log_likelihood=np.nan, loss=np.nan, at_edge="")
+    return replace(tuning, ratio=ratio, tones=(), coloured=None, log_likelihood=np.nan, loss=np.nan, at_edge="")
 
 
 def _refuse_longer(lag_s: float, lasts_s: float) -> None:

@@ -16,7 +16,7 @@ from becalm.files.atomic_file import refuse_unwritable
 from becalm.live.block import Loss, LossKind
 from becalm.live.closing import Closing
 from becalm.live.optional_libraries import import_optional
-from becalm.live.watching.secrets import Scrubber
+from becalm.live.watching.scrubber import Scrubber
 
 FILE_BYTES, OLD_FILES = 10_000_000, 5
 """Size at which a log file is rotated, and number of old files that are kept: at most 60 MB in all."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from becalm.files.atomic_file import refuse_unwritable
 from becalm.live.closing import Closing
 from becalm.live.watching.meter import Meter
-from becalm.live.watching.secrets import Scrubber
+from becalm.live.watching.scrubber import Scrubber
 
 EVERY_S = 1.0
 
@@ -60,7 +60,7 @@ class StatusFile(Closing):
 
     def _write(self) -> None:
         """Replace the file, without fsync, because that would slow the journal's commits."""
-        text = json.dumps(self._scrub.value(self._meter.status()), indent=2, allow_nan=False) + "\n"
+        text = json.dumps(self._scrub.scrub_value(self._meter.status()), indent=2, allow_nan=False) + "\n"
         try:
             self._part.write_text(text, encoding="utf-8")
             self._part.replace(self._path)

@@ -14,7 +14,7 @@ from becalm.errors import BecalmError, UsageError
 from becalm.installation import version
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
-from becalm.live.watching.secrets import Scrubber
+from becalm.live.watching.scrubber import Scrubber
 from becalm.web.frames import text
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.live_dial import NOT_BEGUN, LiveDial, facts
@@ -126,7 +126,7 @@ class LivePage:
 
     def _look(self) -> None:
         self._look_again_s = time.monotonic() + _HEALTH_S
-        status = self._scrub.value(self._meter.status())
+        status = self._scrub.scrub_value(self._meter.status())
         self.health = News(self.health.number + 1, text({"kind": "health", **status}))
 
     async def _describe(self) -> None:
