@@ -7,8 +7,10 @@ import pytest
 
 from becalm.cleaning.handover import rows_to_forget
 from becalm.cleaning.recipe import Recipe
+from becalm.errors import RecordingError
 from becalm.fleet.stream.blocks import SensorRows
 from becalm.fleet.stream.plan import SensorPlan
+from becalm.live.stream import Stream
 from made import RATE_HZ, recipe_of
 from streaming import (
     CHANNELS,
@@ -56,6 +58,24 @@ def test_a_handover_is_cut_as_a_stream_is() -> None:
             one.hear(batch)
         outs.append(one.said)
     assert_same_bits(*outs)
+
+
+def test_a_recipe_that_comes_with_refused_rows_takes_over_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows, shelf = rows_of(ROWS), Shelf()
+    one = Walker(SensorPlan(shelf))
+    first, second, third = cut(rows, [400, 500])
+    one.hear(first)
+    shelf.recipe = OTHER
+    with monkeypatch.context() as patched:
+        patched.setattr(Stream, "take", refuse)
+        assert one.hear(second).recipe == one.steps[0].recipe
+    one.hear(third)
+    assert one.kinds().count("recipe") == 1
+    assert one.steps[-1].recipe != one.steps[0].recipe
+
+
+def refuse(*_: object) -> None:
+    raise RecordingError("These rows cannot be filtered.")
 
 
 def test_a_third_recipe_waits_until_the_second_has_taken_over() -> None:

@@ -42,7 +42,7 @@ class PageAddress(NamedTuple):
 
 
 def place_of(file: Path | None, folder: Path | None, options: ReadOptions) -> TunerFolder:
-    """Return the folder and the file that a person wants to work on.
+    """Return the folder and the file that the page offers.
 
     Raises
     ------
@@ -62,12 +62,12 @@ def place_of(file: Path | None, folder: Path | None, options: ReadOptions) -> Tu
 
 
 def bytes_of(text: str) -> int:
-    """Return the largest size of a file, in bytes.
+    """Return a size in bytes, from a text such as "2GB".
 
     Raises
     ------
     UsageError
-        If it is not a positive number with its unit.
+        If the text is not a positive number with a unit.
     """
     match = _SIZE.fullmatch(text.strip())
     limit = int(float(match["number"]) * _BYTES[match["unit"].lower()]) if match else 0
@@ -135,7 +135,7 @@ def _hear_signals() -> threading.Event:
 
 
 def _open_browser(address: str) -> None:
-    """Open the page in a browser, but not in a text browser, which would take over the terminal."""
+    """Open the page in a graphical browser, if there is one; a text browser would take over the terminal."""
     windows = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")))
     if windows:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

@@ -31,7 +31,7 @@ def run(  # noqa: PLR0913  (one argument for each option)
     Raises
     ------
     UsageError
-        If there are not exactly three channels.
+        If there are not exactly three channels, or the output is the input.
     SensorError
         If its rests are too few or too similar, or a unit or gravity is impossible.
     """

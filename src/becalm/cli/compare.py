@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
-_WORDS = 3  # columns of text, left-aligned
+_WORDS = 3  # first columns, which are text and left-aligned
 
 
 class CompareOptions(NamedTuple):
     """The options of a comparison."""
 
-    truth: Path | None
+    truth: Path | None  # a file with the true signal
     causal: bool
-    folder: Path | None
+    folder: Path | None  # the folder of the page; None for no page
 
 
 def run(source: OpenSource, file_options: FileOptions, options: CompareOptions, *, as_json: bool) -> None:
@@ -56,7 +56,7 @@ def run(source: OpenSource, file_options: FileOptions, options: CompareOptions, 
 
 
 def _page_in(folder: Path) -> Path:
-    """Return the path of the page; raise an error before the work if it cannot be written."""
+    """Return the path of the page; raise an error, before the comparison, if it cannot be written."""
     from becalm.report.vendor import uplot
 
     uplot()
@@ -81,7 +81,7 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
 
 
 def _truth(path: Path, source: OpenSource, file_options: FileOptions) -> Recording:
-    """Read the same channels of the truth; the time options hold for both files."""
+    """Read the channels of `source` from the file with the true signal; the time options hold for both files."""
     origin = RequestOrigin("The recording", " Give a truth of the same channels, or choose some with --channels.")
     fitting = Fitting(origin, dict(zip(source.names, source.units, strict=True)))
     kept = file_options.stamps == AS_WRITTEN

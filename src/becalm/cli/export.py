@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _FORMS = ("json", "sos", "scipy")
 _CERTIFICATE = "certificate.md"
-_SHOWN = 2000  # rows of a recording in a test vector
+_SHOWN = 2000  # first rows of a recording that go into a test vector
 
 
 class CExportOptions(NamedTuple):
@@ -41,7 +41,7 @@ class CExportOptions(NamedTuple):
     precision: str | None
     gain: str | None
     channels: str | None
-    ranges: list[str] | None
+    ranges: list[str] | None  # as `spans_of` reads them
     recording: Path | None
     verify: bool
 
@@ -121,12 +121,12 @@ def _scratch() -> Iterator[Path]:
 
 
 def _refuse_foreign(output: Path) -> None:
-    """Refuse a folder that cannot be written to, or that has files which no export wrote.
+    """Raise an error if a folder cannot be written to, or has files but none from an export.
 
     Raises
     ------
     UsageError
-        If there are such files.
+        If it has files, but no `becalm.h`.
     OutputError
         If the folder cannot be written to.
     """
@@ -139,7 +139,7 @@ def _refuse_foreign(output: Path) -> None:
 
 
 def _comparison_dict(one: Compared) -> dict[str, Any]:
-    """Return the comparison for JSON; without a difference, the decibels are infinite and become None."""
+    """Return the comparison for JSON; an infinite `snr_db`, which means no difference, becomes None."""
     return {**one._asdict(), "snr_db": one.snr_db if np.isfinite(one.snr_db) else None}
 
 
@@ -155,7 +155,7 @@ def _export_options(recipe: Recipe, wanted: CExportOptions, recorded: dict[str, 
 
 
 def _ranges_of(recipe: Recipe, recorded: dict[str, Floats]) -> dict[str, Span]:
-    """Return twice the range of the readings of a recording, for channels without known saturation limits."""
+    """Return the ranges of a recording's readings, widened to twice, for channels without both saturation limits."""
     ranges: dict[str, Span] = {}
     for channel in recipe.channel:
         finite = recorded.get(channel.name, np.empty(0))
@@ -167,7 +167,7 @@ def _ranges_of(recipe: Recipe, recorded: dict[str, Floats]) -> dict[str, Span]:
 
 
 def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:
-    """Return the ranges of channels: `NAME=LOW:HIGH`, or LOW:HIGH for every channel.
+    """Return the ranges of channels from texts: NAME=LOW:HIGH, or LOW:HIGH for every channel without its own.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:
 
 
 def _read_recording(recipe: Recipe, file: Path, channels: str | None) -> dict[str, Floats]:
-    """Return the channels of a recording, in the recipe's units."""
+    """Return the readings of a recording by channel, in the recipe's units."""
     from becalm.cli.options import When
 
     file_options = read_file_options(channels, When(None, None, None, None), None, None).with_defaults_of(recipe)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from pyspark.sql import SparkSession
 
-_MOST_NAMED = 5  # sentences
+_MOST_NAMED = 5  # sentences that `say_some` prints
 _STOPPED = b"becalm: Stopped; what is finished stays, and half-written files are not read. Repeat it to continue.\n"
 
 
@@ -64,12 +64,12 @@ class SparkAddress(NamedTuple):
 
 @contextmanager
 def spark_at(where: SparkAddress, *, schedules: bool = True) -> Iterator[SparkSession]:
-    """Start Spark. A signal still ends the process at once, with a message on the unfinished work of Spark.
+    """Start Spark in a `with`. A signal still ends the process at once, with a message on unfinished work.
 
     Raises
     ------
     UsageError
-        As in `becalm.fleet.session`.
+        As in `becalm.fleet.session`, or if a setting has no value.
     """
     with session(where.master, where.spark, schedules=schedules) as spark:
         stop_cleanly(_STOPPED)  # again, because Spark has replaced the handler of SIGINT
@@ -81,8 +81,10 @@ def clean_lake(lake: Path, output: Path, asking: FleetOptions, where: SparkAddre
 
     Raises
     ------
+    BecalmError
+        As in `becalm.fleet.clean`, or if an option is invalid or Spark does not start.
     Exit
-        With another code than 0 if a sensor was refused, or its model does not describe it.
+        With the code `NOT_DESCRIBED` if a sensor was refused, or its model does not describe it.
     """
     if asking.stretch_rows is not None and asking.stretch_rows < 1:
         raise UsageError(f"--stretch {asking.stretch_rows} is not a number of rows; give 1 or more, or leave it out.")

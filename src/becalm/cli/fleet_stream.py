@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class TimeoutOptions(NamedTuple):
-    """The waiting times, as they were typed."""
+    """The options that are times, as they were typed."""
 
     lateness: str
     silent: str | None
@@ -56,7 +56,7 @@ class FleetStreamOptions(NamedTuple):
 
 @contextmanager
 def _locked_output(plan: StreamPlan) -> Iterator[None]:
-    """Lock the output against other streams of this machine; at a remote output, Spark ends the first of two."""
+    """Lock a local output against other streams; of two streams into one remote output, Spark ends the first."""
     if "://" in plan.output:
         yield
         return

@@ -24,7 +24,7 @@ def tune_lake(lake: Path, output: Path, asked: LakeTuningOptions, where: SparkAd
     BecalmError
         As in `becalm.fleet.tuning.tune`, or if Spark does not start.
     Exit
-        With another code than 0 if a sensor was refused, or a class has no recipe.
+        With the code `NOT_DESCRIBED` if a sensor was refused, or a class has no recipe.
     """
     chosen_in(lake, output, asked)
     with spark_at(where) as spark:

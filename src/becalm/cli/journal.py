@@ -39,12 +39,12 @@ class JournalOptions(NamedTuple):
 
 
 def run(folder: Path, action: str, asked: JournalOptions, as_json: bool) -> bool:
-    """Run an action; return whether it succeeded.
+    """Run an action; return False if it found damage.
 
     Raises
     ------
     UsageError
-        If the action is unknown, or an option that it needs is missing.
+        If the action is unknown, or an option that it needs is missing or invalid.
     JournalError
         If the journal cannot be read.
     """
@@ -105,7 +105,7 @@ def _summary(journal: JournalReader) -> dict[str, Any]:
 
 
 def _verify(folder: Path, as_json: bool) -> bool:
-    """Print every fault; rows that are known to be lost are reported, but are not a fault."""
+    """Print every fault, and rows that are known to be lost, which are no fault; return whether there is no fault."""
     damage = list(faults(folder))
     holes, rows = ([], None) if damage else _holes_and_rows(folder)
     if as_json:
@@ -159,12 +159,12 @@ def _prune(folder: Path, older: str | None) -> bool:
 
 
 def moment_of(option: str, text: str | None, default: float) -> float:
-    """Return a time stamp from seconds, or from a date, which is UTC unless it has a time zone.
+    """Return a time stamp in seconds from a text: seconds, or a date, which is UTC unless it has a time zone.
 
     Raises
     ------
     UsageError
-        If the text is neither.
+        If the text is neither, or not finite.
     """
     if text is None:
         return default
@@ -194,6 +194,6 @@ def _stamp(stamp_s: float | None, dated: bool) -> str:
 
 
 def _holes_and_rows(folder: Path) -> tuple[list[tuple[int, int]], int]:
-    """Return which rows are known to be lost, and how many rows there are."""
+    """Return the spans of rows that are known to be lost, and the number of rows that the journal holds."""
     with open_journal(folder) as journal:
         return journal.holes(), sum(one.rows for one in journal.stretches() if not one.pruned)

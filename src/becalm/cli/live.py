@@ -35,9 +35,9 @@ from becalm.web.access import PageAsked
 
 DEFAULT_SINK = "journal:becalm-journal"
 POLICIES = get_args(Policy)
-_TIMED_BY_RECIPE = ("replay", "stdin", "serial")
-_GATHER_S, _GATHER_SHARE = 0.05, 0.05  # longest gathering of datagrams, also as a share of the commit interval
-_LEARNED = "learned.recipe.toml"
+_TIMED_BY_RECIPE = ("replay", "stdin", "serial")  # sources that take the time options of a recipe
+_GATHER_S, _GATHER_SHARE = 0.05, 0.05  # longest gathering of datagrams; the same as a share of the commit interval
+_LEARNED = "learned.recipe.toml"  # file of a recipe that was tuned on the stream
 
 
 class Watching(NamedTuple):
@@ -81,7 +81,13 @@ def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
 
 
 def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, watching: Watching) -> None:
-    """Run a stream."""
+    """Run a live stream until it ends or a signal stops it.
+
+    Raises
+    ------
+    BecalmError
+        If an option is invalid, or the stream fails.
+    """
     recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
     timed = source if recipe is None else _with_time(source, recipe)
     address, names = str(Address.parsed(timed)), sinks or [DEFAULT_SINK]
@@ -133,7 +139,7 @@ def _page(options: PageAsked, meter: Meter, retune: Retune, log: Log, opened: Ex
 
 
 def _with_time(source: str, recipe: Recipe) -> str:
-    """Return a source with the time options of its recipe, unless it has its own, or needs none."""
+    """Return a source with the time options of the recipe, unless the source has its own or needs none."""
     address = Address.parsed(source)
     if address.kind not in _TIMED_BY_RECIPE or not {"rate", "time"}.isdisjoint(address.options):
         return source
@@ -145,7 +151,7 @@ def _with_time(source: str, recipe: Recipe) -> str:
 
 
 def _open_source(source: str, gather_s: float) -> Source:
-    """Open a source; datagrams are gathered if only commits wait for them, unless the source has its own option."""
+    """Open a source; a UDP source without a gather option gathers datagrams for `gather_s`, if that is not 0."""
     address = Address.parsed(source)
     if gather_s and address.kind == "udp" and "gather" not in address.options:
         source = f"{source}{'&' if address.options else '?'}gather={gather_s:.6f}s"
@@ -153,7 +159,7 @@ def _open_source(source: str, gather_s: float) -> Source:
 
 
 def _run_logged(runner: Runner, log: Log) -> None:
-    """Run a stream; an unexpected error becomes a sentence, and the log has it in full."""
+    """Run a stream; raise an unexpected error as a StreamError with one sentence, and log it in full."""
     try:
         runner.run()
     except BecalmError as cause:
@@ -192,7 +198,7 @@ def _print_message(text: str) -> None:
 
 
 def _handle_signals(runner: Runner, recipe: Path | None) -> None:
-    """Handle signals: stop after a commit at the first one, at once at the second; reload the recipe at SIGHUP."""
+    """Handle signals: stop after a commit at the first, at once at the second; at SIGHUP, reload a given recipe."""
     end = call_in_thread(runner.stop)
     retune = end if recipe is None else call_in_thread(partial(runner.retune, partial(Recipe.load, recipe)))
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _OPTIONS = AccessOptions("--page-host", "--page")
-_SWITCH_S = 5e-4  # interval at which Python switches threads: the page must not delay the filters
+_SWITCH_S = 5e-4  # interval at which Python switches threads, so that the page does not delay the filters
 
 
 class Served(NamedTuple):
@@ -31,7 +31,7 @@ class Served(NamedTuple):
     """The sink whose rows the page shows."""
 
     says: tuple[str, ...]
-    """Messages for the terminal, not for the log: the address has the token."""
+    """Messages for the terminal. They must not go to the log, because the address contains the token."""
 
 
 def serve(asked: PageAsked, meter: Meter, retune: Retune, warn: Callable[[str], object], opened: ExitStack) -> Served:

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.identification.wishes.gain_of_waiting import Delay
 
-_MOST_NAMED = 8  # channels that are named for one sentence
+_MOST_NAMED = 8  # channels that are named before one sentence
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
 @contextmanager
 def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
-    """Show a progress bar of `count` steps on a terminal; call it with the name and the number of finished steps."""
+    """Show a progress bar of `count` steps on a terminal; yield a function of a name and a number of finished steps."""
     from rich.progress import Progress
 
     with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
@@ -49,7 +49,7 @@ def print_reports(reports: tuple[ChannelReport, ...], causal: bool) -> None:
 
 
 def print_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
-    """Print the trade-off curve of each channel: remaining noise at each delay, one line for each channel."""
+    """Print the trade-off curve of each channel on one line: the remaining error at each delay."""
     if delays:
         stderr.print("Remaining error, relative to the noise of a reading, for a delay of the output (see --lag):")
     for name, curve in delays.items():
@@ -58,7 +58,7 @@ def print_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
 
 
 def print_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float, ...]) -> None:
-    """Print which of the tones to remove did not stand out, and in which channels."""
+    """Print the frequencies to remove at which no tone was found, and in which channels."""
     removed = {
         report.name: {min(removed_hz, key=lambda wanted: abs(wanted - tone)) for tone in report.removed_hz}
         for report in (reports if removed_hz else ())
@@ -72,7 +72,7 @@ def print_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[floa
 
 
 def print_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
-    """Print which channels exceed the flat band of their sensors, after the filters or as read."""
+    """Print which channels exceed the flat band of their sensors, as filtered or, without `reports`, as read."""
     from becalm.cleaning.slopes import beyond_flat
 
     passed = {one.name: max((one.bandwidth_hz, *one.tones_hz)) for one in reports if one.bandwidth_hz is not None}

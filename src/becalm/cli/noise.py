@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
     Spans = Sequence[tuple[float, float]]
 
-_CUTOFF_HZ = 1.0  # default, from the IMU paper
-_STRETCHES = 12  # that are listed
+_CUTOFF_HZ = 1.0  # default of --cutoff, from the IMU paper
+_STRETCHES = 12  # rests that are listed
 
-_wide = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, width=1000)  # breaks no number
+_wide = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, width=1000)  # wide: breaks no number
 
 
 def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_json: bool) -> None:
@@ -32,7 +32,7 @@ def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_j
     Raises
     ------
     UsageError
-        If a given stretch has too few rows, or the cut-off is beyond half of the rate.
+        If a given rest has too few rows, or the cut-off is not below half of the rate.
     """
     if cutoff_hz is not None and cutoff_hz >= source.rate_hz / 2:
         raise UsageError(
@@ -127,7 +127,7 @@ def _allan_rows(allan: AllanNoise) -> Iterator[tuple[str, ...]]:
 
 
 def _quotes(one: Coefficient) -> str:
-    """Return a coefficient in units of data sheets; its upper limit if the value is unknown."""
+    """Return a coefficient in units of data sheets, or its upper limit if its value is unknown."""
     if one.value is None:
         bounds: Sequence[Quoted | Coefficient] = one.quoted or (one,)
         return ", ".join(f"below {_number(bound.limit)} {bound.unit}".strip() for bound in bounds)
@@ -153,5 +153,5 @@ def _span(span_s: tuple[float, float]) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Return a number with three digits, without an exponent below a million."""
+    """Return a number with three significant digits; below a million, large numbers have no exponent."""
     return "-" if value is None else f"{float(f'{value:.3g}'):g}"

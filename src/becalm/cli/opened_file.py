@@ -36,7 +36,10 @@ class FileOptions(NamedTuple):
     stamps: str | None = None
 
     def with_defaults_of(self, recipe: Recipe) -> FileOptions:
-        """Return the options with this recipe, and with its rate, time column and stamps where no option gives them."""
+        """Return the options with this recipe, and with its time options if no rate and no time column is given.
+
+        Stamps that are given take precedence over those of the recipe; stamps as written exclude its rate.
+        """
         if self.rate_hz is None and self.time is None:
             rate_hz = None if self.stamps == AS_WRITTEN else recipe.rate_hz
             stamps = self.stamps or recipe.stamps
@@ -44,7 +47,7 @@ class FileOptions(NamedTuple):
         return self._replace(recipe=recipe)
 
     def with_time_options(self, recipe: Recipe) -> Recipe:
-        """Return the recipe with the time options, so that it repeats the same cleaning."""
+        """Return the recipe with these time options, so that cleaning with it alone gives the same result."""
         return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time, "stamps": self._kept_stamps})
 
     @property
@@ -69,6 +72,8 @@ def read_file_options(channels: str | None, when: When, units: list[str] | None,
     ------
     UsageError
         If the value of --stamps is unknown, or units cannot be read.
+    SensorError
+        If the sensor file cannot be read.
     """
     if when.stamps not in (None, AS_WRITTEN, MENDED):
         raise UsageError(f"--stamps {when.stamps} is unknown; write --stamps {AS_WRITTEN} or --stamps {MENDED}.")
@@ -135,7 +140,7 @@ def shown_name(file: Path) -> str:
 
 
 def load(path: Path | None) -> Recipe | None:
-    """Load a recipe, if there is a path."""
+    """Load a recipe; return None if there is no path."""
     if path is None:
         return None
     from becalm.cleaning.recipe import Recipe
@@ -144,7 +149,7 @@ def load(path: Path | None) -> Recipe | None:
 
 
 def refuse_overwriting(file: Path, *outputs: Path) -> None:
-    """Refuse to overwrite the input, or to write a table into an input folder.
+    """Raise an error if an output would overwrite the input, or is a table in an input folder.
 
     Raises
     ------
@@ -162,7 +167,7 @@ def refuse_overwriting(file: Path, *outputs: Path) -> None:
 
 
 def is_same(one: Path, other: Path) -> bool:
-    """Return whether two paths lead to the same existing file."""
+    """Return whether two paths lead to the same existing file or folder."""
     try:
         return one.samefile(other)
     except OSError:  # one of them does not exist, or is invalid: reading or writing it reports why
@@ -170,12 +175,12 @@ def is_same(one: Path, other: Path) -> bool:
 
 
 def refuse_existing_columns(recipe: Recipe, columns: list[str], *, split: bool, verdicts: bool) -> None:
-    """Refuse to overwrite columns of a file with the parts of channels or with verdicts.
+    """Raise an error if columns for parts of channels, or for verdicts, exist in a file already.
 
     Raises
     ------
     UsageError
-        If one of them has the name of a column.
+        If one of them does.
     """
     parts = [f"{channel.name}_{part}" for channel in recipe.channel for part in channel.parts] if split else []
     verdict_columns = [f"{channel.name}_verdict" for channel in recipe.channel] if verdicts else []
@@ -187,7 +192,7 @@ def refuse_existing_columns(recipe: Recipe, columns: list[str], *, split: bool, 
 
 
 def tuned(source: OpenSource, causal: bool, asked: FilterOptions, lag_s: float | None = None) -> Recipe:
-    """Tune a recipe on a file, or on evenly spread stretches of a long one."""
+    """Tune a recipe on a file, or on evenly spread stretches of a long file."""
     from becalm.cleaning.tuning import Wishes, calibrated, tune
     from becalm.cli.messages import progress
     from becalm.files.portions import beginning, rest_within, rows_to_tune_on

@@ -33,8 +33,8 @@ def run(file: Path, output: Path, sensors: Calibrations) -> None:
     Raises
     ------
     UsageError
-        If its recipe is not next to it, the output has too few time bases, or the new calibration needs the raw
-        readings.
+        If the recipe of the recording is not next to it, the output can have too few time bases, or the new
+        calibration needs the raw readings.
     """
     format_to_write(output)
     refuse_overwriting(file, output)

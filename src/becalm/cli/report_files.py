@@ -34,16 +34,16 @@ _PAGES = (".html", ".htm")
 
 
 class ReportWriter:
-    """Draws the report and the figures of a file; libraries are loaded only if they are needed.
+    """A writer of the report and the figures of a file. It loads libraries only if they are needed.
 
     Parameters
     ----------
     output : Path
         The clean file; figures go into a folder next to it.
     page : Path or None
-        Path of the page.
+        Path of the page; None for no page.
     kind : str or None
-        Format of the figures.
+        Format of the figures; None for no figures.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ReportWriter:
     OutputError
         If there is a file in place of the folder for figures.
     BecalmError
-        If becalm was never installed, so that the library for the page is absent.
+        If the library for the page is absent, because becalm was never installed.
     """
 
     def __init__(self, output: Path, page: Path | None, kind: str | None) -> None:
@@ -92,7 +92,7 @@ class ReportWriter:
                 raise UsageError(f"{self._page} is the {what} itself; name another page with --report.")
 
     def gatherings(self, sources: Sequence[OpenSource], recipes: Sequence[Recipe]) -> list[Gathering | None]:
-        """Return the gathering of figures for each time base of a file, or None if nothing is drawn."""
+        """Return an object that gathers the data of figures for each time base of a file; None if nothing is drawn."""
         if self._page is None and self._kind is None:
             return [None] * len(sources)
         from becalm.report.gathering import Gathering

@@ -19,7 +19,7 @@ _SHOW_CURSOR = b"\r\x1b[K\x1b[?25h"  # a progress bar hides it
 
 
 def stop_cleanly(word: bytes = _MESSAGE) -> None:
-    """Stop at signals, with the message `word`; ignored signals stay ignored, as under nohup."""
+    """Stop the process at signals, with the message `word`; signals that are ignored, as under nohup, stay so."""
     for number in _SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, partial(_stop, word))
@@ -28,7 +28,7 @@ def stop_cleanly(word: bytes = _MESSAGE) -> None:
 def call_in_thread(act: Callable[[], None]) -> Callable[[], None]:
     """Return a function that calls `act` in a thread, for signal handlers.
 
-    A handler may interrupt code that holds a lock, so that it must not take one itself.
+    A handler may interrupt code that holds a lock, so it must not take a lock itself.
     """
     calls: SimpleQueue[None] = SimpleQueue()  # its put never waits
 
@@ -42,7 +42,7 @@ def call_in_thread(act: Callable[[], None]) -> Callable[[], None]:
 
 
 def _stop(word: bytes, number: int, _: FrameType | None) -> None:
-    """Remove temporary files and exit: an exception would be ignored in a finaliser, for example."""
+    """Remove temporary files and exit. An exception might not end the process: finalisers ignore it, for example."""
     if waiting := sys.modules.get("becalm.files.atomic_file"):  # if it is not loaded, there are no temporary files
         waiting.abandon()
     with suppress(OSError):

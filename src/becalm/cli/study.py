@@ -19,7 +19,7 @@ def run(paper: str, folder: Path) -> None:
     UsageError
         If there is no such paper.
     OutputError
-        If the folder cannot be made or written to; this is checked before the work.
+        If the folder cannot be made or written to; this is checked before the computation.
     """
     if paper not in PAPERS:
         raise UsageError(f"There is no paper {paper!r}; write becalm study {' or '.join(PAPERS)}.")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.files.time_bases import OpenFile
 
-_MOST_NAMED = 12
+_MOST_NAMED = 12  # groups in a message
 
 
 def refuse_several_time_bases(output: Path, groups: Sequence[str]) -> None:
@@ -38,7 +38,7 @@ def refuse_several_time_bases(output: Path, groups: Sequence[str]) -> None:
 
 
 def with_time_column(output: Path, source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
-    """Return the function that writes one time base; outputs for several time bases always get a time in seconds."""
+    """Return the function that writes a time base; with a column of seconds if the output can have several."""
     return with_time(source, write) if holds_times(format_to_write(output)) else write
 
 

@@ -1,4 +1,4 @@
-"""Read and write recordings. The content of a file decides which reader takes it, the ending of a name which writer."""
+"""Read recordings in the format of their content, and write them in the format of the ending of their name."""
 
 from becalm.files.atomic_file import replace_file
 from becalm.files.opening import Chunk, OpenSource, open_source, read, read_source

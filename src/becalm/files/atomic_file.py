@@ -23,7 +23,7 @@ _waiting: set[Path] = set()
 
 @contextmanager
 def removed_afterwards(path: Path) -> Iterator[None]:
-    """Register a temporary file or folder; at the end, remove it if it still has this name."""
+    """Register a temporary file or folder; at the end of the block, remove it if it still has this name."""
     _waiting.add(path)
     try:
         yield
@@ -57,6 +57,13 @@ _LONGEST_SHOWN = 60  # characters of a file name in a message
 def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
     """Write a file under a temporary name in the same folder, and rename it when it is safely on disk.
 
+    Parameters
+    ----------
+    path : Path
+        The file; an older file of that name is replaced.
+    fill : callable
+        Writes the content to an open binary file.
+
     Raises
     ------
     OutputError
@@ -68,7 +75,7 @@ def replace_file(path: Path, fill: Callable[[IO[bytes]], None]) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """Yield an open temporary file; at the end, rename it to `path` unless an exception was raised.
+    """Yield an open temporary file; at the end of the block, rename it to `path` unless an exception was raised.
 
     Raises
     ------
@@ -252,7 +259,7 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
     Raises
     ------
     OutputError
-        If a file cannot be written.
+        If a folder cannot be made, or a file cannot be written.
     """
     make_folder(folder)
     paths = {folder / path: text for path, text in texts.items()}

@@ -6,8 +6,8 @@ import io
 import os
 from typing import BinaryIO
 
-_MOST_PASSES = 64  # a library may read up to so many times the file's size: it goes back to find the next intact part
-_ALWAYS = 1 << 24  # bytes that may be read whatever the size
+_MOST_PASSES = 64  # most bytes read, per byte of the file: a library goes back to find the next intact part
+_ALWAYS = 1 << 24  # bytes that may be read in addition, whatever the size
 _CALL = 64  # bytes that each call of `read` counts in addition, so that empty reads cannot go on for ever
 
 
@@ -24,7 +24,7 @@ class WatchedFile:
     size : int
         Bytes that can be read; assign a smaller number to end the file earlier.
     cut : bool
-        Whether a call of `read` reached the end of the file and returned fewer bytes than requested.
+        Whether a call of `read` reached the end of the file and returned some bytes, but fewer than requested.
     """
 
     def __init__(self, file: BinaryIO) -> None:

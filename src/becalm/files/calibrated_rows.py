@@ -21,9 +21,9 @@ class Thermometer(NamedTuple):
     Attributes
     ----------
     column : str
-        Its name; of a temperature that a calibrated sensor measured, the name of the converted column.
+        Its name; the new one if the column is itself converted by a calibration.
     size : Conversion
-        From the column's unit to degC.
+        Conversion from the column's unit to degC.
     """
 
     column: str
@@ -40,7 +40,7 @@ class Sensed(NamedTuple):
     columns : tuple of str
         Names in the file, in the order of the record's channels.
     sizes : tuple of Conversion
-        From the unit of each column to the raw unit of the record.
+        Conversion of each column from its unit to the raw unit of the record.
     names : tuple of str
         Names of the converted columns.
     thermometer : Thermometer or None
@@ -132,7 +132,7 @@ class SensedRows:
         return self._by_name[name].columns if name in self._by_name else (name,)
 
     def _convert(self, one: Sensed, block: pa.Table, converted: dict[str, Floats]) -> dict[str, Floats]:
-        """Return the measured values of one sensor's columns, by their new names; `converted` are those done before."""
+        """Return the converted columns of one sensor by their new names; `converted` holds those of other sensors."""
         readings = [
             self._values(block, own) * size.factor + size.offset
             for own, size in zip(one.columns, one.sizes, strict=True)

@@ -22,7 +22,7 @@ DEGC = "degC"
 
 
 def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
-    """Convert the columns of a file to what their sensors measured.
+    """Convert the sensor columns of a file from raw readings to measured quantities.
 
     Parameters
     ----------
@@ -42,11 +42,12 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
     Raises
     ------
     UsageError
-        If a column is missing, is named by two sensors, or has a unit that cannot be converted to the sensor's.
+        If a column is missing, is named by two sensors, would get the name of another column, or has a unit that
+        cannot be converted to the sensor's.
     InputError
-        If a column does not hold numbers.
+        If a column does not hold numbers, or the time of a tare interval cannot be interpreted.
     SensorError
-        If a zero cannot be measured because the sensor is not at rest in the given interval.
+        If a zero cannot be measured in the given interval: see `with_tares`.
     """
     matches = [_match(tables, record) for record in options.sensors]
     for table in tables:
@@ -88,7 +89,7 @@ def _refuse_twice(sensed: Sequence[Sensed]) -> None:
 
 
 def _with_thermometer(table: RawTable, one: Sensed, others: Sequence[Sensed]) -> Sensed:
-    """Return a sensor with its temperature column, if it needs one; that column may have a sensor of its own."""
+    """Return a sensor with its temperature column, if it needs one; a sensor of its own may calibrate that column."""
     channel = None if one.record.temperature is None else one.record.temperature.channel
     if channel is None:
         return one

@@ -50,14 +50,14 @@ class ChunkSource(Protocol):
 
 
 def rows_of_chunks(source: ChunkSource, channels: int) -> int:
-    """Return how many rows to clean at once: a whole number of blocks, so that the chunks do not change any bit."""
+    """Return how many rows to clean at once: a whole number of blocks, so that the result does not depend on it."""
     rows = min(CHUNK_ROWS, block_rows(source.schema))
     if not source.clock.uniform:  # each row then needs its own step matrices in each channel
         rows = min(rows, max(CHUNK_ROWS // max(4, channels), 16 * BLOCK))
     return max(BLOCK, rows // BLOCK * BLOCK)
 
 
-def clean_chunks(  # noqa: PLR0913  (each by its name)
+def clean_chunks(  # noqa: PLR0913  (the options are passed by name)
     source: OpenSource,
     recipe: Recipe,
     write: Callable[[pa.Table], None],
@@ -110,7 +110,7 @@ def clean_chunks(  # noqa: PLR0913  (each by its name)
 
 
 def counted(chunks: Iterable[Chunk], step: Callable[[str, int], None]) -> Iterator[Chunk]:
-    """Yield chunks, and report the number of rows of each to `step` once it was used."""
+    """Yield chunks; after the use of each, call `step` with its number of rows."""
     for chunk in chunks:
         yield chunk
         step("", len(chunk))
@@ -120,7 +120,7 @@ class CleanChunk(NamedTuple):
     """A chunk of rows with the estimates of each channel."""
 
     chunk: Chunk
-    estimates: list[EstimatedRows]  # the estimates, one per channel
+    estimates: list[EstimatedRows]  # one per channel
 
     def output(self, recipe: Recipe, *, verdicts: bool = False) -> pa.Table:
         """Return the table of the chunk with clean channels and, if `verdicts`, the verdict on each measurement."""

@@ -44,7 +44,7 @@ def unit_of_field(field: pa.Field) -> str:
 
 
 def metadata_of(schema: pa.Schema) -> Mapping[str, str]:
-    """Return a table's metadata as text."""
+    """Return a table's metadata as text, without the schema that Arrow stores there."""
     return {key.decode("utf-8", "replace"): text.decode("utf-8", "replace") for key, text in _items(schema)}
 
 
@@ -53,7 +53,7 @@ def _items(schema: pa.Schema) -> list[tuple[bytes, bytes]]:
 
 
 def is_text(kind: pa.DataType) -> bool:
-    """Return whether a column is written as text: words, dates, times of day."""
+    """Return whether columns of a type are written as text: words, dates, times of day."""
     return not (
         pa.types.is_integer(kind)
         or pa.types.is_floating(kind)
@@ -65,7 +65,7 @@ def is_text(kind: pa.DataType) -> bool:
 
 
 def texts_of(column: pa.ChunkedArray) -> NDArray[np.object_]:
-    """Return a column of text, dates or times of day, (N,) of str, "" where a cell is missing."""
+    """Return a column of text, dates or times of day as str, (N,), "" where a cell is missing."""
     text = pc.fill_null(column.cast(pa.string()), "")
     return np.asarray(text.to_numpy(), object)
 
@@ -91,7 +91,7 @@ def numbers_of(column: pa.ChunkedArray) -> tuple[NDArray[Any], NDArray[np.bool_]
 
 
 def whole_column(column: pa.ChunkedArray) -> NDArray[Any]:
-    """Return all of a column as an array: text as "U", whole numbers and flags with missing cells as float64."""
+    """Return a column as one array, (N,): text as "U", whole numbers and flags with missing cells as float64."""
     if is_text(column.type):
         texts = texts_of(column)
         return texts.astype(f"U{max((len(text) for text in texts), default=0) or 1}")

@@ -17,12 +17,12 @@ from typing import NamedTuple
 from becalm.errors import InputError
 from becalm.files.library_reader import refuse_claim
 
-GZIP = b"\x1f\x8b"
-PARQUET = b"PAR1"
+GZIP = b"\x1f\x8b"  # the first bytes of a gzip file
+PARQUET = b"PAR1"  # the first and the last bytes of a Parquet file
 
 READS = "becalm reads CSV (also gzipped), Parquet, MF4, TDMS, UFF58, MAT, HDF5, NPZ, WAV, ROS bags, MCAP, ULog and IDE."
 
-_OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
+_OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (  # first bytes, and name in messages
     (b"PK\x03\x04", "a ZIP archive or an Excel workbook"),
     (b"\xd0\xcf\x11\xe0", "an old Excel or Office file"),
     (b"\x89PNG", "a picture"),
@@ -33,7 +33,7 @@ _OTHER_FORMATS: tuple[tuple[bytes, str], ...] = (
     (b"\xfd7zXZ", "a file compressed with xz"),
 )
 
-BOMS: tuple[tuple[bytes, str, str], ...] = (
+BOMS: tuple[tuple[bytes, str, str], ...] = (  # byte-order mark, codec, and name of the encoding
     (b"\xef\xbb\xbf", "utf-8", "utf-8-bom"),
     (b"\xff\xfe", "utf-16-le", "utf-16-le"),
     (b"\xfe\xff", "utf-16-be", "utf-16-be"),
@@ -45,9 +45,9 @@ CUT_ARCHIVE = (
 )
 CUT_CHARACTER = "The file is incomplete: its text ends within a character. The last line is left out."
 
-_BLOCK = 1 << 20
-_PART = 1 << 16
-_CONTROL = bytes(set(range(32)) - set(b"\t\n\r\f\v\x1a"))
+_BLOCK = 1 << 20  # bytes to unpack between two checks of the total size
+_PART = 1 << 16  # most bytes to unpack with one call
+_CONTROL = bytes(set(range(32)) - set(b"\t\n\r\f\v\x1a"))  # control characters that do not occur in text
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Gunzip(gzip.GzipFile):
     """
 
     cut = False
-    _some = False
+    _some = False  # whether a byte was read before
 
     def read(self, size: int | None = -1) -> bytes:
         """Read `size` bytes, fewer only at the end or where the file is truncated.
@@ -184,7 +184,7 @@ def _without_mark(data: bytes, surely_cut: bool) -> tuple[bytes, bytes, str]:
         rest = _decoded(data, "utf-8")[1]
     except UnicodeDecodeError:
         return _from_western(data), b"", "cp1252"
-    if rest and not surely_cut and data[: -len(rest)].isascii():  # all but the last bytes are ASCII
+    if rest and not surely_cut and data[: -len(rest)].isascii():  # only the last bytes are not ASCII: letters of cp1252
         return _from_western(data), b"", "cp1252"
     return data, rest, "utf-8"
 

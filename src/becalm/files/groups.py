@@ -1,4 +1,4 @@
-"""Make one table for each time base of a file. Tables are never merged, and column names are unique in the file."""
+"""Make one table for each time base of a file. Tables are never merged; only their time columns may share a name."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Group(NamedTuple):
     name : str
         The name of the group in the file; "" if it has none.
     columns : mapping of str to Column
-        Columns in the order of the file; a time column is among them under the name `TIME`.
+        Columns in the order of the file; a column that the format defines as the time has the name `TIME`.
     rows : int
         Number of rows of each column.
     time : FormatTime, optional
@@ -91,7 +91,7 @@ def tables(
 
 
 def _timed(group: Group) -> Mapping[str, Column]:
-    """Return the columns of a group; a time that is given as a rate becomes a column, so that outputs contain it."""
+    """Return the columns of a group; if its time is a rate, add a time column, so that outputs contain it."""
     if group.time is None or group.time.rate_hz is None:
         return group.columns
     step_s = 1 / group.time.rate_hz

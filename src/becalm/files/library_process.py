@@ -1,7 +1,7 @@
-"""Read formats of other libraries in a process of its own, which a damaged file may crash, hang or fill, becalm not.
+"""Read formats with other libraries in a subprocess, so that a damaged file cannot crash becalm or fill its memory.
 
-The process takes requests as lines of JSON and answers with a line of JSON, then with rows as an Arrow stream. It is
-kept for the next file, because it takes longer to start than to read a small file.
+A request is a line of JSON. The answer is a line of JSON, followed by an Arrow stream if it has rows. The subprocess is
+kept for the next file, because starting it takes longer than reading a small file.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from becalm.files.source import FormatTime, RawTable, shared_closers
 from becalm.installation import MODULE, environment
 
 LONGEST_S, BYTES_PER_S = 60.0, 1e6
-"""How long an answer may take: a fixed time, and more for a large file."""
+"""The time limit of an answer: LONGEST_S seconds, and one more second for each BYTES_PER_S bytes of the file."""
 
-_PIPE_BYTES, _ENDS_WITHIN_S = 1 << 20, 2.0
+_PIPE_BYTES, _ENDS_WITHIN_S = 1 << 20, 2.0  # buffer of the pipe for answers; time to close a file, or to end
 
 _FEW_THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
-"""Each thread reserves addresses, which count as memory."""
+"""Environment of the subprocess: each thread reserves address space, which counts towards its memory limit."""
 
 
 def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
-    """Read the tables of a file in a process of its own.
+    """Open the tables of a file in a subprocess, which reads their rows on demand.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
     Raises
     ------
     InputError
-        If the file cannot be read, or the process crashes, hangs, or needs too much memory.
+        If the file cannot be read, or the subprocess crashes, hangs, or needs too much memory.
     """
     process = _LibraryProcess.take(path)
     folder = "" if path.is_absolute() else str(Path.cwd())
@@ -69,7 +69,7 @@ def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
 
 
 def _own_name(path: Path) -> str:
-    """Return a name of the file that another process understands, too: /dev/stdin is another one there."""
+    """Return a path that leads to the same file in another process; /dev/stdin, for example, does not."""
     return os.path.realpath(path) if path.parts[1:2] in (("dev",), ("proc",)) else str(path)
 
 
@@ -87,7 +87,7 @@ def _table(rows: _RowsApart, table: Mapping[str, Any]) -> RawTable:
 
 
 class _RowsApart:
-    """The rows of a table that another process reads."""
+    """The rows of a table that a subprocess reads."""
 
     def __init__(self, opened: _OpenFile, number: int, table: Mapping[str, Any], close: Callable[[], None]) -> None:
         self._opened, self._number, self._close, self.count = opened, number, close, table["rows"]
@@ -108,11 +108,11 @@ class _RowsApart:
 
 
 class _OpenFile:
-    """A file that a process holds open, until the last of its tables is closed."""
+    """A file that a subprocess holds open until the last of its tables is closed."""
 
     def __init__(self, process: _LibraryProcess, path: Path) -> None:
         self._process, self._path = process, path
-        self._free = finalize(self, process.put_back)  # where nobody closes the tables
+        self._free = finalize(self, process.put_back)  # also if the tables are never closed
 
     def rows(self, request: Mapping[str, Any]) -> pa.Table | None:
         """Return the requested rows, or None after the last."""
@@ -128,14 +128,14 @@ class _OpenFile:
 
 
 class _LibraryProcess:
-    """A process that reads one file at a time."""
+    """A subprocess that reads one file at a time."""
 
-    _idle: ClassVar[deque[_LibraryProcess]] = deque()  # appending is safe wherever the garbage collector runs
+    _idle: ClassVar[deque[_LibraryProcess]] = deque()  # appending is safe in any thread in which a finalizer runs
 
     def __init__(self) -> None:
         self._owner = os.getpid()
         self._asking = RLock()
-        self._closing = False  # whether an answer to the last request, to close the file, is still to come
+        self._closing = False  # whether the answer to a request to close the file is still pending
         self._process = subprocess.Popen(
             [*MODULE, "becalm.files.library_server"],
             stdin=subprocess.PIPE,
@@ -147,7 +147,7 @@ class _LibraryProcess:
 
     @classmethod
     def take(cls, path: Path) -> _LibraryProcess:
-        """Return a process that waits for a file, or a new one; a process that forked has none of its parent's.
+        """Return an idle process or a new one; after a fork, the child does not use the processes of its parent.
 
         Raises
         ------
@@ -172,14 +172,14 @@ class _LibraryProcess:
             ) from cause
 
     def _is_free(self) -> bool:
-        """Return whether the process has closed its file, and waits; one that hangs or crashed in it does not."""
+        """Return whether the process has closed its file and waits; False if it hangs or has crashed."""
         if self._owner != os.getpid():
             return False
         self.close_file()
         return self._closing and self._limited({"wait": True}, _ENDS_WITHIN_S)[0] is not None
 
     def close_file(self) -> None:
-        """Let the process close its file."""
+        """Ask the process to close its file, without waiting for its answer."""
         if not self._closing and self._owner == os.getpid() and self._process.poll() is None:
             self._closing = self._send({})
 
@@ -188,10 +188,10 @@ class _LibraryProcess:
         self._idle.append(self)
 
     def end(self) -> None:
-        """End the process: it ends by itself if there are no more requests, and is killed if it does not."""
+        """End the process: close its pipes, so that it ends by itself, and kill it if it does not."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
-                with suppress(OSError):  # it may hold a request that nobody takes any more
+                with suppress(OSError):  # closing sends a buffered request, and the process may have ended
                     pipe.close()
         if self._owner == os.getpid():
             with suppress(subprocess.TimeoutExpired):
@@ -200,12 +200,12 @@ class _LibraryProcess:
             self._process.wait()
 
     def ask(self, path: Path, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the answer to a request about a file; its rows are a table.
+        """Return the answer to a request about a file; rows in it are a pyarrow table.
 
         Raises
         ------
         InputError
-            If the file cannot be read, or the process ended, or took too long.
+            If the file cannot be read, or the process has ended or takes too long.
         """
         if self._owner != os.getpid():
             raise InputError(f"{path} was opened before this process was forked from another; open it here.")
@@ -234,7 +234,7 @@ class _LibraryProcess:
             except (OSError, ValueError, pa.ArrowException):
                 self._process.kill()
                 return None, late.is_set()
-            except BaseException:  # an answer that is not read would be taken for the next one
+            except BaseException:  # an unread answer would be taken for that to the next request
                 self._process.kill()
                 raise
             finally:
@@ -257,7 +257,7 @@ class _LibraryProcess:
         return answer
 
     def _send(self, request: Mapping[str, Any]) -> bool:
-        """Send a request, an empty one to close the file; return whether the process still takes it."""
+        """Send a request, an empty one to close the file; return whether it could be sent."""
         requests = self._process.stdin
         if requests is None:
             return False
@@ -283,7 +283,7 @@ class _LibraryProcess:
 
 
 def _widen(pipe: IO[bytes] | None) -> None:
-    """Let a pipe hold more, where the system allows it: rows then come in fewer parts."""
+    """Enlarge the buffer of a pipe where the system allows it, so that rows come in fewer parts."""
     if pipe is not None and sys.platform == "linux":
         import fcntl
 

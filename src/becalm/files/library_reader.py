@@ -104,7 +104,7 @@ class Foreign:
 def file_bytes(path: Path) -> int:
     """Return the number of bytes of a file, or of a folder's files."""
     size = 0
-    with suppress(OSError):  # reading it says why
+    with suppress(OSError):  # reading the file explains the error
         for one in path.iterdir() if path.is_dir() else [path]:
             with suppress(OSError):
                 size += one.stat().st_size

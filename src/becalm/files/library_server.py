@@ -1,4 +1,4 @@
-"""The process in which formats of other libraries are read; `library_process` starts it, and says how they talk."""
+"""Serve the tables of one file at a time from a subprocess; `library_process` starts it and describes the protocol."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from becalm.errors import BecalmError
 from becalm.files.library_reader import file_bytes
 from becalm.files.source import RawTable
 
-_LEAST_BYTES = 2 << 30  # of memory, whatever the size of the file
-_BYTES_PER_BYTE = 64  # of memory, per byte of the file: it may be packed, and is held more than once
-_LONGEST_S, _LEAST_BYTES_PER_S = 3600.0, 1e5  # of computing: a fixed time, and more for a large file
+_LEAST_BYTES = 2 << 30  # limit of memory for an empty file, in bytes
+_BYTES_PER_BYTE = 64  # more memory per byte of the file, which may be packed and is held more than once
+_LONGEST_S, _LEAST_BYTES_PER_S = 3600.0, 1e5  # limit of CPU time; bytes of the file for one more second
 
 
 class _Ahead(NamedTuple):
-    """A request that is expected, the blocks from its first row on, and the first of them."""
+    """The next request that is expected, an iterator over the blocks after its answer, and the answer."""
 
     request: dict[str, Any]
     blocks: Iterator[pa.Table]
@@ -42,7 +42,7 @@ class _Server:
         self._ahead: _Ahead | None = None
 
     def answer(self, request: dict[str, Any]) -> None:
-        """Answer a request: open a file, or read rows of a table; an empty one closes the file."""
+        """Answer a request: open a file, or read rows of a table; an empty request closes the file."""
         try:
             if not request:
                 self._close()
@@ -57,7 +57,7 @@ class _Server:
         except MemoryError:
             says = f"{self._path} needs too much memory; it is damaged, or made to fill it. Copy or download it again."
             self._send({"error": "InputError", "says": says})
-        except Exception as cause:  # such as a folder that is gone
+        except Exception as cause:  # for example, the working folder was removed
             says = (
                 f"{self._path} cannot be read ({type(cause).__name__}: {cause}); give its whole path, or copy it again."
             )
@@ -67,7 +67,7 @@ class _Server:
         for table in self._tables:
             table.rows.close()
         self._tables, self._ahead = (), None
-        os.chdir(os.sep)  # it may hold no folder that others want to remove
+        os.chdir(os.sep)  # so that other programs can remove the folder
 
     def _open(self, request: Mapping[str, Any]) -> tuple[RawTable, ...]:
         self._close()
@@ -79,7 +79,7 @@ class _Server:
         return self._tables
 
     def _rows(self, request: dict[str, Any]) -> pa.Table | None:
-        """Return the next block of rows; blocks that follow each other come from one pass over the file."""
+        """Return the requested rows, None after the last; consecutive requests share one pass over the file."""
         ahead, self._ahead = self._ahead, None
         if ahead is None or ahead.request != request:
             rows = self._tables[request["table"]].rows
@@ -91,10 +91,10 @@ class _Server:
         return ahead.block
 
     def _read_ahead(self) -> None:
-        """Read the block that will be asked for next, while the last one is worked on."""
+        """Read the block that is expected to be requested next, while becalm processes the last one."""
         ahead, self._ahead = self._ahead, None
         if ahead is not None:
-            with suppress(Exception):  # whoever asks for it gets the error
+            with suppress(Exception):  # the request for this block gets the error
                 self._ahead = ahead._replace(block=next(ahead.blocks, None))
 
     def _send(self, answer: Mapping[str, Any]) -> None:
@@ -125,7 +125,7 @@ def _described(table: RawTable) -> dict[str, Any]:
 def _set_limits(path: Path) -> None:
     """Limit memory and time of this process by the size of a file, where the system can.
 
-    The time is longer than anybody waits: it ends a process that hangs after becalm has ended.
+    The time limit is longer than becalm waits: it ends a process that hangs after becalm has ended.
     """
     try:
         import resource
@@ -141,8 +141,8 @@ def _set_limits(path: Path) -> None:
 
 
 def main() -> None:
-    """Answer requests until there are no more; nothing that a library prints may mix with the answers."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # whoever asks decides when it ends
+    """Answer requests until there are no more; what a library prints goes to stderr, so that answers stay intact."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # becalm decides when this process ends
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")

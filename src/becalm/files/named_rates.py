@@ -27,24 +27,15 @@ def hertz_of(name: str, number: float, unit: str = "") -> float | None:
     number : float
         The rate or the step.
     unit : str
-        The unit of the number; with "" it is the unit in the name, or else Hz or seconds.
+        The unit of the number. With "" it is the unit in the name, or else Hz or seconds; None is returned if both are
+        there and differ, or if the unit is unknown.
     """
-    if unit:
-        number = in_hertz_or_seconds(name, number, unit)
-    unit = parse_header(name)[1]
-    rate = None
-    if _is(_RATES, name):
-        rate = number * _HERTZ.get(unit, np.nan)
-    elif _is(_STEPS, name) and number > 0:
-        rate = 1.0 / (number * _SECONDS.get(unit, np.nan))
-    return rate if rate is not None and SLOWEST_HZ <= rate <= FASTEST_HZ else None
-
-
-def in_hertz_or_seconds(name: str, number: float, unit: str) -> float:
-    """Return a rate in Hz or a step in s; NaN if the unit is unknown."""
-    spelt = tidy_unit(unit)
-    scale = _HERTZ.get(spelt) if _is(_RATES, name) else _SECONDS.get(spelt)
-    return number * scale if scale else np.nan
+    scales = _HERTZ if _is(_RATES, name) else _SECONDS if _is(_STEPS, name) else {}
+    units = [tidy_unit(one) for one in (unit, parse_header(name)[1]) if one] or [""]
+    found = {scales.get(one, np.nan) for one in units}
+    scale = found.pop() if len(found) == 1 else np.nan
+    rate = number * scale if scales is _HERTZ else 1.0 / (number * scale) if number > 0 else np.nan
+    return float(rate) if SLOWEST_HZ <= rate <= FASTEST_HZ else None
 
 
 def _is(words: re.Pattern[str], name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Examine a long column of numbers block by block, to recognise times, counters, flags and signals."""
+"""Recognise times, counters, flags and signals block by block; read tables whose columns are stored one by one."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from becalm.core.arrays import Floats
 from becalm.core.time.clock import Thinned
 from becalm.files.library_reader import Foreign
 
-_EXACT = 2.0**53
+_EXACT = 2.0**53  # float64 represents every whole number up to this one
 
 
 class Numbers:
-    """Statistics of a column that may be a time: first values, direction, and a sample of values and steps.
+    """Collect statistics of a column that may be a time: first values, direction, and a sample of values and steps.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Numbers:
     falls : bool
         Whether any value is less than the previous one.
     whole : bool
-        Whether all steps are whole numbers.
+        Whether all finite steps are whole numbers.
     """
 
     def __init__(self, count: int) -> None:
@@ -62,18 +62,18 @@ class Numbers:
 
     @property
     def counts(self) -> bool:
-        """Whether the values are whole numbers in steps of exactly 1."""
+        """Return whether the values are whole numbers in steps of exactly 1."""
         return self._counter.counts
 
     @property
     def values(self) -> Floats:
-        """Finite values; of a column with more than a million, an evenly spaced sample."""
+        """Return the finite values, (n,); of more than a million rows, those in evenly spread runs of a thousand."""
         values = self._values.values
         return values[np.isfinite(values)]
 
     @property
     def steps(self) -> Floats:
-        """Finite steps; of a column with more than a million, an evenly spaced sample."""
+        """Return the finite steps, (n,); of more than a million rows, those in evenly spread runs of a thousand."""
         steps = self._steps.values
         return steps[np.isfinite(steps)]
 
@@ -94,12 +94,12 @@ class Counter:
 
     @property
     def possible(self) -> bool:
-        """Whether the values so far may be the beginning of a counter."""
+        """Return whether the values so far may be the beginning of a counter."""
         return self._possible
 
     @property
     def counts(self) -> bool:
-        """Whether the values so far, more than two, are a counter."""
+        """Return whether the values so far are a counter; False for fewer than three values."""
         return self._possible and self._seen > 2
 
 
@@ -134,12 +134,12 @@ class Signal:
 
     @property
     def decided(self) -> bool:
-        """Whether later values can no longer change the decision."""
+        """Return whether later values can no longer change the decision."""
         return self._largest > _EXACT or not (self._integer or self._counter.possible or self._only_flags)
 
     @property
     def why_passed(self) -> str:
-        """Why the column is not a channel, "" if it is one."""
+        """Return why the column is not a channel; "" if it is one."""
         if self._largest > _EXACT:
             return "whole numbers beyond 2^53, which float64 cannot distinguish"
         if self._counter.counts:
@@ -148,15 +148,15 @@ class Signal:
 
 
 def following(values: Floats, last: float | None) -> Floats:
-    """Return the step from each previous value, NaN if a value is missing; `last` is the value before the first."""
+    """Return the step from each previous value, NaN if one is missing; `last` is the value before the first, if any."""
     with np.errstate(invalid="ignore"):
         return np.diff(values) if last is None else np.diff(values, prepend=last)
 
 
-# Read tables whose columns are stored one by one, as the formats of instruments do.
+# Read tables whose columns are stored one by one, as in the formats of instruments.
 
 NO_UNIT = "-"
-"""The unit of a column that has none, not even in its name.
+"""The unit of a column that has none, and whose name does not end in a unit either.
 
 In a format with named fields, `range_min` is the lowest range and not a range in minutes.
 """
@@ -197,7 +197,7 @@ class ColumnRows:
     foreign : Foreign
         The file; turns errors during reading into messages.
     close : callable, optional
-        Called by `close`, to release the file.
+        Releases the file; called by `close`.
     metadata : mapping of str to str, optional
         Metadata of the table; outputs keep it.
     """
@@ -230,7 +230,7 @@ class ColumnRows:
 
 
 def least_bytes(kind: pa.DataType) -> int:
-    """Return the least number of bytes of a value: the width of a number, flag or time; 1 for any other type."""
+    """Return the least number of bytes of a value: the width of a number or time, 0 for a flag (a bit), otherwise 1."""
     return kind.bit_width // 8 if pa.types.is_primitive(kind) else 1
 
 

@@ -69,7 +69,7 @@ class Chunk:
 
     @property
     def samples(self) -> Floats:
-        """All channels, (n, m), NaN where a cell is missing."""
+        """Return all channels, (n, m), NaN where a cell is missing."""
         out = np.empty((len(self), len(self.names)))
         for number in range(len(self.names)):
             out[:, number] = self.channel(number)
@@ -130,39 +130,39 @@ class OpenSource:
 
     @cached_property
     def layout(self) -> Layout:
-        """How the file was interpreted; reads the whole file once, to count the missing cells."""
+        """Return how the file was interpreted; this reads the whole file once, to count the missing cells."""
         counts = missing_in(self._raw)
         columns = tuple(replace(column, missing=count) for column, count in zip(self.columns, counts, strict=True))
         return layout_of(self._raw, self._time, self.clock, columns)
 
     @property
     def group(self) -> str:
-        """The name of this time base in the file; "" if all channels of the file share one time."""
+        """Return the name of this time base in the file; "" if all channels of the file share one time."""
         return self._raw.group
 
     @property
     def calibrations(self) -> dict[str, Calibration]:
-        """Calibrations of the channels that were converted from a sensor's raw readings."""
+        """Return the calibrations of the channels that were converted from raw readings, by channel."""
         return self._raw.calibrations
 
     @property
     def start(self) -> str:
-        """The first instant as ISO 8601 text; "" if the file gives no date."""
+        """Return the first instant as ISO 8601 text; "" if the file gives no date."""
         return self._time.start
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user about the file."""
+        """Return sentences for the user about the file."""
         return (*self._raw.notes, *self._time.notes)
 
     @property
     def replaced(self) -> tuple[str, ...]:
-        """Columns of the file that the uncertainties in the output replace."""
+        """Return the columns of the file that the uncertainties of its channels replace in the output."""
         return tuple(name for name in self.schema.names if name in {own + SIGMA for own in self.names})
 
     @property
     def rate_hz(self) -> float:
-        """The sample rate in Hz, 1 over the step."""
+        """Return the sample rate in Hz, 1 over the step."""
         return self.clock.rate_hz
 
     def chunks(self, rows: int | None = None, first: int = 0) -> Iterator[Chunk]:
@@ -199,7 +199,7 @@ class OpenSource:
         return "" if self._raw.original is None else self._raw.original.sha256()
 
     def elapsed_steps(self, first: int, count: int, before: int | None = None) -> Floats:
-        """Return the time since the previous row in steps, (count,), for each row from `first` on.
+        """Return the time since the previous row in steps, (count,), for each row from `first` on; 0 for row 0.
 
         Parameters
         ----------
@@ -216,7 +216,7 @@ class OpenSource:
         return self.clock.elapsed(self._stamps.read(first, first + count), last)
 
     def seconds(self, first: int, count: int) -> Floats:
-        """Return the times of `count` rows in seconds, (count,): the stamps of the file, or the times of its clock."""
+        """Return the times in seconds, (count,), of rows from `first` on: their stamps, or those of an even clock."""
         if self._stamps is None:
             return self.clock.start_s + self.clock.step_s * np.arange(first, first + count, dtype=np.float64)
         return self._stamps.read(first, first + count)
@@ -341,7 +341,7 @@ def select_table(file: Path, tables: tuple[RawTable, ...], options: ReadOptions)
 
 
 def in_chosen_units(tables: tuple[RawTable, ...], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
-    """Return tables in the units of their sensors and of the options, and the options with the channels' new names."""
+    """Convert tables by the sensors and units of the options; return them, and the options with new channel names."""
     if options.sensors:
         from becalm.files.calibrated_source import with_sensors  # only where a sensor is given
 
@@ -356,6 +356,8 @@ def open_table(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
     ------
     InputError
         If the table cannot be read, or can be read in more than one way; it is closed then.
+    UsageError
+        If the options do not fit the table; it is closed then.
     """
     try:
         return OpenSource(file, raw, options)
@@ -368,7 +370,7 @@ def open_table(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
 
 
 def close(tables: Iterable[RawTable]) -> None:
-    """Close tables that are not needed."""
+    """Close the rows of tables."""
     for table in tables:
         table.rows.close()
 
@@ -428,8 +430,8 @@ def read(  # noqa: PLR0913  (options, all passed by name)
         Units to convert channels to, by channel name, as {"ax": "m/s^2"}. For a channel without a unit in the file,
         the given unit is assumed.
     as_written : bool
-        Keep time stamps as they are. By default, stamps that a driver seems to have invented and shifts by summer
-        time are corrected.
+        Keep time stamps as they are. By default, stamps that a driver seems to have delayed are put onto an even
+        grid, and shifts by summer time are undone.
 
     Raises
     ------

@@ -19,9 +19,9 @@ from becalm.files.source import RawTable
 from becalm.files.text.csv_header import unique_names
 
 PARQUET_ENDINGS = (".parquet", ".pq")
-"""Endings of names in a folder whose files hold rows."""
+"""The endings of the names of Parquet files."""
 
-_READ_BYTES = 1 << 20
+_READ_BYTES = 1 << 20  # buffer for reading
 
 
 def read_parquet(path: Path, kept: Original | bytes) -> RawTable:
@@ -161,7 +161,7 @@ class ParquetRows:
         return True
 
     def _is_cut(self) -> bool:
-        """Return whether the file does not end as Parquet; False for a file that cannot be opened."""
+        """Return whether the file does not end as Parquet; False if it is too short or cannot be opened."""
         if isinstance(self._kept, bytes):
             return not self._kept.endswith(PARQUET)
         with suppress(OSError), self._path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Write tables to Parquet in row groups of a million rows, with dictionaries only for columns of repeated values."""
+"""Write tables to Parquet in large row groups, with dictionaries only for columns of repeated values."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import IO, Any
 import numpy as np
 import pyarrow as pa
 
-_GROUP_ROWS = 1 << 20
-_GROUP_BYTES = 256 << 20
+_GROUP_ROWS = 1 << 20  # rows of a row group
+_GROUP_BYTES = 256 << 20  # bytes in memory at which fewer rows become a row group
 _SAMPLED = 4096  # values of a column that decide whether it gets a dictionary
 
 
@@ -67,9 +67,9 @@ def _new_writer(file: IO[bytes], table: pa.Table) -> Any:
 
 
 def _repeats(column: pa.ChunkedArray) -> bool:
-    """Return whether a dictionary makes a column shorter, judged by a sample of its values.
+    """Return whether a column gets a dictionary: not if it is a long column of floats that rarely repeat in a sample.
 
-    It does so for a sigma in steady state, but not for a clean signal.
+    The sigma of a steady state repeats, but a clean signal does not.
     """
     if not pa.types.is_floating(column.type) or len(column) < _SAMPLED:
         return True

@@ -21,7 +21,7 @@ TUNED_ROWS_UNEVEN = 1 << 18
 REST_ROWS = 1 << 22
 """The most rows to search for rest; they are the first of the file, because an Allan deviation needs adjacent rows."""
 
-_MOST_SAMPLES = 1 << 26  # of all channels together
+_MOST_SAMPLES = 1 << 26  # most values of all channels together
 
 
 def rows_to_tune_on(source: OpenSource) -> int:
@@ -35,7 +35,7 @@ def beginning(source: OpenSource) -> Recording:
 
 
 def cut_short(source: OpenSource, read: Recording) -> str:
-    """Return a sentence that says that only the first rows were used, "" if all were."""
+    """Return a sentence that says that only the first rows were used; "" if all were."""
     if len(read) == source.rows:
         return ""
     return f" Only the first {len(read)} of {source.rows} rows were used."
@@ -57,5 +57,5 @@ def rest_within(source: OpenSource, read: Recording) -> Iterator[None]:
 
 
 def _limited(most: int, source: OpenSource) -> int:
-    """Return `most`, or fewer rows if there are many channels."""
+    """Return `most`, or fewer rows if there are many channels, but at least 65,536."""
     return min(most, max(1 << 16, _MOST_SAMPLES // max(1, len(source.names))))

@@ -1,9 +1,9 @@
 """Apply another calibration to a clean recording without cleaning it again.
 
-A channel's filter is linear in its readings, and its tuning and its gate scale with their unit. If the new calibration
-turns readings y into y' = a y + b, the clean signal x becomes a x + b and the filter's sigma is multiplied by |a|. The
-uncertainty of the old calibration is removed from sigma, and that of the new one is added
-(`becalm.cleaning.judging`).
+A channel's filter is linear in its measurements, and its tuning and its gate scale with their unit. If the new
+calibration turns measurements y into y' = a y + b, the clean signal x becomes a x + b, and the filter's sigma is
+multiplied by |a|. The uncertainty of the old calibration is removed from sigma, and that of the new one is added, by
+the formula in `becalm.cleaning.judging`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Recalibrated(NamedTuple):
     def recalibrate(self, signal: Floats, sigma: Floats) -> tuple[Floats, Floats]:
         """Return signal and sigma (n,) with the new calibration."""
         changed = self.factor * signal + self.offset
-        variance = sigma**2 - (self.old[0] * signal) ** 2 - self.old[1] ** 2  # of the filter alone
+        variance = sigma**2 - (self.old[0] * signal) ** 2 - self.old[1] ** 2  # without the old calibration
         filtered = np.abs(self.factor) * np.sqrt(np.where(variance < 0, 0.0, variance))  # rounding can make it < 0
         return changed, np.sqrt(filtered**2 + (self.new[0] * changed) ** 2 + self.new[1] ** 2)
 
@@ -86,7 +86,8 @@ def recalibrated(
     ------
     UsageError
         If a channel of the old calibration is missing in the new one, the recording or the recipe, or if the raw
-        readings are needed: for a sensor of several axes, a sensor that is not linear, an IMM, and split parts.
+        readings are needed: for a sensor of several axes, a sensor that is not linear, another full scale or tare
+        interval, an IMM, and split parts.
     """
     by_channels = {one.channels: one for one in new}
     missing = [one for one in old if one.channels not in by_channels]

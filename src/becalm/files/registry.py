@@ -34,16 +34,16 @@ ENDINGS: dict[str, str] = {
 }
 """Output formats by the ending of the file name."""
 
-_SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ, TDMS})
+_SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ, TDMS})  # formats whose files can hold several time bases
 
-_WRITTEN_BY = {HDF5: "h5py", MF4: "asammdf", TDMS: "nptdms"}  # becalm writes the other formats itself
+_WRITTEN_BY = {HDF5: "h5py", MF4: "asammdf", TDMS: "nptdms"}  # optional libraries; the other formats need none
 
 BAG = "metadata.yaml"
-"""The file that marks a folder as a ROS 2 bag; of any other folder the Parquet files are read."""
+"""The file that marks a folder as a ROS 2 bag; in any other folder, the Parquet files are read."""
 
 _ENDINGS = ".csv, .csv.gz, .h5, .mat, .mf4, .npz, .parquet or .tdms"
 
-_HEAD = 512  # bytes from which formats are recognised
+_HEAD = 512  # first bytes of a file, by which its format is recognised
 
 
 def read_tables(path: Path) -> tuple[RawTable, ...]:

@@ -18,9 +18,9 @@ from becalm.files.text.cells import bad_cell, find_bad_cells, is_text, to_number
 from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_column, numbers
 from becalm.files.unit_spelling import on_sensor, parse_header, tidy_unit
 
-SIGMA = "_sigma"
+SIGMA = "_sigma"  # the ending of the name of a column of uncertainties
 _COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # a ROS driver writes its sensor's covariance with each reading
-_FIRST_ROWS = 1 << 16
+_FIRST_ROWS = 1 << 16  # rows that decide for most columns whether they are channels
 
 
 def choose_channels(
@@ -122,7 +122,7 @@ def _requested_columns(
 
 
 def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
-    """Return for each column except the times the reason why it is not a channel, "" if it is one."""
+    """Return the reason why a column is not a channel, "" if it is one, for each column except the times."""
     reasons: dict[str, str] = {}
     signals = {}
     for name in raw.names:

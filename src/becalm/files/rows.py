@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from becalm.errors import OutputError
 
-BLOCK_ROWS = 1 << 20
-BLOCK_BYTES = 64 << 20
+BLOCK_ROWS = 1 << 20  # most rows of a block
+BLOCK_BYTES = 64 << 20  # most bytes of a block, with 8 bytes per value
 HELD_ROWS = 1 << 24
-"""The longest single column that is held in memory; a longer one goes to a temporary file."""
+"""The most rows of a single column that are held in memory; a longer column goes to a temporary file."""
 
-_SPOOL_BLOCK = 1 << 16
+_SPOOL_BLOCK = 1 << 16  # numbers that `Spool.blocks` yields at a time
 
 Numbers = NDArray[Any]  # float64 or int64
 
@@ -71,6 +71,13 @@ class SpooledRows:
     ----------
     schema : pyarrow.Schema
         The schema of the tables that `add` takes.
+
+    Attributes
+    ----------
+    count : int
+        Number of rows so far.
+    missing : list of int
+        Number of null cells so far in each column of these tables.
     """
 
     def __init__(self, schema: pa.Schema) -> None:
@@ -112,6 +119,7 @@ class SpooledRows:
                 yield table.slice(at, most_rows)
 
     def _reader(self, names: Sequence[str]) -> pa.ipc.RecordBatchFileReader:
+        """Return a reader of the named columns; after the first call, no rows can be added."""
         if self._input is None:
             with _full_disk_explained():
                 self._writer.close()
@@ -191,7 +199,7 @@ class Spool:
             raise
 
     def read(self, start: int, stop: int) -> Numbers:
-        """Return the numbers from `start` up to `stop`."""
+        """Return the numbers from row `start` up to row `stop`."""
         if self._file is None:
             return self._held[start:stop]
         out = np.empty(max(0, min(stop, self.count) - start), self._held.dtype)

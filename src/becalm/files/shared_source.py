@@ -16,16 +16,16 @@ from becalm.files.opening import Chunk, OpenSource
 from becalm.files.rows import rebatched
 from becalm.files.source import RawTable
 
-_AT_ONCE = 1 << 20  # stamps
+_AT_ONCE = 1 << 20  # stamps that are written at a time
 
 
 class ParsedSource(NamedTuple):
     """The result of opening a source, in a form that can be sent to another process."""
 
-    names: tuple[str, ...]  # of the channels
+    names: tuple[str, ...]  # the channels
     clock: Clock
     rows: int
-    stamps: str  # path of the file with the time of each row in seconds, as float64; "" if time follows from the row
+    stamps: str  # path of the file with the time of each row in seconds, as float64; "" for an even clock
 
 
 def known_of(source: OpenSource, stamps: Path) -> ParsedSource:
@@ -80,7 +80,7 @@ class KnownSource:
         Raises
         ------
         InputError
-            If the file is damaged, or changes while it is read.
+            If the file is damaged, or a Parquet file changes while it is read.
         """
         row = first
         for table in rebatched(self._blocks_until(first, stop, rows), rows):

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable
 from typing import NamedTuple
 
-_MAT4_KINDS = {
+_MAT4_KINDS = {  # type codes of the first variable by byte order: 1000 order + 10 type of numbers + kind of matrix
     order: {thousand + 10 * stored + content for stored in range(6) for content in range(3)}
     for order, thousand in (("<", 0), (">", 1000))
 }
@@ -57,7 +57,7 @@ class LibraryFormat(NamedTuple):
     module : str
         The module within `becalm.files`; its `read` takes the path and returns a table for each time base.
     is_it : callable
-        Takes the first bytes of a file; returns whether they are of this format.
+        Takes the first bytes of a file; returns whether the file has this format.
     """
 
     module: str

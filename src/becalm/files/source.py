@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 TIME = "time"
 CHANNEL = "channel"
 PASSED = "passed through"
-HEAD_ROWS = 200
+"""The roles of columns."""
+
+HEAD_ROWS = 200  # rows of `RawTable.head`
 
 
 @dataclass(frozen=True)
@@ -116,17 +118,17 @@ class RawTable:
 
     @property
     def names(self) -> list[str]:
-        """The names of the columns, in the order of the file."""
+        """Return the names of the columns, in the order of the file."""
         return list(self.rows.schema.names)
 
     @property
     def decimal(self) -> str:
-        """The decimal separator of numbers in text."""
+        """Return the decimal separator of numbers in text."""
         return self.text.decimal if self.text else "."
 
     @cached_property
     def head(self) -> pa.Table:
-        """The first rows of all columns, up to 200, from which the kind of a column is recognised."""
+        """Return the first rows of all columns, up to 200, by which the kind of a column is recognised."""
         blocks = rebatched(self.blocks(self.names, most_rows=HEAD_ROWS), HEAD_ROWS)
         return next(blocks, self.rows.schema.empty_table())
 
@@ -135,7 +137,7 @@ class RawTable:
         return self.rows.schema.field(name).type
 
     def blocks(self, names: Sequence[str], start: int = 0, most_rows: int | None = None) -> Iterator[pa.Table]:
-        """Yield the named columns in blocks, from row `start` to the last row that counts."""
+        """Yield the named columns in blocks of up to `most_rows`, from row `start` to row `count` - 1."""
         left = self.count - start
         for block in self.rows.blocks(names, most_rows or block_rows(self.rows.schema), start):
             if left <= 0:
@@ -148,7 +150,7 @@ class RawTable:
         return (block.column(0) for block in self.blocks([name]))
 
     def place(self, row: int) -> str:
-        """Return the place of a row of data, counted from 0, as the user finds it in the file."""
+        """Return where the user finds a row of data, counted from 0, such as "row 3 (line 5)"."""
         if self.text is None:
             return f"row {row + 1}"
         return f"row {row + 1} (line {self.text.first_line + row})"
@@ -276,7 +278,7 @@ def layout_of(raw: RawTable, time: TimeLayout, clock: Clock, columns: tuple[Colu
 
 
 def shared_closers(tables: int, close: Callable[[], None] | None) -> list[Callable[[], None]]:
-    """Return a function for each table of a file, to call when the table is closed; the file is closed after all.
+    """Return a function for each table of a file, to call when the table is closed; the last call closes the file.
 
     A second call of a function does nothing.
 
@@ -285,7 +287,7 @@ def shared_closers(tables: int, close: Callable[[], None] | None) -> list[Callab
     tables : int
         Number of tables that share the file.
     close : callable or None
-        Closes the file; None: there is nothing to close.
+        Closes the file; None if there is nothing to close.
     """
     still_open = set(range(tables))
 

@@ -22,8 +22,8 @@ from becalm.files.timing.time_column import is_time_name
 VERDICT = "_verdict"
 """The ending of the name of a column of verdicts."""
 
-_TIME = "time_s"
-_WORDS = pa.dictionary(pa.int8(), pa.string())
+_TIME = "time_s"  # the time column of `recording_table`
+_WORDS = pa.dictionary(pa.int8(), pa.string())  # the type of a column of verdicts
 
 
 class CleanChannel(NamedTuple):
@@ -94,8 +94,8 @@ def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table
     Returns
     -------
     pyarrow.Table
-        The columns in their order, each NAME of `clean` followed by NAME_sigma, its parts, NAME_PART, and
-        NAME_verdict, where it has them; an older NAME_sigma is left out.
+        The columns in their order, each NAME of `clean` followed by NAME_sigma, NAME_PART for each of its parts, and
+        NAME_verdict if it has verdicts; an older NAME_sigma is left out.
     """
     fields, columns = [], []
     replaced = {name + SIGMA for name in clean}

@@ -18,7 +18,7 @@ from becalm.sensors.curve import CalibrationCurve
 from becalm.sensors.record import tared
 from becalm.sensors.tare import MOST_READINGS, Tare, zero_of
 
-_AS_READ = CalibrationCurve((0.0, 1.0))
+_AS_READ = CalibrationCurve((0.0, 1.0))  # does not change readings
 
 
 def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) -> list[Sensed]:
@@ -36,7 +36,8 @@ def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) 
     Raises
     ------
     SensorError
-        If an interval is outside the rows or too short, or the sensor is not at rest in it.
+        If an interval is outside the rows, too short or too long, the sensor is not at rest in it, or its temperature
+        is missing there.
     InputError
         If the time of the rows cannot be interpreted.
     """
@@ -55,7 +56,7 @@ def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) 
 
 
 def _as_read(one: Sensed) -> Sensed:
-    """Return a sensor that passes its raw readings on, except those that are clipped."""
+    """Return a sensor that passes its raw readings on, NaN where one is clipped."""
     bare = replace(
         one.record, conversion=_AS_READ, unit=one.record.raw_unit, reading_size=1.0, result_size=1.0, temperature=None
     )

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pint import Unit, UnitRegistry
 
 KNOWN = "V, mV/V, g, m/s^2, deg/s, rad/s, um/m, MPa, kN, kgf, degC, uT, counts or ug/sqrt(Hz)"
-_MOST_LETTERS = 60
+_MOST_LETTERS = 60  # characters of the longest unit that is parsed
 
 _SPELLINGS = (
     (r"\bsqrt\(([^()]+)\)", r"(\1)^0.5"),
@@ -25,11 +25,11 @@ _SPELLINGS = (
     (r"(?<=[A-Za-z])\.(?=[A-Za-z])", "*"),  # UCUM's product
     (r"(?<=[A-Za-z])(-?\d)(?!\d)", r"^\1"),  # m/s2
 )
-# The only number is 1, and exponents have one digit: a "unit" in a file must not make pint compute large powers.
+# The only number is 1, and exponents are below 10: a "unit" in a file must not make pint compute large powers.
 _WRITTEN = re.compile(r"(?:[A-Za-z_]+|\^-?\d(?:\.\d)?(?![\d.^])|(?<![\d.^])1(?![\d.])|[*/ ()])+")
-_AS_ON_SENSORS = ((r"\b([mun]?)g\b", r"\1g_n"), (r"^(C|F)$", r"deg\1"))
-_SENSORS_FIRST = (_AS_ON_SENSORS, ())
-_SCALES = {"degree_Celsius", "degree_Fahrenheit"}
+_AS_ON_SENSORS = ((r"\b([mun]?)g\b", r"\1g_n"), (r"^(C|F)$", r"deg\1"))  # g is an acceleration, C a temperature
+_SENSORS_FIRST = (_AS_ON_SENSORS, ())  # the meanings of g, C and F, in the order in which they are tried
+_SCALES = {"degree_Celsius", "degree_Fahrenheit"}  # units with a zero of their own
 
 
 class Conversion(NamedTuple):
@@ -60,7 +60,8 @@ def conversion(unit_from: str, unit_to: str) -> Conversion:
     Raises
     ------
     UsageError
-        If a unit is unknown, or the two units measure different quantities.
+        If a unit is unknown, or the units measure different quantities, ratios of two kinds, or noise densities of
+        two conventions.
     """
     one, other = tidy_unit(unit_from), tidy_unit(unit_to)
     if one == other:
@@ -93,7 +94,7 @@ def _registry() -> UnitRegistry[Any]:
 
 
 def _unit(text: str, reading: tuple[tuple[str, str], ...]) -> Unit:
-    """Parse a unit; the substitutions `reading` decide what g and C mean: on sensors, or in physics."""
+    """Parse a unit; the substitutions `reading` decide what g, C and F mean: on sensors, or in physics."""
     plain = text
     for pattern, better in (*_SPELLINGS, *reading):
         plain = re.sub(pattern, better, plain)
@@ -107,7 +108,7 @@ def _unit(text: str, reading: tuple[tuple[str, str], ...]) -> Unit:
 
 
 def _refuse_unlike(written: tuple[str, str], one: Unit, other: Unit) -> None:
-    """Refuse units of equal dimension and different meaning: densities of two conventions, ratios of two kinds."""
+    """Refuse units of equal dimension but different meaning: densities of two conventions, ratios of two kinds."""
     (root, ratio), (other_root, other_ratio) = _quantities(one), _quantities(other)
     if root != other_root:
         raise UsageError(
@@ -123,7 +124,7 @@ def _refuse_unlike(written: tuple[str, str], one: Unit, other: Unit) -> None:
 
 
 def _quantities(unit: Unit) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the quantities under roots, and the quantities of which the rest is a dimensionless ratio."""
+    """Return the quantities under roots and, if the other factors are a dimensionless ratio, the quantities in it."""
     registry = _registry()
     items: Any = registry.Quantity(1, unit).unit_items()
     parts = [(registry.Unit(name), power) for name, power in items]

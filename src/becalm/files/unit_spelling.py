@@ -13,10 +13,10 @@ _OTHERS = (
     *("var", "VAR", "Nm", "Ncm", "Nmm", "Deg", "gal", "lbs", "oz", "ksi", "ustrain", "mps", "kph", "kmh", "C", "F"),
     *("psig", "psia", "sample", "samples"),
 )
-"""Parts of units that becalm recognises but does not convert."""
+"""Words that are units in a header, besides the names in `DEFINITIONS`."""
 
 _LONG = 4  # letters; a word of this length or longer is also a unit in lower case and in the plural
-_MARKS = re.compile(r"[\s*/^().\-+\d%\[\]]*")
+_MARKS = re.compile(r"[\s*/^().\-+\d%\[\]]*")  # what may stand between the words of a unit
 _WORDS = re.compile(r"[A-Za-z_]+")
 
 
@@ -58,9 +58,9 @@ def _names() -> tuple[frozenset[str], frozenset[str]]:
 
 # The units of sensors in pint's notation.
 #
-# They are defined here instead of using pint's own list for two reasons. First, angles and counts are dimensions of
-# their own here, so that a count never converts to a radian, and rpm never converts to hertz without the factor 2 pi.
-# Second, a letter in a header has its meaning on a sensor: `c` is not the speed of light, and `e` is not a charge.
+# They replace pint's own list for two reasons. First, angles and counts are dimensions here, so that a count does not
+# convert to a radian, nor rpm to hertz. Second, a letter in a header has its meaning on a sensor: `c` is not the speed
+# of light, and `e` is not a charge.
 
 DEFINITIONS = (
     *("giga- = 1e9 = G-", "mega- = 1e6 = M-", "kilo- = 1e3 = k-", "hecto- = 1e2 = h-", "deci- = 1e-1 = d-"),
@@ -160,7 +160,7 @@ _BRACKETED = re.compile(
 _INDEXED = re.compile(r"\w\[[0-9]+\]\s*$")  # `gyro_rad[0]`: an index, not a unit
 _AFTER_COMMA = re.compile(r"^(?P<name>.+?)\s*[,/]\s+(?P<unit>\S+)$")
 _AFTER_IN = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S+)\s*$")
-_SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")  # a word alone may be part of a name
+_SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")  # other words may be part of the name
 
 SUFFIXES: dict[str, str] = {
     "s": "s",
@@ -248,7 +248,7 @@ _ENCLOSED = re.compile(r"^[\[(<]((?:[^\[\]()<>]|\([^()]*\))*)[\])>]$")
 _LARGE_G = re.compile(r"([mun]?)G")
 _MAGNETIC = re.compile(r"(?i:mag|gauss|field|flux|hall|compass)|(?:^|[\W_])B_?[xyzXYZ]?(?:$|[\W_])")
 
-_WHOLE = {
+_WHOLE = {  # other spellings of complete units
     "m/s/s": "m/s^2",
     "mps": "m/s",
     "mps2": "m/s^2",
@@ -334,12 +334,12 @@ def _split_header(header: str) -> tuple[str, str]:
 
 
 def looks_like_unit(text: str) -> bool:
-    """Return whether a cell below a column's name is a unit, or a dash that stands for no unit."""
+    """Return whether a word of a header, or a cell below it, is a unit, a format of times, or a dash for no unit."""
     return _UNIT_WORD.match(_plain(text.strip())) is not None
 
 
 def _plain(text: str) -> str:
-    """Replace signs by letters, and write powers with ^."""
+    """Replace symbols by ASCII letters, and write powers with ^."""
     for old, new in _SPELLINGS:
         text = text.replace(old, new)
     for pattern, plain in _PATTERNS:

@@ -8,7 +8,7 @@ import zlib
 from becalm.errors import BecalmError
 from becalm.files.library_reader import Foreign
 
-ZSTD = b"\x28\xb5\x2f\xfd"
+ZSTD = b"\x28\xb5\x2f\xfd"  # the first bytes of zstd data
 
 
 def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bool = False) -> bytes:
@@ -23,7 +23,7 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bo
     data : bytes
         The compressed part.
     size : int
-        The number of bytes that the part claims to hold.
+        The number of bytes that the part claims to hold; ignored for an uncompressed part.
     cut : bool
         Whether the end of the part is missing; then it may unpack to fewer bytes.
 
@@ -32,7 +32,7 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bo
     InputError
         If the library is not installed, or the part claims to be implausibly large.
     ValueError
-        If the part is damaged, or does not unpack to `size` bytes.
+        If the part is damaged, its compression is unknown, or it does not unpack to `size` bytes.
     """
     if compression in ("", "none"):
         return data

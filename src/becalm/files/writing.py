@@ -21,7 +21,7 @@ from becalm.files.tables import output_table, recording_table
 
 __all__ = ["TableOutput", "open_output", "output_table", "recording_table", "replace_file", "write", "write_table"]
 
-_QUEUED_CHUNKS = 1  # between the chunk that is computed and the chunk that is written
+_QUEUED_CHUNKS = 1  # most chunks that wait between the one that is computed and the one that is written
 
 
 def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording | None = None) -> None:
@@ -38,6 +38,8 @@ def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording |
 
     Raises
     ------
+    RecordingError
+        If `sigma` has other names or rows, or a channel is called `time_s`.
     OutputError
         If the file cannot be written; the temporary file is removed.
     """
@@ -123,6 +125,8 @@ def refuse_columns(path: str | os.PathLike[str], schema: pa.Schema) -> None:
 
 
 class _Writer(Protocol):
+    """A writer of one format: `close` completes the output, `drop` abandons it."""
+
     def write(self, table: pa.Table) -> None: ...
 
     def close(self) -> None: ...

@@ -40,7 +40,7 @@ ABOUT = "_becalm"
 """Folder in an output for files about the job; it holds no samples."""
 
 _LEAST_BYTES = 1
-"""Smallest size of a row in a Parquet file. A file with fewer bytes than this per row cannot hold so many rows."""
+"""Assumed least size of a row in a Parquet file. Sensors that cannot be long by this size are not surveyed."""
 
 
 class BatchOptions(NamedTuple):
@@ -100,14 +100,16 @@ def clean(
     book : RecipeBook
         The recipe of each sensor.
     asked : BatchOptions
-        What identifies a sensor, and whether estimates use only the past.
+        What identifies a sensor, whether estimates use only the past, and the rows of a stretch.
 
     Raises
     ------
     InputError
         If the lake holds no sensor, or cannot be read.
     UsageError
-        If the output is in the lake, or the lake's folders do not identify sensors.
+        If the output overlaps the lake, another job writes to it, or the lake's folders do not identify sensors.
+    OutputError
+        If the output cannot be written.
     """
     began, started = datetime.now(UTC), monotonic()
     lake, output = lake.resolve(), output.resolve()
@@ -146,7 +148,7 @@ def _cleaned(
 
 
 def _with_older(job: Job, outcome: Outcome) -> Outcome:
-    """Add to the reason of a refused sensor where the output of an earlier job still is."""
+    """Return the outcome; if the sensor was refused and has an older output, the reason names its folder."""
     sensor = Sensor(outcome.sensor, 0, "")
     mark = CompletionMark.of(job.mark_of(sensor)) if outcome.state == "refused" else None
     if mark is None or not mark.files:

@@ -19,16 +19,16 @@ FEWEST = 8
 """Smallest number of sensors in a class; fewer do not show the usual spread of the class."""
 
 FACTOR = 1.5
-"""Smallest ratio of a standard deviation to the median that is reported; less is negligible."""
+"""Smallest factor between a size and the median of its class, up or down, that is reported; less is negligible."""
 
 SPREADS = 5.0
-"""Smallest distance from the median that is reported, in robust standard deviations of the logarithms in a class."""
+"""Smallest distance of a logarithm from the median of its class that is reported, in robust standard deviations."""
 
 _ROBUST = 1.4826  # standard deviation / median absolute deviation of a normal distribution
 
 
 def class_of(sensor: str) -> str:
-    """Return the class of a sensor: its folder, after which its recipe is named too.
+    """Return the class of a sensor: the folder above it. The recipe of the class has the same name.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def factors_apart(sizes: Sequence[float]) -> list[float | None]:
     Parameters
     ----------
     sizes : sequence of float
-        Standard deviations, or other sizes that are compared by their logarithms, one for each sensor of a class.
+        Standard deviations, or other sizes in one unit; one for each sensor of a class.
         Sizes that are not positive and finite are ignored; their result is None.
 
     Notes
@@ -73,7 +73,7 @@ def marked(outcomes: Sequence[Outcome]) -> list[Outcome]:
     """Return the outcomes with a remark in each row whose channel is an outlier in its class.
 
     Channels of the same class, name, unit and recipe are compared by the root mean square of their normalised
-    innovations, which shows noise or motion other than the recipe's.
+    innovations. It is an outlier if the noise or the motion differs from that of the others.
     """
     reasons = _reasons([row for outcome in outcomes for row in outcome.channels])
     return [replace(outcome, channels=_with(outcome.channels, reasons)) for outcome in outcomes]

@@ -20,7 +20,7 @@ from becalm.fleet.lake import FILE, FOLDER
 from becalm.fleet.names import below
 
 STRETCH_ROWS = 1 << 23
-"""Default rows of a stretch of a long sensor: seconds of work, and hundreds of megabytes of files."""
+"""Default number of rows of a stretch of a long sensor: seconds of work, and hundreds of megabytes of files."""
 
 
 class Sensor(NamedTuple):
@@ -48,12 +48,12 @@ class Job:
     causal : bool or None
         Whether estimates use only the past; None to do what each recipe says.
     stretch_rows : int
-        Rows of a stretch. A sensor with at least twice as many is cut in time into such stretches.
+        Least number of rows of a stretch. Only a sensor with at least twice as many is cut in time.
     another : str
         The command that makes another recipe, for messages.
     own : str
-        A random identifier of this job. It shows that this job, and not an earlier one, finished a sensor, even if the
-        worker died afterwards.
+        A random identifier of this job. A completion mark contains it, and so shows whether this job or an earlier one
+        finished a sensor, even if the worker died afterwards.
     """
 
     lake: str

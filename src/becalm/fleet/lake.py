@@ -31,14 +31,14 @@ class SensorPlace(NamedTuple):
 
 
 class MultiSensorLake(NamedTuple):
-    """A lake whose files hold several sensors each, or may do so."""
+    """A lake whose files may each hold several sensors."""
 
     keys: tuple[str, ...]  # columns, or keys of folders, that identify sensors
     files: tuple[str, ...]  # their paths within the lake, in order
 
 
 def find_sensor_layout(lake: Path, by: str = FOLDER) -> list[SensorPlace] | MultiSensorLake:
-    """Find out how the sensors of a lake are laid out. If folders or files identify them, list them by name.
+    """Find out what identifies the sensors of a lake, and list them if folders or files do.
 
     Parameters
     ----------
@@ -48,12 +48,17 @@ def find_sensor_layout(lake: Path, by: str = FOLDER) -> list[SensorPlace] | Mult
         "folder" or "file", as in `places_in`; or a column, or a key of folders anywhere in a path, or several of these
         separated by commas.
 
+    Returns
+    -------
+    list of SensorPlace or MultiSensorLake
+        The sensors, sorted by name; a `MultiSensorLake` if the path of a file lacks one of the keys.
+
     Raises
     ------
     InputError
         If the lake holds no sensors, or cannot be read.
     UsageError
-        If its folders do not identify sensors, or there is no such column.
+        If its folders do not identify sensors, or `by` names a column twice, or one that does not exist.
     """
     if by in (FOLDER, FILE):
         return places_in(lake, by)
@@ -73,7 +78,7 @@ def find_sensor_layout(lake: Path, by: str = FOLDER) -> list[SensorPlace] | Mult
 
 
 def _keys(by: str, from_folders: Mapping[str, str | None], path: Path) -> tuple[str, ...]:
-    """Return the keys that identify sensors; a file's columns are read only if its folders lack a key."""
+    """Return the keys that identify sensors; read the columns of the file only if its folders lack a key."""
     if by in from_folders or all(key.strip() in from_folders for key in by.split(",")):
         return keys_of(by, from_folders)
     return keys_of(by, {*from_folders, *read_parquet(path, Original(path)).names})
@@ -87,7 +92,7 @@ def places_in(lake: Path, by: str = FOLDER) -> list[SensorPlace]:
     lake : Path
         A folder of Parquet files.
     by : {"folder", "file"}
-        What identifies a sensor: the folder of its files, without the folders of times below it; or each file.
+        What identifies a sensor: the folder of its files, without folders of times at its end; or each file.
 
     Raises
     ------
@@ -121,7 +126,7 @@ def _files_in(lake: Path) -> tuple[Path, ...]:
 
 
 def _sensor_folder(lake: Path, folder: Path) -> Path:
-    """Return a folder without the folders of times at its end."""
+    """Return a folder without the folders of times at its end; raise UsageError if there are others above them."""
     parts = list(folder.parts)
     while parts and is_partition(parts[-1]) and is_time_partition(parts[-1]):
         parts.pop()

@@ -1,4 +1,4 @@
-"""Remove what killed tasks left behind, at the end of a job, when no task writes any more."""
+"""Remove the files that killed tasks left behind, at the end of a job, when no task writes any more."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from becalm.files.lake.marks import FILES
 from becalm.fleet.outcome import Outcome
 from becalm.installation import version
 
-_LENGTH = 4  # bytes of the length of a Parquet file's footer, before the four that end it
+_LENGTH = 4  # bytes of the field with the footer's length; four magic bytes follow it at the end of a Parquet file
 _HELD, _SIZES, _JOB = "held", "sizes", "job"
 
 
@@ -37,7 +37,7 @@ class CompletionMark:
     job : str
         The identifier of the job that made them.
     held : tuple of str
-        While a new output replaces an older one: the files of both.
+        The files of the new and of an older output while files are moved into place; `files` is empty then.
     """
 
     came_of: str
@@ -49,7 +49,7 @@ class CompletionMark:
 
     @property
     def own(self) -> set[str]:
-        """Return all files that becalm wrote next to the mark."""
+        """Return the names of all files that becalm wrote, or was about to write, next to the mark."""
         return {*self.files, *self.held}
 
     def is_whole(self, folder: Path) -> bool:
@@ -61,7 +61,7 @@ class CompletionMark:
         return sizes == self.sizes
 
     def write(self, path: Path) -> None:
-        """Write the mark, which says that the output of a sensor is complete.
+        """Write the mark as a JSON file.
 
         Raises
         ------
@@ -109,8 +109,9 @@ def came_of(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, 
 
     Notes
     -----
-    The hash of a file uses its size, its modification time and its footer. The footer has the place, the length and the
-    range of values of each column chunk, so a job sees that nothing has changed without reading the lake again.
+    The hash also covers becalm's version. Of each file it covers the size, the modification time and the footer. The
+    footer has the place, the length and the range of values of each column chunk, so a job detects changes without
+    reading the lake again.
     """
     digest = hashlib.sha256(json.dumps([version(), recipe, asked], sort_keys=True).encode())
     for name, path in files:

@@ -20,7 +20,7 @@ NULL = "__HIVE_DEFAULT_PARTITION__"
 """The value in a folder's name that stands for a null."""
 
 _SPECIAL = re.compile(r"[\x00-\x1f\x7f\"#%'*/:=?\\{\[\]^]")  # what Hive and Spark escape
-_MOST_LISTED = 20
+_MOST_LISTED = 20  # names in a message
 
 
 class NamedSensors(NamedTuple):
@@ -44,7 +44,7 @@ def folder_name(key: str, value: str | None) -> str:
 
 
 def values_in(place: PurePath) -> dict[str, str | None]:
-    """Return the values that the folders of a path contain, by their keys."""
+    """Return the values of the keys in the folders of a path: "17" for `sensor` in `sensor=17`, None for a null."""
     parts = [part.partition("=") for part in place.parts if is_partition(part)]
     return {_plain(key): None if value == NULL else _plain(value) for key, _, value in parts}
 
@@ -69,7 +69,7 @@ def keys_of(by: str, known: Collection[str]) -> tuple[str, ...]:
     Raises
     ------
     UsageError
-        If one of them does not exist.
+        If one of them does not exist, or is named twice.
     """
     if by in known:
         return (by,)
@@ -86,7 +86,7 @@ def keys_of(by: str, known: Collection[str]) -> tuple[str, ...]:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return the first of some names, and how many more there are."""
+    """Return a text with the first of some names, and how many more there are."""
     more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
     return ", ".join(names[:_MOST_LISTED]) + more
 

@@ -9,7 +9,7 @@ from typing import Any
 from becalm.report.fleet_rows import FleetRow, State
 
 SHOWN = 12
-"""Number of digits of a hash in reports."""
+"""Number of hexadecimal digits of a recipe's hash in reports."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Outcome:
 
     @property
     def describes(self) -> bool:
-        """Return whether it was cleaned and no channel has the verdict "does not fit"."""
+        """Return whether the sensor was not refused, and no channel has the verdict "does not fit"."""
         return self.state != "refused" and all(row.verdict != "does not fit" for row in self.channels)
 
     @property
@@ -62,7 +62,7 @@ class Outcome:
         Raises
         ------
         ValueError
-            If they are not those of an outcome.
+            If a value is missing, or is not one of an outcome.
         """
         try:
             return cls(**{**data, "channels": tuple(FleetRow(**row) for row in data["channels"])})
@@ -72,7 +72,7 @@ class Outcome:
 
 
 def noted(rows: Sequence[FleetRow], notes: Sequence[str]) -> tuple[FleetRow, ...]:
-    """Return the rows with notes on their sensor's files and clock added to their texts."""
+    """Return the report's rows with `notes`, on their sensor's files and clock, appended to what each says."""
     return tuple(replace(row, says=" ".join((row.says, *notes)).strip()) for row in rows)
 
 

@@ -20,7 +20,7 @@ def lock_output(folder: Path, lock: Path) -> Iterator[None]:
     folder : Path
         The folder, for messages.
     lock : Path
-        An empty file, which is created and stays.
+        An empty file; it is created if it is missing, and stays.
 
     Raises
     ------

@@ -41,7 +41,7 @@ def staging(folder: Path) -> Iterator[Path]:
 
 
 def open_staging(folder: Path) -> Path:
-    """Make a staging folder for several processes; the last of them removes it.
+    """Make a staging folder that several processes write to; the caller, or the end of the job, removes it.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class Pieces:
         self._folder, self._metadata, self._stack = folder, metadata, ExitStack()
         self._left = list(pieces)
         self._output: TableOutput | None = None
-        self._room = 0  # rows that the open file still takes
+        self._room = 0  # rows that the open file still lacks
 
     def write(self, table: pa.Table) -> None:
         """Write the next rows to the file, or the files, that they belong to.

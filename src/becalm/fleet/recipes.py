@@ -29,7 +29,7 @@ class RecipeBook:
     Attributes
     ----------
     by_hash : dict of str to str
-        The texts by the SHA-256 of their bytes.
+        The texts by their hashes: SHA-256, in hexadecimal digits.
     names : tuple of str
         The names of all recipes, sorted.
     """
@@ -91,7 +91,7 @@ class RecipeBook:
 
 
 def recipes_in(folder: Path) -> list[Path]:
-    """List the recipes of a folder, at any depth, except in hidden folders."""
+    """List the recipes of a folder, at any depth, without hidden files and those in hidden folders."""
     paths = sorted(folder.rglob(f"*{ENDING}"))
     return [path for path in paths if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
 

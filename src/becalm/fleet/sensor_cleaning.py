@@ -53,7 +53,7 @@ def clean_whole(job: Job, sensor: Sensor) -> Outcome:
 
 
 def refuse_on_error(sensor: Sensor, work: Callable[[], Done]) -> Done | Outcome:
-    """Run a function on a sensor; return a refusal with the reason if it fails, so that the other sensors go on."""
+    """Run a function on a sensor; if it fails, return a refusal with the reason, so that the job continues."""
     began = monotonic()
     try:
         return work()
@@ -183,14 +183,14 @@ def notes_of(source: OpenSource) -> tuple[str, ...]:
 
 
 def commit(job: Job, sensor: Sensor, staged: Path, mark: CompletionMark) -> None:
-    """Move the files of a sensor into place, remove files of an older output, and write the mark last.
+    """Move the files of a sensor into place, remove files of an older output, and write its completion mark last.
 
     Raises
     ------
     InputError
         If the input has changed since the work began.
     OutputError
-        If a file cannot be moved or written; the sensor is not finished then.
+        If a file cannot be moved or written, or is not one of becalm; the sensor is not finished then.
     """
     if hash_of(job, sensor) != mark.came_of:
         raise InputError(

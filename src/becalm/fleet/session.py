@@ -23,9 +23,9 @@ _TRIES = 4  # attempts at a task whose worker died, as on a cluster
 _MASTER = re.compile(r"local(\[(\*|[1-9]\d*)(, *[1-9]\d*)?\])?|local-cluster\[.+\]|(spark|k8s)://.+|yarn")
 
 _LOOPBACK = "127.0.0.1"
-_RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")
+_RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")  # by Java
 _PYTHON_RAISED = re.compile(r"[A-Za-z_][\w.]*(?:Error|Exception): .+")  # last line of a worker's traceback
-_LONGEST = 300
+_LONGEST = 300  # characters of Spark's reason in a message
 _LOGS = f"-Dlog4j2.configurationFile={Path(__file__).with_name('log4j2.properties').as_uri()}"
 _HARDLY_COMPILED = "-XX:TieredStopAtLevel=1"  # for a JVM that only schedules, full compilation costs more than it gains
 _QUIET = {
@@ -51,7 +51,7 @@ def session(
     settings : dict of str to str, optional
         Settings of Spark.
     schedules : bool
-        Whether Spark only schedules tasks, as for lakes that are cleaned or tuned. Its JVM then has little to do.
+        Whether Spark only schedules tasks, as for cleaning or tuning a lake. Its JVM then has little to do.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
         from pyspark.sql import SparkSession
     except ModuleNotFoundError as cause:
         raise UsageError("Spark is not installed. Type: pip install 'becalm[spark]', and install Java 17.") from cause
-    # look at the context, because a session is active only in the thread that made it, yet stopping it stops it for all
+    # ask for the context, which all threads share; a session is active only in the thread that made it
     there = SparkContext._active_spark_context is not None
     return SparkSession.builder, SparkSession.builder.getOrCreate() if there else None
 
@@ -116,7 +116,7 @@ def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
 def _settings(master: str, schedules: bool) -> dict[str, str]:
     """Return settings for a master; a local one uses this Python for its workers and listens on loopback only."""
     executor = _HARDLY_COMPILED if schedules else ""
-    shared = {  # Spark puts these before the options that the user has set, and does not replace them
+    shared = {  # Spark puts these before the user's own options, and replaces none of them
         "spark.driver.defaultJavaOptions": f"{_LOGS} {executor}".strip(),
         "spark.executor.defaultJavaOptions": executor,
     }

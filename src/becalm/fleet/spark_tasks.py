@@ -26,9 +26,10 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 _SCHEMA = "number long, result binary"
+# The tasks that share a Spark task read at most this many bytes, and at most 1 / (this * cores) of all that are left.
 _TOGETHER_BYTES, _SHARES_A_CORE = 32 << 20, 4
 _DIED = re.compile("worker exited unexpectedly|ExecutorLostFailure")
-_MOST_DEATHS = 16  # tasks whose workers may die; if more die, the tasks are not the cause
+_MOST_DEATHS = 16  # tasks on which all workers may die; if there are more, the tasks are hardly the cause
 _ALL_DIED = (
     "Every process that worked on it died. It may need more memory than there is, or crash the library that reads its"
     " files; clean this sensor by itself with becalm clean."
@@ -42,7 +43,7 @@ def run_tasks(
     sizes: Sequence[int] = (),
     lost: Callable[[Task, str], Result] | None = None,
 ) -> list[Result]:
-    """Run a function on each of several tasks, the first ones first.
+    """Run a function on each of several tasks; Spark starts them in their order.
 
     Parameters
     ----------
@@ -139,9 +140,9 @@ def _shares(sizes: Sequence[int], cores: int) -> list[range]:
 def _settle(planned: bytes) -> None:
     """Prepare a worker process for further tasks.
 
-    Spark collects garbage after each task. With all of becalm's libraries loaded that takes longer than the work on
-    many a sensor, so the loaded objects are frozen out of it. If the JVM is gone, the worker ends quietly by SIGPIPE
-    when it writes to it; Python's default would be a traceback.
+    Spark collects garbage after each task. With becalm's libraries loaded, that takes longer than the work on many
+    sensors, so the loaded objects are frozen: later collections skip them. If the JVM is gone, the worker ends quietly
+    by SIGPIPE at its next write; by default, Python would print a traceback.
     """
     gc.collect()
     gc.freeze()

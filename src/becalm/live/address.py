@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import isfinite
 from urllib.parse import parse_qsl
 
 from becalm.errors import BecalmError, UsageError
@@ -13,7 +14,7 @@ from becalm.errors import BecalmError, UsageError
 _TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _TIME = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)\s*(?P<unit>us|ms|s|min|h|d)")
 _SECRET = re.compile(r"(?<=//)[^/@]*@")  # user and password of a URL
-_ADVICE = re.compile(
+_ADVICE = re.compile(  # command-line options in messages of errors
     r"--(?P<name>rate|time|group|channels|stamps)( (?P<value>HZ|COLUMN|NAME|as-written|'[^']*'|\d[\w.+]*\b))?"
 )
 
@@ -61,7 +62,7 @@ class Address:
         return cls(kind.strip().lower(), rest, options)
 
     def __str__(self) -> str:
-        """Return the address without secrets, for logs and recipes."""
+        """Return the address without the user and password of a URL, for logs and recipes."""
         tail = "&".join(f"{name}={value}" for name, value in self.options.items())
         return f"{self.kind}:{_SECRET.sub('', self.rest)}{'?' if tail else ''}{tail}"
 
@@ -81,19 +82,19 @@ class Address:
             value = float(text)
         except ValueError:
             value = float("nan")
-        if not least <= value <= greatest:
+        if not (least <= value <= greatest and isfinite(value)):
             raise UsageError(f"{self.kind}: {name}={text} is not a number from {least:g} to {greatest:g}.")
         return value
 
     def seconds(self, name: str, default: float) -> float:
-        """Return an option that is a time with unit (50us, 20ms, 3s, 5min, 2h, 7d), in seconds."""
+        """Return an option that is a time with unit (20ms, 5min, 7d), in seconds; raise the errors of `seconds_of`."""
         text = self.options.get(name)
         if text is None:
             return default
         return seconds_of(f"{self.kind}: {name}", text)
 
     def chosen(self, name: str, among: Sequence[str], default: str) -> str:
-        """Return an option that must be one of the words `among`."""
+        """Return an option; raise a UsageError if it is not one of the words `among`."""
         text = self.options.get(name, default)
         if text not in among:
             raise UsageError(f"{self.kind}: {name}={text} is not one of {', '.join(among)}.")
@@ -105,7 +106,14 @@ class Address:
 
 
 def seconds_of(what: str, text: str) -> float:
-    """Parse a time with unit, such as 20ms; return it in seconds.
+    """Parse a time with unit, such as 50us, 20ms, 3s, 5min, 2h or 7d; return it in seconds.
+
+    Parameters
+    ----------
+    what : str
+        Name of the option, for the error message.
+    text : str
+        The time.
 
     Raises
     ------

@@ -63,7 +63,8 @@ class Block:
     position : str
         Position of the source after this block, as JSON text; "" if the source cannot replay.
     elapsed : (B,) float array or None
-        Time steps before each row, if the source knows its clock (a file); with None the stamps are used.
+        Time before each row in steps of 1 / `Source.rate_hz`, if the source knows its clock (a file); with None the
+        stamps are used.
     losses : tuple of Loss
         Losses before or in this block. A block without rows carries only losses.
     arrived_s : float
@@ -126,7 +127,7 @@ class Output:
     losses : tuple of Loss
         Losses before or in these rows.
     arrived_s : float
-        `time.monotonic()` when the last of the readings arrived.
+        `Block.arrived_s` of the block that made these estimates ready; 0 if the end of the stream did.
     modes : (B, K) float array
         Mode probabilities of all channels with an IMM, channel after channel; (0, 0) if there is none.
     """

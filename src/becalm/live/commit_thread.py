@@ -16,7 +16,7 @@ from becalm.live.reader import BackOff
 from becalm.live.watching.watch import Watch
 
 _BATCHES = 2  # queued batches; with more the filters wait for the disk
-_POLL_S = 0.25
+_POLL_S = 0.25  # seconds to wait for room in the queue before failures are checked again
 
 
 class Transaction(NamedTuple):

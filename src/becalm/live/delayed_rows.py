@@ -9,9 +9,10 @@ from becalm.errors import ModelError
 
 
 class Waiting:
-    """Rows in a filter with a lag, read but without an estimate yet.
+    """A buffer of the rows that a filter with a lag has taken and not estimated yet.
 
-    `returned` counts the first rows that were already returned, because the stream was finished and then continued.
+    `returned` is the number of rows at its front that were already returned, because the stream was finished and then
+    continued.
 
     Parameters
     ----------
@@ -38,7 +39,8 @@ class Waiting:
         Returns
         -------
         tuple
-            Stamps and readings of the removed rows that were not returned before, and the number of those that were.
+            Stamps (n,) and readings (n, m) of the removed rows that were not returned before, and the number of removed
+            rows that were.
         """
         time_s, values = np.concatenate([self.time_s, time_s]), np.concatenate([self.values, values])
         self.time_s, self.values = time_s[ready:].copy(), values[ready:].copy()

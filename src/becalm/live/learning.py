@@ -139,7 +139,13 @@ def resolution_of(stamps_s: Floats) -> float:
 
 
 def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Integers]:
-    """Return the timebase of blocks, and the rows whose stamps increase, which it describes."""
+    """Return a timebase, and the rows that it describes: all rows, or only those whose stamps exceed all earlier ones.
+
+    Raises
+    ------
+    TimeError
+        If the stamps give no timebase.
+    """
     elapsed = [block.elapsed for block in blocks]
     if rate_hz is not None and all(steps is not None for steps in elapsed):
         steps = np.concatenate([steps for steps in elapsed if steps is not None])

@@ -1,4 +1,4 @@
-"""A sink that one thread writes and another flushes; rows for an unreachable sink are buffered."""
+"""A sink to which one thread writes and which another flushes; rows for an unreachable sink are buffered."""
 
 from __future__ import annotations
 

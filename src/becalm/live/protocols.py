@@ -31,7 +31,7 @@ class Source(Protocol):
     """True if the source can go back to a position, so that a killed stream loses nothing."""
 
     rate_hz: float | None
-    """Sample rate in hertz if the source knows it once it is open; its blocks may then have `elapsed`."""
+    """Sample rate in hertz, set once the source is open; None if unknown. With a rate, blocks may have `elapsed`."""
 
     def open(self, position: str) -> None:
         """Open the source and continue after `position`; "" means from the start, or from now. May be called again.
@@ -112,7 +112,7 @@ class Keeper(Protocol):
         StorageFullError
             If the disk is full; nothing is committed, and the same call may be made again.
         AwayError
-            If the connection was lost; after opening again, `last` shows whether the rows were committed.
+            If the connection was lost; after `close`, `last` shows whether the rows were committed.
         """
         ...
 

@@ -15,7 +15,7 @@ Policy = Literal["block", "drop-oldest"]
 
 
 class BlockQueue:
-    """Blocks that were read and are not filtered yet.
+    """A bounded queue of blocks that were read and are not filtered yet.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class BlockQueue:
         self._blocks: deque[Block] = deque()
         self._change = threading.Condition()
         self._dropped = 0  # rows
-        self._dropped_steps = 0.0  # time steps of the dropped rows, if they have them
+        self._dropped_steps = 0.0  # sum of the dropped blocks' `elapsed`
         self._losses: list[Loss] = []  # of dropped blocks
         self._ended = False
         self._failure: BaseException | None = None
@@ -50,7 +50,7 @@ class BlockQueue:
             self._change.notify_all()
 
     def report(self, loss: Loss) -> None:
-        """Add a loss in its place between the blocks."""
+        """Add a loss after the blocks in the queue, even if the queue is full."""
         with self._change:
             self._blocks.append(Block.of_losses(loss))
             self._change.notify_all()
@@ -63,7 +63,7 @@ class BlockQueue:
         timeout_s : float
             Longest time to wait, in seconds.
         rows : int
-            The blocks after it are joined to it until it has this many rows, so that a slow filter catches up.
+            The blocks after it are joined to it until it has at least this many rows, so that a slow filter catches up.
         """
         with self._change:
             if not (self._blocks or self._ended):

@@ -11,13 +11,13 @@ from becalm.live.protocols import AwayError, EndOfStream, Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.watching.watch import Watch
 
-_FIRST_S, _LONGEST_S = 0.25, 30.0
-_POLL_S = 0.25
-_DRAIN_S = 1.0
+_FIRST_S, _LONGEST_S = 0.25, 30.0  # shortest and longest wait between attempts, in seconds
+_POLL_S = 0.25  # timeout of one read, in seconds
+_DRAIN_S = 1.0  # longest time to read the rows that arrived before a stop, in seconds
 
 
 class BackOff:
-    """Exponential back-off between attempts: the wait doubles up to 30 s, with 25 % random jitter."""
+    """Exponential back-off between attempts: the wait doubles up to 30 s, with a random jitter of up to 25 %."""
 
     def __init__(self) -> None:
         self._next_s = _FIRST_S
@@ -59,7 +59,7 @@ class Reader:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop after the rows that have already arrived; the queue then ends."""
+        """Stop reading and end the queue; if the source cannot replay, rows that have arrived are still read."""
         self._stop.set()
 
     def join(self) -> None:

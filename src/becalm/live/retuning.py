@@ -27,9 +27,9 @@ class _Request(NamedTuple):
 
 
 class Retuning:
-    """Requests for another recipe. Only the newest one is started; older requests that have not started are dropped.
+    """Takes requests for another recipe, and starts only the newest of those that wait; it drops the others.
 
-    The filters are made in a separate thread, so that no row has to wait.
+    A separate thread makes the filters, so that no row has to wait.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Retuning:
         self._requests.append(_Request(recipe, heard))
 
     def take(self, stream: Stream, watch: Watch) -> None:
-        """Hand the stream over to new filters once they are made and no other handover is running."""
+        """Start the newest request; hand the stream over to its filters once they are made and no handover runs."""
         if self._making is None:
             if self._requests:
                 self._begin(stream)

@@ -22,10 +22,10 @@ from becalm.live.stream import Stream
 from becalm.live.stream_start import Beginning, Begun, open_keeper, retry_until_reachable
 from becalm.live.watching.watch import Watch
 
-_POLL_S = 0.25
+_POLL_S = 0.25  # longest wait for a block, in seconds
 _JOINED_ROWS = 1024  # queued blocks are filtered together up to this many rows
-_MOST_VALUES = 1 << 19  # values in one commit
-_HEALTH_S = 1.0
+_MOST_VALUES = 1 << 19  # number of readings that are committed before the commit interval ends
+_HEALTH_S = 1.0  # interval at which the meter gets the health of the channels, in seconds
 
 
 @dataclass

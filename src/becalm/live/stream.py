@@ -19,9 +19,9 @@ from becalm.files.unit_spelling import parse_header
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.delayed_rows import Waiting
 
-_VERSION = 1
+_VERSION = 1  # of the snapshot
 _COUNTABLE = 2.0**52  # steps; a longer gap does not give a number of lost rows
-_LEFT_OUT = {
+_LEFT_OUT = {  # rows that the clock leaves out: kind and text of the loss
     LATE: (LossKind.LATE, "have a stamp earlier than a row that was already processed"),
     REPEATED: (LossKind.REPEATED, "repeat the stamp of the previous row"),
     FAR: (LossKind.CLOCK, "have a stamp more than a day ahead"),
@@ -66,7 +66,7 @@ class Stream:
 
     @property
     def head(self) -> Head:
-        """Return names, units, rate and recipe, which all rows share."""
+        """Return names, units, rate and current recipe."""
         names, units = zip(*((one.name, one.unit) for one in self.recipe.channel), strict=True)
         return Head(names, units, 1 / self._step_s, self._toml())
 
@@ -198,7 +198,9 @@ class Stream:
         Raises
         ------
         ModelError
-            If the checkpoint is damaged or has another version.
+            If the snapshot is damaged or has another version.
+        RecipeError
+            If the checkpoint's recipe cannot be read.
         """
         recipe = Recipe.from_toml(checkpoint.recipe, "The recipe of the stream")
         try:

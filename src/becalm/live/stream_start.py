@@ -54,7 +54,7 @@ class Beginning:
     learned : callable
         Called with a learned recipe, to save it.
     timed : callable or None
-        Makes the source again from the recipe of a resumed stream, which may hold how its rows are timed.
+        Makes the source of a resumed stream from its recipe, which may hold how the rows are timed.
     """
 
     recipe: Recipe | None
@@ -87,12 +87,12 @@ class Beginning:
     def begun(
         self, following: Callable[[], Block | None], queue: BlockQueue, source: Source, watch: Watch
     ) -> Begun | None:
-        """Wait for the first rows, or for enough rows to learn from; return None if the source ends before.
+        """Wait for the first rows, or for enough rows to learn from; return None if the source ends without rows.
 
         Parameters
         ----------
         following : callable
-            Waits some time for the next block of the queue.
+            Returns the next block of the queue, or None after some time.
         queue : BlockQueue
             Queue between reader and filters; it knows when the source has ended.
         source : Source

@@ -1,4 +1,4 @@
-"""Tables of a stream's outputs: row, time, and clean, raw, sigma and verdict columns for each channel."""
+"""Make tables of a stream's outputs: row, time, and clean, raw, sigma and verdict columns for each channel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RAW = "_raw"
 EPOCH_S = 1e8
 """Stamps from this value on (March 1973) are seconds since 1970; smaller stamps count from an unknown start."""
 
-_WORDS = pa.dictionary(pa.int8(), pa.string())
+_WORDS = pa.dictionary(pa.int8(), pa.string())  # type of the verdict columns
 
 
 def column_names(head: Head) -> list[str]:

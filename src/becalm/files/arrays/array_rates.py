@@ -7,12 +7,12 @@ import re
 import numpy as np
 
 from becalm.files.arrays.arrays import FileArrays, Leaf, Path
-from becalm.files.named_rates import hertz_of, in_hertz_or_seconds
+from becalm.files.named_rates import hertz_of
 
 _TOO_SHORT = ("rate", "sr", "ts")  # not used as part of a longer name: heart_rate is not a sample rate
-_WRITTEN = re.compile(r"([-+.\deE]+)\s*([a-zA-Z/]*)")
+_WRITTEN = re.compile(r"([-+.\deE]+)\s*([a-zA-Z/]*)")  # a number and a unit: "100 Hz"
 _STARTS = ("start", "start_time", "starttime", "start_date", "t0", "wf_start_time", "measurement_start")
-_AGREE = 1e-3
+_AGREE = 1e-3  # relative difference of rates that count as equal
 
 
 class Rates:
@@ -26,11 +26,10 @@ class Rates:
 
     def __init__(self, found: FileArrays) -> None:
         self._found = found
-        self._numbers: dict[Path, list[tuple[str, float]]] = {}
-        for path, number in [*found.numbers.items(), *_written(found)]:
-            unit = next((word for name in ("units", "unit") if (word := found.word((*path, name)))), "")
-            named = (path[-1], in_hertz_or_seconds(path[-1], number, unit) if unit else number)
-            self._numbers.setdefault(path[:-1], []).append(named)
+        self._numbers: dict[Path, list[tuple[str, float, str]]] = {}
+        for path, number, written in [*((*one, "") for one in found.numbers.items()), *_written(found)]:
+            unit = written or next((word for name in ("units", "unit") if (word := found.word((*path, name)))), "")
+            self._numbers.setdefault(path[:-1], []).append((path[-1], number, unit))
 
     def of(self, leaf: Leaf) -> tuple[Path, float] | None:
         """Return the path and the value in Hz of an array's rate: its own, or that of the nearest group above it."""
@@ -46,7 +45,7 @@ class Rates:
         return None
 
     def start(self, folder: Path) -> str:
-        """Return the start of the recording as ISO 8601 text, or "" if the file does not have it."""
+        """Return the start of the recording in a group or in one above it as ISO 8601 text, "" if there is none."""
         for depth in range(len(folder), -1, -1):
             for path, texts in self._found.words.items():
                 if path[:-1] == folder[:depth] and path[-1].lower() in _STARTS and (instant := _instant(texts[0])):
@@ -54,26 +53,26 @@ class Rates:
         return ""
 
 
-def _written(found: FileArrays) -> list[tuple[Path, float]]:
-    """Return rates that are written as texts, such as "100 Hz"."""
+def _written(found: FileArrays) -> list[tuple[Path, float, str]]:
+    """Return the paths, numbers and units of rates and steps that are written as texts, such as "100 Hz"."""
     out = []
     for path, texts in found.words.items():
         if len(texts) == 1 and hertz_of(path[-1], 1.0) and (match := _WRITTEN.fullmatch(texts[0])):
             try:
-                out.append((path, in_hertz_or_seconds(path[-1], float(match[1]), match[2])))
+                out.append((path, float(match[1]), match[2]))
             except ValueError:
                 continue
     return out
 
 
-def _specific(leaf: str, name: str, number: float) -> float | None:
+def _specific(leaf: str, name: str, number: float, unit: str) -> float | None:
     """Return the rate for an array such as `imu` or `imu_acc` from a number such as `imu_fs` or `fs_imu`."""
     parts = name.split("_")
     for cut in range(1, len(parts)):
         first, last = "_".join(parts[:cut]), "_".join(parts[cut:])
         for stem, word in ((first, last), (last, first)):
             its = word.lower() not in _TOO_SHORT and (leaf == stem or leaf.startswith(stem + "_"))
-            if its and (rate := hertz_of(word, number)):
+            if its and (rate := hertz_of(word, number, unit)):
                 return rate
     return None
 
@@ -91,6 +90,7 @@ def _one(found: FileArrays, where: Path, rates: list[float | None]) -> float | N
 
 
 def _instant(text: str) -> str:
+    """Return a date and time as ISO 8601 text, "" for other texts."""
     plain = text.strip().replace(" ", "T", 1)
     zone = "Z" if plain.endswith("Z") else ""
     try:

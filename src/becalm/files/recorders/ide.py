@@ -21,11 +21,11 @@ from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.integer_stamps import instant
 
-_PER_SECOND = 1e-6  # the library returns microseconds
+_PER_SECOND = 1e-6  # seconds in a microsecond, the unit of the library
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
-    """Read a recording: a table for each channel, calibrated by the polynomials in the file.
+    """Read a recording: a table for each channel and session, calibrated by the polynomials in the file.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 
 def _cut_off(document: Any, opened: WatchedFile) -> tuple[str, ...]:
-    """Set the end of the file to that of its last complete element, because the library rejects a truncated file."""
+    """End the file after its last complete element, since the library rejects a truncated file; return a note if so."""
     whole = 0
     with suppress(Exception):  # the library raises many types for a damaged element; those before it are complete
         for element in document:
@@ -89,7 +89,7 @@ class _Samples:
     Parameters
     ----------
     events : idelib.dataset.EventArray
-        Returns times in microseconds in its first row, and a further row for each subchannel.
+        Its `arraySlice` returns the times in microseconds as the first row, then a row for each subchannel.
     """
 
     def __init__(self, events: Any) -> None:
@@ -107,5 +107,5 @@ class _Samples:
         return seconds
 
     def row(self, place: int) -> Callable[[int, int], NDArray[np.generic]]:
-        """Return a function that reads one subchannel."""
+        """Return a function that reads row `place` of the array: the times, or one subchannel."""
         return lambda start, stop: self._decoded(start, stop)[place]

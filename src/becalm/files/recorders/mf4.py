@@ -52,7 +52,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
             if decoded is not None:
                 stack.callback(decoded.close)
                 groups += _groups(foreign, decoded, list(decoded.virtual_groups))
-        notes += [note for one in groups if set(one.columns) <= {TIME} for note in one.notes]  # groups without channels
+        notes += [note for one in groups if set(one.columns) <= {TIME} for note in one.notes]  # groups without a table
         held = stack.pop_all()
         return tables(foreign, "mf4", [one._replace(notes=(*one.notes, *notes)) for one in groups], held.close)
 
@@ -71,7 +71,10 @@ def _is_bus(group: Any) -> bool:
 
 
 def _decoded(foreign: Foreign, log: Any, more: bool) -> tuple[Any, list[str]]:
-    """Decode the frames of a bus with the DBC files in the log's folder; if that fails, return None and the reason."""
+    """Decode the frames of a bus with the DBC files in the log's folder.
+
+    If that fails, return None and the reason if there are `more` groups, otherwise raise an InputError.
+    """
     path = foreign.path
     databases = sorted(one for one in path.parent.iterdir() if one.suffix.lower() == ".dbc")
     why = f"{path} is a log of a CAN bus; put the .dbc file that describes its frames into the same folder."
@@ -114,17 +117,18 @@ def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Grou
 
 
 def _rows(group: Any) -> int:
-    """Return the number of rows that the blocks of a group can hold."""
+    """Return the number of complete rows in the data blocks of a group."""
     head = group.channel_group
     invalidation = 0 if getattr(group, "uses_ld", False) else getattr(head, "invalidation_bytes_nr", 0)
     width = head.samples_byte_nr + invalidation
-    if not width:  # only a virtual master, which counts rows
+    if not width:  # the group has only a virtual master, which counts rows
         return int(head.cycles_nr)
     blocks = group.get_data_blocks() if hasattr(group, "get_data_blocks") else ()
     return int(sum(block.original_size for block in blocks) // width)
 
 
 def _master(log: Any, index: int) -> tuple[dict[str, Column], FormatTime | None]:
+    """Return the column of a group's master, and its time if the master is a time."""
     number = log.masters_db.get(index)
     if number is None:
         return {}, None

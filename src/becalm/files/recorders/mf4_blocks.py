@@ -14,19 +14,19 @@ from typing import IO, NamedTuple
 from becalm.files.library_reader import Foreign
 from becalm.files.unpacking import unpacked
 
-_HEADER_LINKS = 88  # offset of the file header's links; the links of all other blocks begin after 24 bytes
-_HEAD = 24
+_HEADER_LINKS = 88  # offset of the links of the first block, ##HD, in the file
+_HEAD = 24  # bytes of a block before its links
 _FLAGS = 60  # offset of two bytes of flags for what the recorder did not finish
-_VERSION = 8
-_COUNTERS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10
-_MOST_BLOCKS = 1_000_000
+_VERSION = 8  # offset of the version
+_COUNTERS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10  # flags: numbers of rows, length of the last block, last list
+_MOST_BLOCKS = 1_000_000  # a file with more counts as a ring of blocks
 _PACKED = struct.Struct("<B5xQQ")  # at byte 26 of a ##DZ: method, unpacked and packed size
-_PACKED_AT, _PACKED_HEAD = 26, 48
+_PACKED_AT, _PACKED_HEAD = 26, 48  # offsets of these numbers and of the packed data, in the block
 _PACKINGS = ("deflate", "deflate", "zstd", "zstd", "lz4", "lz4")  # every second one is transposed
 _COUNTED = (3, 6)  # kinds of channels that are not in the rows
-_MAY_BE_INVALID = 2
-_NUMBERS = (b"##DT", b"##DV", b"##DI", b"##SD", b"##RD", b"##RV", b"##RI")
-_ALL = -1
+_MAY_BE_INVALID = 2  # flag of a channel whose rows have a bit of validity
+_NUMBERS = (b"##DT", b"##DV", b"##DI", b"##SD", b"##RD", b"##RV", b"##RI")  # blocks of data
+_ALL = -1  # stands for all links of a block
 _FOLLOWED: dict[bytes, tuple[int, ...]] = {
     b"##DG": (0, 1, 2),
     b"##CG": (0, 1),
@@ -40,8 +40,8 @@ _FOLLOWED: dict[bytes, tuple[int, ...]] = {
     b"##DL": (_ALL,),
     b"##LD": (_ALL,),
 }
-"""The links of each kind of block that lead to blocks which belong to it alone."""
-_ANY = re.compile(rb"##[A-Z]{2}\0{4}")
+"""The numbers of the links to follow, by kind of block: those to blocks that no other block links to."""
+_ANY = re.compile(rb"##[A-Z]{2}\0{4}")  # the first bytes of any block
 
 
 class _Link(NamedTuple):
@@ -149,7 +149,7 @@ def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes])
 
 
 def _check_claims(foreign: Foreign, data: mmap, address: int, kind: bytes, channels: int) -> None:
-    """Raise an error for claims that asammdf does not check, and reads other numbers for."""
+    """Raise an error for a size or offset that is wrong; asammdf does not check it, and would return wrong numbers."""
     if kind == b"##DZ":
         _check_packed(foreign, data, address)
     elif kind == b"##CN":
@@ -157,7 +157,7 @@ def _check_claims(foreign: Foreign, data: mmap, address: int, kind: bytes, chann
 
 
 def _check_packed(foreign: Foreign, data: mmap, address: int) -> None:
-    """Raise an error if a packed block has another size than it claims; asammdf reads other numbers from it."""
+    """Raise an error if a packed block has another size than it claims; asammdf would return wrong numbers."""
     how, plain, packed = _PACKED.unpack_from(data, address + _PACKED_AT)
     if how >= len(_PACKINGS) or packed > _length(data, address) - _PACKED_HEAD:
         raise ValueError(f"the block at {address:#x} is packed in an unknown way, or beyond its end")
@@ -167,7 +167,7 @@ def _check_packed(foreign: Foreign, data: mmap, address: int) -> None:
 
 
 def _is_open(flags: int, link: _Link, length: int) -> bool:
-    """Return whether the recorder left the length of a block of numbers open."""
+    """Return whether the recorder did not write the final length of a block of data."""
     return bool(flags & _LAST_LENGTH) and (length <= _HEAD or link.source == b"##DG")
 
 
@@ -200,7 +200,7 @@ def _next_block(data: mmap, address: int) -> int:
 
 
 def _shorten(data: mmap, group: int, texts: int, patches: dict[int, bytes]) -> None:
-    """Drop the rows of a group whose texts, in a separate block, are truncated."""
+    """Shorten a truncated block of texts to its complete texts, and the rows of their group to as many."""
     stop, rows = _whole_texts(data, texts + _HEAD, len(data))
     patches[texts + 8] = struct.pack("<Q", stop - texts)
     channels, numbers = struct.unpack_from("<QQ", data, group + _HEAD + 8)

@@ -15,17 +15,17 @@ from becalm.files.library_reader import Foreign
 from becalm.files.numbers import Column
 
 _LINEAR, _FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS = 1, 3, 7, 8  # types of conversions
-_MOST_PARTS = 4096
+_MOST_PARTS = 4096  # most columns of one channel
 _ELSEWHERE = 1  # type of channel whose rows hold offsets into a block of values, each preceded by its length
-_LENGTH_BYTES = 4
+_LENGTH_BYTES = 4  # size of this length
 _ENOUGH = 1000  # rows to inspect to decide whether a channel has names or numbers
-_MOSTLY = 0.5
+_MOSTLY = 0.5  # least share of rows without a number in a channel of names
 
 NO_START = "Its first instant is not known; that of the file is another group's."
 """Comment of a channel group to which the start time of the file does not apply."""
 
 Values = NDArray[Any]
-Tidy = Callable[[Values], Values]
+Tidy = Callable[[Values], Values]  # converts samples of asammdf to those of a column
 
 
 class Mf4Channel(NamedTuple):
@@ -46,7 +46,7 @@ class Mf4Channel(NamedTuple):
         return str(self.log.get_channel_unit(group=self.group, index=self.number) or "")
 
     def read(self, first: int, last: int, raw: bool = False) -> tuple[Values, Values | None]:
-        """Return samples, unconverted if `raw`, and a mask of the invalid ones, if any."""
+        """Return samples, unconverted if `raw`, and a mask of the invalid ones, None if there is none."""
         values, invalid = self.log.get(
             group=self.group,
             index=self.number,
@@ -59,9 +59,10 @@ class Mf4Channel(NamedTuple):
         return values, invalid
 
     def points_wrongly(self) -> bool:
-        """Return whether a row points outside the channel's values, where asammdf would read any bytes as a length.
+        """Return whether an offset lies outside the channel's values, or is less than that of the row before.
 
-        This uses internals of asammdf, because only they return the offsets without following them.
+        There, asammdf would read other bytes as a length. This uses internals of asammdf, because only they return
+        the offsets without following them.
         """
         if getattr(self.head, "channel_type", 0) != _ELSEWHERE or not hasattr(self.log.groups[self.group], "sorted"):
             return False
@@ -80,7 +81,7 @@ class Mf4Channel(NamedTuple):
 
 
 class MasterTime:
-    """The times of a group since its first row, from its master channel."""
+    """A reader of the times of a group since its first row, from its master channel."""
 
     def __init__(self, channel: Mf4Channel) -> None:
         self._channel = channel
@@ -135,7 +136,7 @@ def columns_of(foreign: Foreign, channel: Mf4Channel) -> tuple[list[tuple[str, C
 
 
 def _of_texts(channel: Mf4Channel) -> Column:
-    """Return a column of names; or of numbers, if only some values have a name such as "invalid"."""
+    """Return a column of names, or of numbers if less than half of the values have a name such as "invalid"."""
     conversion = channel.head.conversion
     if np.isnan(_numbers(channel.read(0, _ENOUGH)[0])).mean() < _MOSTLY:
         return Column(pa.float64(), _reader(channel, _numbers), channel.unit)
@@ -189,6 +190,7 @@ def _both(one: Tidy, other: Tidy) -> Tidy:
 
 
 def _type_of(values: Values, converted: bool) -> tuple[pa.DataType | None, Tidy]:
+    """Return the type of a column, None if it is unknown, and the function that converts samples to it."""
     kind = values.dtype.newbyteorder("=")
     if kind.kind in "SUO":
         return pa.string(), _texts

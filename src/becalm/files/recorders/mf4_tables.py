@@ -18,14 +18,14 @@ from becalm.files.timing.time_column import is_time_name
 from becalm.files.timing.times import PER_SECOND, SECONDS
 from becalm.files.unit_spelling import parse_header
 
-_MOST_WORDS = 1 << 16
+_MOST_WORDS = 1 << 16  # distinct words of a channel; their codes have 16 bits
 _TIME, _INDEX = ("time", 1), ("index", 4)  # names of masters, and their synchronisation types
 
-Samples = tuple[NDArray[Any], NDArray[np.bool_] | None]
+Samples = tuple[NDArray[Any], NDArray[np.bool_] | None]  # values, and a mask of invalid ones
 
 
 class MdfTable:
-    """The channel group of one table.
+    """A writer of one table as a channel group.
 
     Parameters
     ----------
@@ -44,11 +44,11 @@ class MdfTable:
         self._first_s = 0.0
         self._words: dict[str, dict[str, int]] = {}
         self.after_ns: int | None = 0
-        """How much later its zero is than the start of the file, in ns; None if unknown."""
+        """Time from the start of the file to time 0 of the table, in ns; None if unknown."""
 
     @property
     def zero_ns(self) -> int | None:
-        """Return the instant of its zero, in ns since 1970, or None if unknown."""
+        """Return the instant of time 0 of the table, in ns since 1970; None if unknown."""
         start = instant_ns(self.start)
         return None if start is None else start - round(self._first_s * 1e9)
 
@@ -96,6 +96,7 @@ class MdfTable:
         return int(log.append(signals, acq_name=self._group, comment="", common_timebase=True))
 
     def _master(self, table: pa.Table) -> tuple[Floats, tuple[str, int]]:
+        """Return the times of rows in s, or their numbers if no column is a time, and the kind of master."""
         named = [name for name in table.column_names if is_time_name(name)]
         for name in [TIME] if TIME in named else named:
             column = table.column(name)

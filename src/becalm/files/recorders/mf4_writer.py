@@ -1,4 +1,4 @@
-"""Write tables to MF4, version 4.10: a channel group for each table; rows are in a temporary file until the end."""
+"""Write tables to MF4, version 4.10: a channel group for each table; until the end, rows are in temporary files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _UTC, _LOCAL = 2, 1  # flags of the time in a header
 
 
 class Mf4Rows:
-    """A writer that appends tables of one schema; each table group of becalm goes into its own channel group.
+    """A writer that appends tables; those of the same becalm group have one schema and share a channel group.
 
     The master of a group is its first numeric column of times, in s; without one it counts rows. Repeating words are
     codes with a conversion from value to text. Missing whole numbers and flags are invalid samples. Metadata of the
@@ -33,7 +33,7 @@ class Mf4Rows:
     Parameters
     ----------
     file : binary file
-        The file to write. Until the end, rows are in a temporary file in the same folder.
+        The file to write. Until the end, rows are in a temporary folder next to it, if it has a name.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -45,7 +45,7 @@ class Mf4Rows:
         self._metadata: dict[str, str] = {}
 
     def write(self, table: pa.Table) -> None:
-        """Append rows to a group."""
+        """Append rows to the channel group of their table."""
         metadata = metadata_of(table.schema)
         group = metadata.get(GROUP, "")
         if group not in self._tables:
@@ -74,9 +74,9 @@ class Mf4Rows:
         self.drop()
 
     def drop(self) -> None:
-        """Remove the temporary file."""
+        """Remove the temporary files."""
         self._log = None
-        with suppress(Exception):  # the temporary file is not needed any more, and may be incomplete
+        with suppress(Exception):  # the temporary files are not needed any more, and may be incomplete
             self._stack.close()
 
     def _empty_log(self) -> Any:
@@ -114,6 +114,7 @@ def _comment(metadata: Mapping[str, str]) -> str:
 
 @contextmanager
 def _sentence(library: ModuleType) -> Iterator[None]:
+    """Turn an error of asammdf into an OutputError."""
     try:
         yield
     except library.blocks.utils.MdfException as cause:

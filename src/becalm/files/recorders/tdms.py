@@ -20,10 +20,10 @@ from becalm.files.source import FormatTime, RawTable
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.unit_spelling import tidy_unit
 
-_LEAD_IN = struct.Struct("<4siiQQ")
-_UNFINISHED = 0xFFFFFFFFFFFFFFFF
-_BIG_ENDIAN = 1 << 6
-_HELD_BYTES = 1 << 22  # of a channel, in memory
+_LEAD_IN = struct.Struct("<4siiQQ")  # of a segment: tag, flags, version, length of the rest, length of the metadata
+_UNFINISHED = 0xFFFFFFFFFFFFFFFF  # length of a segment that the recorder did not finish
+_BIG_ENDIAN = 1 << 6  # flag of a segment
+_HELD_BYTES = 1 << 22  # most bytes of a channel that are held in memory
 _PRESET_S = 1.0  # default time step of LabVIEW; a channel of times in the same group is more reliable
 _NOT_SET_BEFORE = np.datetime64("1905-01-01")  # the zero of TDMS times is 1904
 
@@ -174,12 +174,12 @@ def _reader(channel: Any, tidy: Callable[[Any], NDArray[np.generic]]) -> Callabl
 
 
 def _values(channel: Any) -> Any:
-    """Return all values of a channel, many of them in a temporary file: npTDMS reads a chunk anew for each slice."""
+    """Return all values of a channel, from a temporary file if they are large: npTDMS reads a chunk for each slice."""
     kind = np.dtype(channel.dtype)
     if kind.kind not in "iufbc" or len(channel) * kind.itemsize <= _HELD_BYTES:
         return channel[:]
     at = 0
-    with TemporaryFile() as file:  # the array keeps what is in it
+    with TemporaryFile() as file:  # the array keeps the content after the file is closed
         values = np.memmap(file, kind, "w+", shape=(len(channel),))
     for chunk in channel.data_chunks():
         values[at : at + len(chunk)] = chunk[:]

@@ -18,11 +18,11 @@ from becalm.files.groups import GROUP
 FILL = "_FillValue"
 """Property of a channel: the whole number that marks a missing value."""
 
-_NAMELESS = "recording"
+_NAMELESS = "recording"  # TDMS group of a table whose own group has no name
 
 
 class TdmsRows:
-    """A writer that appends tables of one schema; each table group of becalm goes into its own TDMS group.
+    """A writer that appends tables; those of the same becalm group have one schema and share a TDMS group.
 
     Each channel has its unit as `unit_string`; words and dates are texts. Missing whole numbers have the value of the
     property `_FillValue`. Metadata of the file are properties of the file, metadata of a table those of its group.
@@ -40,7 +40,7 @@ class TdmsRows:
         self._out.open()
 
     def write(self, table: pa.Table) -> None:
-        """Append rows to a group."""
+        """Append rows to the TDMS group of their table."""
         metadata = metadata_of(table.schema)
         group = metadata.get(GROUP, "")
         if group not in self._groups:
@@ -91,6 +91,7 @@ def _properties(field: pa.Field) -> Iterator[tuple[str, Any]]:
 
 
 def _fill(kind: np.dtype[Any]) -> Any:
+    """Return the number that marks a missing value: the largest unsigned or the smallest signed one."""
     limits = np.iinfo(kind)
     return kind.type(limits.max if kind.kind == "u" else limits.min)
 

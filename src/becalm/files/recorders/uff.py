@@ -23,10 +23,10 @@ from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.unit_spelling import tidy_unit
 
-_TIME_RESPONSE, _GENERAL, _ABSCISSA_TIME = 1, 0, 17
+_TIME_RESPONSE, _GENERAL, _ABSCISSA_TIME = 1, 0, 17  # types of functions; type of an abscissa that is a time
 _SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-_AXES = {0: "", 1: "X", 2: "Y", 3: "Z", 4: "RX", 5: "RY", 6: "RZ"}
-_DATE = "%d-%b-%y %H:%M:%S"
+_AXES = {0: "", 1: "X", 2: "Y", 3: "Z", 4: "RX", 5: "RY", 6: "RZ"}  # directions of a measurement
+_DATE = "%d-%b-%y %H:%M:%S"  # in the header of a set
 
 
 class _Set(NamedTuple):

@@ -15,9 +15,9 @@ from becalm.core.arrays import Floats
 _HEAD_LINES = 12  # lines of a header after the mark; the first of them has the set's number
 _LONGEST = 400  # largest number of bytes in such a line; 80 is usual
 _SIZE = slice(31, 43)  # columns of a binary set's first header line with the size of its numbers in bytes
-_LINE = re.compile(rb"^ {0,5}-1 *\r?(?:\n|\Z)", re.MULTILINE)  # four blanks, but some writers use fewer
-_MARK = re.compile(rb" {4}-1 *\r?(?:\n|\Z)")
-_AFTER_NUMBERS = re.compile(rb"[\r\n ]*?-1 *\r?(?:\n|\Z)")
+_LINE = re.compile(rb"^ {0,5}-1 *\r?(?:\n|\Z)", re.MULTILINE)  # a mark; four blanks are the rule
+_MARK = re.compile(rb" {4}-1 *\r?(?:\n|\Z)")  # a mark anywhere, after binary numbers of unknown size
+_AFTER_NUMBERS = re.compile(rb"[\r\n ]*?-1 *\r?(?:\n|\Z)")  # a mark after binary numbers of known size
 
 
 class Values(NamedTuple):
@@ -70,7 +70,7 @@ class UffBlock(NamedTuple):
     stop: int
 
     def values(self, path: Path, header: dict[str, Any]) -> Values:
-        """Return the numbers of a set with this header."""
+        """Return the numbers of the set; `header` is its parsed header."""
         promised, uneven = max(header["num_pts"], 0), not header["abscissa_spacing"]
         if not header["binary"]:
             with path.open("rb") as file:
@@ -112,7 +112,7 @@ def _lines(data: mmap, at: int, count: int) -> bytes:
 
 
 def _numbers(data: mmap, begin: int, first: bytes) -> tuple[int, int]:
-    """Return the end of a set's numbers, and where the next set may begin."""
+    """Return the offset of the end of a set's numbers, and that from which to search for the next set."""
     if first[6:7].lower() != b"b":
         closing = _LINE.search(data, begin)
         if closing is None:  # drop the last, truncated line, because its numbers may be wrong

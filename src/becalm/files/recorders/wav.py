@@ -18,9 +18,9 @@ from becalm.files.library_reader import Foreign
 from becalm.files.numbers import Column
 from becalm.files.source import FormatTime, RawTable
 
-_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE  # codings of samples; the last one refers to a later field
 _UNKNOWN = (0, 0xFFFFFFFF)  # lengths written by a recorder that was not stopped, or that writes to a pipe
-_MOST_FORMAT = 1024  # bytes; a format takes 16 to 40
+_MOST_FORMAT = 1024  # most bytes of the format that are read; it has 16 to 40
 _SCALE = "Samples are fractions of full scale, 1.0; a WAV file does not contain the sensor's unit and scale."
 
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 _LONGEST = 64  # longest list that becomes columns
-_DEEPEST = 16
-_SECOND = 1_000_000_000
-_STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",))
-_FRACTIONS = ("nanosec", "nsec", "nsecs", "nanos")
+_DEEPEST = 16  # levels of nesting that become columns
+_SECOND = 1_000_000_000  # in nanoseconds
+_STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",))  # where a message may have its stamp
+_FRACTIONS = ("nanosec", "nsec", "nsecs", "nanos")  # names of the nanoseconds of a stamp
 
 
 class JsonDecoder:
@@ -21,7 +21,7 @@ class JsonDecoder:
     units : mapping of str to str
         Empty, because JSON messages have no units.
     left_out : set of str
-        Names of texts, and of lists too long for columns.
+        Names of texts, of lists too long for columns, and of what is nested too deeply.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,13 @@ class JsonDecoder:
         self.left_out: set[str] = set()
 
     def __call__(self, data: bytes) -> tuple[int | None, Iterator[tuple[str, float]]]:
-        """Return the stamp of a message in nanoseconds, or None, and its numbers."""
+        """Return the stamp of a message in nanoseconds, or None, and its numbers with their names.
+
+        Raises
+        ------
+        ValueError
+            If the message is not a JSON object.
+        """
         message = json.loads(data)
         if not isinstance(message, dict):
             raise ValueError("a message is not a JSON object")
@@ -49,7 +55,7 @@ class JsonDecoder:
 
 
 def _stamp(message: dict[str, Any]) -> int | None:
-    """Return the stamp of a message, in the form of ROS and Foxglove, and remove it from the message."""
+    """Return a message's stamp, as ROS or Foxglove write it, in nanoseconds, and remove it; None if there is none."""
     for *outer, last in _STAMPS:
         held: Any = message
         for key in outer:

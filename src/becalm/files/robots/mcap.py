@@ -16,7 +16,7 @@ from becalm.files.robots.topics import Message, gathered
 from becalm.files.source import RawTable
 from becalm.files.unpacking import unpacked
 
-_MAGIC_BYTES = 8
+_MAGIC_BYTES = 8  # size of the signature at the start of the file
 _HEAD_BYTES, _CHUNK = 9, b"\x06"  # size of a record's header (opcode and length), and the opcode of a chunk
 
 

@@ -22,12 +22,12 @@ _STAMPS = ("header.stamp", "stamp", "timestamp")
 _BYTES = ("byte", "char", "int8", "uint8")
 _TEXTS = ("string", "wstring", "wchar", "float128")
 _LONGEST = 64  # longest list of variable length that becomes columns
-_DEEPEST, _MOST_FIELDS = 16, 4096
-_SECOND = 1_000_000_000
+_DEEPEST, _MOST_FIELDS = 16, 4096  # levels of nesting, and fields with numbers, of a type
+_SECOND = 1_000_000_000  # in nanoseconds
 
-MSG, IDL = "ros2msg", "ros2idl"
+MSG, IDL = "ros2msg", "ros2idl"  # languages of definitions
 
-Numbers = Iterator[tuple[str, float]]
+Numbers = Iterator[tuple[str, float]]  # names and values
 
 
 class Schema(NamedTuple):
@@ -102,7 +102,7 @@ class RosDecoder:
         self._decode: Callable[[bytes], Any] = lambda data: decode(data, kind)
 
     def __call__(self, data: bytes) -> tuple[int | None, Numbers]:
-        """Return the stamp of a message in nanoseconds, or None, and its numbers."""
+        """Return the stamp of a message in nanoseconds, or None, and its numbers with their names."""
         message = self._decode(data if self._ros1 or not data.startswith(ZSTD) else self._plain(data))
         stamp = None
         if self._stamp is not None:
@@ -112,7 +112,7 @@ class RosDecoder:
         return stamp, self._numbers((values,) if self._one else values)
 
     def _plain(self, data: bytes) -> bytes:
-        """Unpack a single packed message; unpacked CDR never begins with the same bytes."""
+        """Unpack a message that is packed by itself; plain CDR never begins with the first bytes of zstd."""
         size = self._foreign.library("zstandard").frame_content_size(data)
         return unpacked(self._foreign, "zstd", data, size)
 
@@ -165,7 +165,7 @@ def _named(desc: Any) -> str:
 
 
 def _gather(store: Any, kind: str, fields: _Fields, within: tuple[str, str], depth: int) -> bool:
-    """Add the numbers of a type to `fields`; return False if it holds an image or other bytes of any length."""
+    """Add the numbers of a type to `fields`; return False if it holds bytes of variable length, as an image does."""
     if depth > _DEEPEST or len(fields.paths) > _MOST_FIELDS:
         raise ValueError(f"the type {kind} nests without an end")
     own_name, own_path = within

@@ -17,8 +17,8 @@ from becalm.files.robots import mcap, rosbag1, rosbag2
 from becalm.files.robots.topics import Message, few, gathered
 from becalm.files.source import RawTable
 
-_MCAP = b"\x89MCAP0\r\n"
-_BLOCK = 1 << 20
+_MCAP = b"\x89MCAP0\r\n"  # the first bytes of an MCAP file
+_BLOCK = 1 << 20  # bytes to unpack at a time
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
@@ -39,7 +39,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 
 def _log(foreign: Foreign, part: Path, held: ExitStack) -> Any:
-    """Open one file."""
+    """Open one file of a bag."""
     file = held.enter_context(part.open("rb"))
     head = file.read(len(_MCAP))
     file.seek(0)
@@ -89,7 +89,7 @@ def _parts(foreign: Foreign, folder: Path, held: ExitStack) -> list[Path]:
 
 
 def _unpacked(foreign: Foreign, part: Path, held: ExitStack) -> Path:
-    """Unpack a file into a temporary folder."""
+    """Unpack a file into a temporary folder, and return its path there."""
     plain = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="becalm."))) / part.stem
     library = foreign.library("zstandard")
     own, written = Foreign(part, "zstd"), 0

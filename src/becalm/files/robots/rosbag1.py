@@ -13,11 +13,11 @@ from becalm.files.robots.topics import Message
 from becalm.files.unpacking import unpacked
 
 _VERSION = b"#ROSBAG V2.0\n"
-_MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7
+_MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7  # opcodes of records
 
 
 class _CutError(Exception):
-    """The file ends within a record."""
+    """Raised if the file ends within a record."""
 
 
 class RosBag1:
@@ -129,5 +129,5 @@ class RosBag1:
 
 
 def _prefixed(data: bytes) -> WatchedFile:
-    """Return a header with its length before it, as the library expects."""
+    """Return a file that holds the length of a header and then the header, as the library expects."""
     return watched(len(data).to_bytes(4, "little") + data)

@@ -18,7 +18,7 @@ from becalm.files.robots.ros_messages import IDL, MSG, Schema
 from becalm.files.robots.topics import Message
 
 _TABLES = ("messages", "topics")
-_SPARE = 1 << 20  # bytes
+_SPARE = 1 << 20  # bytes that a value may have beyond the size of the file
 
 
 class RosBag2:

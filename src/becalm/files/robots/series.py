@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_FLAG, _WHOLE, _REAL = "b", "q", "d"
-_MOST = 4096  # columns
+_FLAG, _WHOLE, _REAL = "b", "q", "d"  # type codes of arrays
+_MOST = 4096  # most columns
 _SPARSE, _ALWAYS = 64, 1 << 20  # missing cells that are allowed for each present cell, and in addition
 _LEAST_WHOLE, _MOST_WHOLE = -(1 << 63), (1 << 63) - 1
 
 
 class Series:
-    """Columns of equal length; a number that a message lacks is NaN.
+    """A collector of columns of equal length; a number that a message lacks is NaN.
 
     Attributes
     ----------
     count : int
         Number of messages.
     full : bool
-        Whether numbers were dropped. This limits the memory if a file has ever new names.
+        Whether numbers were dropped to limit the memory: there are too many names, or too many missing cells.
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class Series:
         self.full = False
 
     def add(self, message: Iterable[tuple[str, float]]) -> None:
-        """Add the numbers of one message; a flag is a bool."""
+        """Add the numbers of one message, with their names; a flag is a bool."""
         for name, value in message:
             column = self._columns.get(name)
             kind = _kind(value)

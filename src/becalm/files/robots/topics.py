@@ -21,11 +21,12 @@ from becalm.files.timing.integer_stamps import Ordered, in_order, instant, secon
 
 JSON = "json"
 ROS = ("ros1", "cdr")
+"""The encodings of messages that becalm reads."""
 
 _LATE_NS = 1_000_000_000  # a stamp further behind than this comes from another clock, not from a late message
 _BURST = 0.1  # if the median step is below this share of the mean step, messages were written in bursts
-_SECOND = 1_000_000_000
-_MOST_NAMED = 8
+_SECOND = 1_000_000_000  # in nanoseconds
+_MOST_NAMED = 8  # names in a note
 
 
 class Message(NamedTuple):
@@ -172,7 +173,7 @@ def _stamps(held: array[int]) -> Integers:
 
 
 def _time(log: Integers, stamps: Integers) -> Ordered:
-    """Return the time of measurement if messages have it and it is valid; otherwise the time of logging."""
+    """Return the times of measurement if all messages have a valid one; otherwise the times of logging."""
     logged = in_order(log)
     if len(stamps) != len(log):
         return _by_log(logged, "because its messages have no stamp of their own")
@@ -187,6 +188,7 @@ def _time(log: Integers, stamps: Integers) -> Ordered:
 
 
 def _why_no_time(stamps: Integers) -> str:
+    """Return why stamps are not valid as times of measurement; "" if they are."""
     if (stamps <= 0).any():
         return "is not set"
     behind = np.maximum.accumulate(stamps) - stamps

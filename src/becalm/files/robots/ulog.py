@@ -21,10 +21,10 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.integer_stamps import in_order, seconds_of
 
 _STAMP = ("uint64_t", 0, "timestamp")  # type, length of a list, and name
-_PADDING = "_padding"
+_PADDING = "_padding"  # beginning of the names of fields without content
 _MOST_BYTES = 0xFFFF  # largest message in bytes, and so the largest number of its fields
 _MOST_FIELDS = 500_000  # largest number of fields in all logged topics; each takes some hundred bytes in pyulog
-_PER_SECOND = 1_000_000
+_PER_SECOND = 1_000_000  # stamps are in microseconds
 
 
 def read(path: Path) -> tuple[RawTable, ...]:

@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
 PART_ROWS = 1 << 22
-"""Rows of a file that one task splits: enough work for a task, and not too many to repeat."""
+"""Rows of a file that one task splits, about: enough work for a task, and little to repeat after a failure."""
 
 OUTPUT = "part-0.parquet"
-"""Name of the one file of a sensor."""
+"""Name of a sensor's only output file."""
 
 
 class Gathered(NamedTuple):
@@ -78,7 +78,7 @@ def clean_grouped(spark: SparkSession, job: Job, shared: MultiSensorLake, book: 
     Raises
     ------
     InputError
-        If a file lacks a column that identifies sensors, or no file holds a row.
+        If a file cannot be read, or lacks a column that identifies sensors, or no file holds a row.
     UsageError
         If a key is the time of the rows.
     OutputError
@@ -121,7 +121,7 @@ def _refuse_times(job: Job, shared: MultiSensorLake, asked: Collection[str | Non
 
 
 def _sensor(job: Job, name: str, recipe: str, counts: Mapping[str, Count]) -> Sensor:
-    """Return a sensor with the hash of its recipe, the options, and every file that has rows of it."""
+    """Return a sensor; its input hash covers its recipe, the options, and every file that has rows of it."""
     files = [count.hashed for count in counts.values() if name in count.rows]
     text = json.dumps([job.recipes[recipe], job.asked, files], sort_keys=True)
     return Sensor(name, 0, recipe, came_of=hashlib.sha256(text.encode()).hexdigest())

@@ -48,7 +48,7 @@ def count_rows(lake: str, keys: Sequence[str], file: str) -> Count:
     """
     try:
         path = Path(lake) / file
-        hashed = came_of([(file, path)], "", {})  # before reading, so that the next job notices a change meanwhile
+        hashed = came_of([(file, path)], "", {})  # before the read, so that a change during it is detected
         return Count(_rows(path, file, keys), hashed)
     except BecalmError as cause:
         return Count({}, failed=str(cause))
@@ -57,7 +57,7 @@ def count_rows(lake: str, keys: Sequence[str], file: str) -> Count:
 
 
 def not_counted(file: str, why: str) -> Count:
-    """Return the failure of a file on which the workers died."""
+    """Return the result for a file on which every worker died."""
     return Count({}, failed=f"{file} cannot be read. {why}")
 
 

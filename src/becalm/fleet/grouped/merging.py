@@ -34,7 +34,7 @@ class StripCursor:
     left : int
         Number of rows not read yet.
     reach : int, float or None
-        The rank of the last row that was loaded; before that, the rank of the first row.
+        The rank of the last row that was loaded; before the first load, the rank of the first row.
     """
 
     def __init__(self, strip: Strip) -> None:
@@ -61,19 +61,19 @@ class StripCursor:
         return pa.table(batch)
 
     def load(self) -> None:
-        """Load the next rows into memory, in place of those before."""
+        """Load the next rows into memory, in place of the earlier ones."""
         self._held = self.read()
         self.reach = _ranks(self._held)[-1]
 
     def take(self, stop: Any, *, also_equal: bool) -> pa.Table:
-        """Remove from memory, and return, the rows whose rank is below `stop`, or also those equal to it."""
+        """Return, and remove from memory, the rows whose rank is below `stop`, or with `also_equal` at most `stop`."""
         count = int(np.searchsorted(_ranks(self._held), stop, "right" if also_equal else "left"))
         taken, rest = self._held.slice(0, count), self._held.slice(count)
         self._held = rest if rest.num_rows else self._schema.empty_table()  # an empty slice would keep the whole buffer
         return taken
 
     def rest(self) -> pa.Table:
-        """Return the rows that are left in memory."""
+        """Return the rows in memory."""
         return self._held
 
 
@@ -112,9 +112,10 @@ def _in_file_order(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
 
 
 def _by_rank(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
-    """Yield from each head the rows that come next: rows not in memory cannot precede the least reach.
+    """Yield the rows of each cursor that come next: those that no row outside memory can precede.
 
-    Only heads with rows in memory are considered; if strips follow each other in time, these are few.
+    A row that is not in memory has at least the least `reach` of all cursors. Only cursors with rows in memory are
+    considered; if strips follow each other in time, these are few.
     """
     unread = [(head.reach, place) for place, head in enumerate(heads)]
     heapq.heapify(unread)
@@ -133,7 +134,7 @@ def _by_rank(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
 
 
 def _joined(parts: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
-    """Sort the rows of several strips by rank."""
+    """Join the rows of several strips, sorted by rank."""
     if not parts:
         return schema.empty_table()
     tables = [pa.table([part.column(name) for name in schema.names], schema=schema) for part in parts]

@@ -32,7 +32,7 @@ from becalm.files.timing.times import PER_SECOND
 Ranks = NDArray[Any]
 """Numbers that grow with time, (n,), int64, uint64 or float64; `latest` where the time is missing."""
 
-_TEXTS = [clock.DATE_TIME], [clock.DATE], [clock.DATE, clock.TIME_OF_DAY]
+_TEXTS = [clock.DATE_TIME], [clock.DATE], [clock.DATE, clock.TIME_OF_DAY]  # kinds of text columns that give instants
 
 
 def time_of(table: RawTable, asked: str | None) -> tuple[str, ...]:
@@ -43,7 +43,7 @@ def time_of(table: RawTable, asked: str | None) -> tuple[str, ...]:
     table : RawTable
         A file of the lake.
     asked : str, optional
-        The column that a recipe names.
+        The column that a recipe names; None to search for one.
     """
     if asked is None:
         candidates = find_time(replace(table, count=min(table.count, HEAD_ROWS)))
@@ -78,7 +78,7 @@ def latest(ranks: Ranks) -> Any:
 def is_mended(ranks: Ranks, time: pa.DataType) -> bool:
     """Return whether times decrease only where a counter wrapped, or where local time was set back by an hour.
 
-    Sorting such rows by time would interleave the rows before and after that moment.
+    Such rows must not be sorted by time, which would interleave the rows before and after that moment.
 
     Parameters
     ----------
@@ -96,11 +96,12 @@ def is_mended(ranks: Ranks, time: pa.DataType) -> bool:
 
 
 def _is_surely_time(table: RawTable, name: str) -> bool:
-    """Return whether a column is named as a time, or has a type of time; rising numbers alone may be readings."""
+    """Return whether a column has the name or the type of a time; other numbers that rise may be readings."""
     return is_time_name(name) or kind_of_column(table.head.column(name)) != NUMBERS
 
 
 def _local_per_second(time: pa.DataType) -> float | None:
+    """Return the ticks per second of ranks that come from local time; None for other times."""
     if is_text(time):
         return PER_SECOND["ns"]
     return PER_SECOND[time.unit] if pa.types.is_timestamp(time) and time.tz is None else None

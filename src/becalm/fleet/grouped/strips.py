@@ -25,7 +25,7 @@ RANK = "becalm.rank"
 """The last column of a strip, which orders its rows."""
 
 BATCH_ROWS = 1 << 13
-"""Rows of each strip that are in memory while strips are merged."""
+"""Rows of a message in a strip. While strips are merged, at most one message of each is in memory."""
 
 _PACKED = pa.ipc.IpcWriteOptions(compression="lz4")
 
@@ -80,7 +80,7 @@ class StripPart(NamedTuple):
     file : str
         Its path within the lake.
     number, parts : int
-        Index of the share, and number of equal shares of the file's row groups.
+        Index of this part, and number of parts; each has about the same number of the file's row groups.
     strips : str
         The file to write.
     hashed : str
@@ -102,7 +102,7 @@ class Strips(NamedTuple):
     of : dict of str to list of Strip
         Strips by sensor, in the order of the file.
     failed : str
-        Why there are none, as a sentence; else empty.
+        Why the file cannot be split, as a sentence; else empty.
     """
 
     of: dict[str, list[Strip]]
@@ -132,7 +132,7 @@ def part_rows(lake: Lake, part: StripPart) -> Strips:
 
 
 def not_parted(part: StripPart, why: str) -> Strips:
-    """Return the failure of a file on which the workers died."""
+    """Return the result for a file on which every worker died."""
     return Strips({}, f"{part.file} cannot be read. {why}")
 
 
@@ -162,7 +162,7 @@ def _split(lake: Lake, part: StripPart) -> dict[str, list[Strip]]:
 
 
 def _share_of(path: Path, table: RawTable, part: StripPart) -> Iterator[pa.Table]:
-    """Read the row groups of a part, in blocks."""
+    """Yield the rows of a part, in blocks."""
     ends = _group_ends(path)
     first, stop = (ends[(len(ends) - 1) * share // part.parts] for share in (part.number, part.number + 1))
     for block in table.blocks(table.names, first):
@@ -190,7 +190,7 @@ def _rows_by_sensor(block: pa.Table, keys: Sequence[str], folders: Mapping[str, 
 def _in_order(
     block: pa.Table, wanted: Mapping[str, Time], rows_of: Mapping[str, Integers]
 ) -> Iterator[tuple[str, Integers, Ranks | None]]:
-    """Yield the wanted sensors with their rows in the order of time, and the ranks of these rows."""
+    """Yield each wanted sensor with its row numbers in the order of time, and their ranks; None to keep the order."""
     ranks = {time: ranks_of(block.select(time)) if time else None for time in set(wanted.values())}
     for name, time in wanted.items():
         rows = rows_of[name]

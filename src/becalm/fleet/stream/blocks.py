@@ -12,7 +12,7 @@ from becalm.core.snapshot_bytes import packed, unpacked
 
 
 class Garbled(NamedTuple):
-    """A loss of rows, blocks or messages that could not be read."""
+    """The loss of rows, blocks or messages that could not be read."""
 
     things: int | None  # number of rows, blocks or messages; None if unknown
     says: str  # one sentence
@@ -21,8 +21,8 @@ class Garbled(NamedTuple):
 class SensorRows(NamedTuple):
     """Some rows of a sensor in the order of their source."""
 
-    time_s: Floats  # (B,) NaN for a row without a stamp
-    values: Floats  # (B, m) NaN where missing
+    time_s: Floats  # (B,) stamps in seconds; NaN for a row without one
+    values: Floats  # (B, m) readings of the channels, each in its unit; NaN where missing
     units: tuple[str, ...] = ()  # one for each channel; () if unknown
     garbled: tuple[Garbled, ...] = ()
 
@@ -42,11 +42,11 @@ class SensorRows(NamedTuple):
 class EstimatedBlock(NamedTuple):
     """The estimates for some rows of a sensor."""
 
-    places: Integers  # (k,) indices of its channels in those of the fleet
-    time_s: Floats  # (B,)
-    signal: Floats  # (B, k)
-    sigma: Floats  # (B, k)
-    verdicts: Codes  # (B, k)
+    places: Integers  # (k,) indices of the sensor's channels among those of the fleet
+    time_s: Floats  # (B,) stamps in seconds
+    signal: Floats  # (B, k) estimates, each in the unit of its channel
+    sigma: Floats  # (B, k) their standard deviations
+    verdicts: Codes  # (B, k) codes of `Verdict`
 
     def packed(self) -> bytes:
         """Return the estimates as bytes."""
@@ -61,6 +61,6 @@ class EstimatedBlock(NamedTuple):
 class Event(NamedTuple):
     """An event in a sensor's stream, such as lost rows, silence, or another recipe."""
 
-    kind: str  # a kind of `becalm.live.block.LossKind`, or "refused", "recipe", "silent", "back"
+    kind: str  # a value of `becalm.live.block.LossKind`, or "refused", "recipe", "rate", "silent", "back"
     rows: int | None  # number of rows concerned; None if unknown
     says: str  # one sentence

@@ -21,8 +21,8 @@ from becalm.live.address import Address
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
-_CLAIM = "becalm.json"
-_WORDS = {"output": "into", "source": "from", "key": "with --by", "time": "with --time"}
+_CLAIM = "becalm.json"  # file in a checkpoint with the options of its stream that must not change
+_WORDS = {"output": "into", "source": "from", "key": "with --by", "time": "with --time"}  # before values in messages
 
 
 def refuse_other(spark: SparkSession, plan: StreamPlan) -> None:
@@ -46,7 +46,7 @@ def refuse_other(spark: SparkSession, plan: StreamPlan) -> None:
 
 
 def claim(spark: SparkSession, plan: StreamPlan) -> None:
-    """Write into a checkpoint, which `refuse_other` accepted, which stream it belongs to.
+    """Record in a checkpoint which stream it belongs to; call `refuse_other` first.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def claim(spark: SparkSession, plan: StreamPlan) -> None:
 
 @contextmanager
 def _as_output_error(plan: StreamPlan) -> Iterator[None]:
-    """Convert an error of Spark with a folder to an OutputError."""
+    """Convert errors of Spark in the `with` to an OutputError that names the folders."""
     try:
         yield
     except (Py4JError, PySparkException) as cause:
@@ -85,7 +85,7 @@ def _refuse(folders: _Folders, plan: StreamPlan) -> None:
             raise OutputError(f"{place} is a file; name a folder for the stream's output, and for its checkpoint.")
     has_output = folders.holds(f"{plan.output}/_spark_metadata")
     has_offsets = folders.holds(f"{plan.checkpoint_folder}/offsets")
-    has_commits = folders.holds(f"{plan.checkpoint_folder}/commits")  # none if the first micro-batch was killed
+    has_commits = folders.holds(f"{plan.checkpoint_folder}/commits")  # false if the first micro-batch was killed
     if has_output and not has_offsets:
         raise OutputError(
             f"{plan.output} holds another stream, or this one without its checkpoint {plan.checkpoint_folder}; "
@@ -154,7 +154,7 @@ class _Folders:
             stream.close()
 
     def write(self, path: str, text: str) -> None:
-        """Write a text to a file by a rename, so that the file is never partial."""
+        """Write a text to another file and rename that, so that the file is never partial."""
         files, place = self._located(path)
         _, part = self._located(f"{path}.part")
         stream = files.create(part, True)

@@ -13,7 +13,7 @@ from becalm.files.tables import VERDICT
 Stamps = Literal["timestamp", "timestamp_ntz", "double"]
 
 KIND, READINGS, EVENTS = "kind", "readings", "events"
-"""The column that separates estimates from events of the stream, and its two values."""
+"""The column that distinguishes estimates from events of the stream, and its two values."""
 
 BATCH = "sensor string, place bigint, batch binary, stored_s double"
 """The Spark schema of the filters' input: packed rows, or messages."""
@@ -54,7 +54,7 @@ class StreamSchema:
     in_blocks: bool = False
 
     def __post_init__(self) -> None:
-        """Check that no two output columns have the same name."""
+        """Raise UsageError if two output columns have the same name."""
         names = [name for name, _ in self.output_columns]
         twice = [name for number, name in enumerate(names) if name in names[:number]]
         if twice:
@@ -98,7 +98,7 @@ def quoted(name: str) -> str:
 
 
 def shape_of(columns: Sequence[tuple[str, str]], key: str, time: str, channels: Sequence[str]) -> StreamSchema:
-    """Find the shape of rows.
+    """Check the columns of rows, and return their description.
 
     Parameters
     ----------

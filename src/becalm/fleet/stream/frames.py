@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def blocks_of(frame: DataFrame, plan: SensorPlan) -> tuple[StreamSchema, DataFrame]:
-    """Return the shape of a frame of rows or messages, and its blocks of one sensor each.
+    """Return the columns of a frame of rows or messages, and its blocks of one sensor each.
 
     The plan must name all channels.
 

@@ -11,8 +11,8 @@ import pyarrow as pa
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.fleet.stream.blocks import Garbled, SensorRows
 
-_HELD_ROWS = 1 << 18
-_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+_HELD_ROWS = 1 << 18  # rows that are held before they are released
+_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # ticks of Arrow timestamps
 
 Seconds = Callable[[pa.Array], Floats]
 """A function that converts a column of stamps to seconds."""
@@ -22,8 +22,8 @@ class _Samples(NamedTuple):
     """Rows of many sensors, one after another."""
 
     whose: Integers  # (N,) number of each row's sensor, from `SensorBlockBuffer.whose`
-    time_s: Floats  # (N,)
-    values: Floats  # (N, m)
+    time_s: Floats  # (N,) stamps in seconds; NaN where missing
+    values: Floats  # (N, m) readings of the channels; NaN where missing
 
 
 class SensorBlockBuffer:
@@ -43,17 +43,17 @@ class SensorBlockBuffer:
         self._rows = 0
 
     def whose(self, sensors: pa.Array, units: tuple[str, ...] = ()) -> Integers:
-        """Return the number of each row's sensor (N,); rows in other units get another number."""
+        """Return the number of each row's sensor, (N,); a sensor has a separate number for each set of `units`."""
         own = sensors.fill_null("").dictionary_encode()
         numbers = np.array([self._number(name, units) for name in own.dictionary.to_pylist()], np.int64)
         return np.asarray(numbers[own.indices.to_numpy()])
 
     def garble(self, sensor: str, garbled: Garbled) -> None:
-        """Record that something of a sensor could not be read."""
+        """Record a loss of a sensor, to be released with its next block."""
         self._garbled.setdefault(self._number(sensor, ()), []).append(garbled)
 
     def add(self, whose: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> Iterator[pa.RecordBatch]:
-        """Add rows, or blocks of rows, and yield blocks, as `shape.BATCH`, once enough rows are held.
+        """Add rows, or blocks of rows; once enough rows are held, yield blocks with the columns of `columns.BATCH`.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class SensorBlockBuffer:
             yield from self.rest()
 
     def rest(self) -> Iterator[pa.RecordBatch]:
-        """Yield blocks of all rows that are held."""
+        """Yield all rows that are held, as blocks with the columns of `columns.BATCH`."""
         nothing = _Samples(np.empty(0, np.int64), np.empty(0), np.empty((0, self._width)))
         whose, time_s, values = (np.concatenate(parts) for parts in zip(nothing, *self._held, strict=True))
         order = np.argsort(whose, kind="stable")
@@ -132,7 +132,7 @@ def numbers_in(column: pa.Array) -> Floats:
 
 
 def _samples(whose: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> tuple[_Samples, Integers]:
-    """Return rows, or blocks laid out one after another, and the sensor's number of each block of unequal lengths."""
+    """Return the samples of rows or blocks, and the sensor's number of each block left out for unequal lengths."""
     time, *channels = columns
     if not pa.types.is_list(time.type):
         return _Samples(whose, seconds(time), np.column_stack([*map(numbers_in, channels)])), whose[:0]
@@ -154,7 +154,7 @@ def _lengths(column: pa.ListArray) -> Integers:
 
 
 def _laid_out(column: pa.ListArray, lengths: Integers) -> Floats:
-    """Return the lists of a column one after another, with the given lengths; NaN where a list is missing."""
+    """Return the lists of a column end to end, (N,), with the given lengths; NaN where a list is missing."""
     kept = _valid(column) & (_lengths(column) == lengths)
     values = numbers_in(column.filter(pa.array(kept)).flatten())
     if kept.all():

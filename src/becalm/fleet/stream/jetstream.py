@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 
 _NAME = "becalm_nats"
 _SCHEMA = "sensor string, place bigint, message binary, stored_s double"
-_FEWEST = 2000  # messages that justify another task
+_FEWEST = 2000  # least messages of a task if there are several
 _log = logging.getLogger(__name__)
 
 
 @dataclass
 class _Range(InputPartition):
-    """Messages that one task reads."""
+    """The numbers of the first and the last message that one task reads."""
 
     first: int
     last: int
@@ -54,12 +54,12 @@ class _Source(DataSource):
 class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
     """A reader that finds the available messages and reads them.
 
-    An offset is the number of the last message that was read, and the time when its stream was created.
+    An offset consists of the number of the last message that was read, and the time when the stream was created.
     """
 
     def __init__(self, address: Address, tasks: int) -> None:
         self._address, self._tasks = address, tasks
-        self._end: int | None = None  # last message to read, if the query ends after the data that exist now
+        self._end: int | None = None  # last message to read; None if the query does not end
 
     def initialOffset(self) -> dict[str, Any]:  # noqa: N802
         span = found_in(self._address)

@@ -18,12 +18,12 @@ from becalm.live.protocols import AwayError
 if TYPE_CHECKING:
     from nats.aio.msg import Msg
 
-_AT_ONCE, _WAIT_S = 1024, 0.2
+_AT_ONCE, _WAIT_S = 1024, 0.2  # most messages that are taken at once; longest wait for the first
 _AGAIN_S = (1.0, 2.0, 4.0, 8.0, 15.0)  # waits between retries; a server restarts in less than their sum
 
 
 class StreamRange(NamedTuple):
-    """The numbers of the messages that a stream holds."""
+    """The numbers of the first and the last message that a stream holds."""
 
     first: int
     last: int
@@ -36,7 +36,7 @@ class SequencedMessage(NamedTuple):
     subject: str
     number: int
     payload: bytes
-    stored_s: float
+    stored_s: float  # when the server stored it, in seconds since 1970
 
 
 def found_in(address: Address) -> StreamRange:
@@ -64,7 +64,7 @@ def found_in(address: Address) -> StreamRange:
 
 
 def messages_of(address: Address, first: int, last: int) -> Iterator[list[SequencedMessage]]:
-    """Yield the messages of a range in order, some at a time.
+    """Yield the messages numbered `first` to `last`, in order, some at a time.
 
     Raises
     ------
@@ -102,11 +102,11 @@ def _read(address: Address, first: int, last: int) -> Iterator[list[SequencedMes
 
 
 class _RangePull(NatsPull):
-    """A pull that also returns the subjects of messages, and knows how many follow."""
+    """A pull that also returns the subjects of messages, and whether more follow."""
 
     def __init__(self, remote: Remote, link: NatsLink) -> None:
         super().__init__(remote, link)
-        self._extras: deque[tuple[str, int]] = deque()  # subject and number of later messages, for each message
+        self._extras: deque[tuple[str, int]] = deque()  # for each held message: its subject, how many follow
 
     def take_until(self, last: int) -> tuple[list[SequencedMessage], bool]:
         """Return the next messages up to a number, and whether there may be more."""
@@ -130,7 +130,7 @@ class _RangePull(NatsPull):
             )
 
     def _is_more(self) -> bool:
-        """Ask the server whether messages are not sent yet, or still on their way."""
+        """Ask the server whether it has messages that it has not sent yet, or that have not arrived."""
         from nats.errors import Error
 
         try:

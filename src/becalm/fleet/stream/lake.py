@@ -1,7 +1,7 @@
 """Read the Parquet files of a lake in tasks. Spark only finds the files and passes on their paths, not their rows.
 
-So a file that cannot be read is reported and does not stop the stream. Units stay known, and nanoseconds too, for which
-Spark has no type.
+Therefore a file that cannot be read is reported and does not stop the stream, and units and nanoseconds are kept; Spark
+has no type for nanoseconds.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ from becalm.fleet.stream.gathering import Seconds, SensorBlockBuffer, numbers_in
 from becalm.fleet.stream.plan import SensorPlan
 from becalm.live.lines.cells import NumberStamps, stamp_reader
 
-_ROWS = 1 << 16
+_ROWS = 1 << 16  # rows that are read at a time
+# Names of types in Spark, by their names in Arrow.
 _KINDS = {"float": "float", "halffloat": "float", "int8": "int", "int16": "int", "int32": "int", "int64": "bigint"}
 _KINDS |= {"uint8": "int", "uint16": "int", "uint32": "bigint", "uint64": "bigint"}
+# Errors of the machine or its network, not of the file; a retry may help.
 _PASSING = {
     errno.EIO,
     errno.ESTALE,
@@ -44,7 +46,7 @@ _LOOKED_AT = 20  # files to try when a stream begins; one of them must be readab
 
 
 def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
-    """Find the shape of a lake's rows from one of its files.
+    """Return the columns of a lake's rows, from one of its files.
 
     Raises
     ------
@@ -74,12 +76,14 @@ def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
 
 
 def read_files(lake: str, shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Yield blocks of one sensor each, as `shape.BATCH`, from files; the first column of `batches` has their paths.
+    """Yield blocks of one sensor each, with the columns of `columns.BATCH`, from files.
+
+    The first column of `batches` has the paths of the files.
 
     Raises
     ------
     InputError
-        If a file cannot be read now because of the machine, not the file, so that Spark repeats the read.
+        If a file cannot be read now because of the machine, not of the file; Spark then repeats the read.
     """
     gathering = SensorBlockBuffer(len(shape.channels))
     for batch in batches:
@@ -101,7 +105,7 @@ def read_files(lake: str, shape: StreamSchema, batches: Iterator[pa.RecordBatch]
 
 
 def _passes(cause: BaseException | None) -> bool:
-    """Return whether the machine is the cause, such as its disks, its network or its memory, so that a retry may help.
+    """Return whether the cause is the machine, such as its disk, network or memory, so that a retry may help.
 
     Arrow's own out-of-memory error does not count: it comes from a damaged file that claims an impossible size.
     """
@@ -125,7 +129,7 @@ class _Piece(NamedTuple):
 
 
 class _Clock:
-    """A reader of stamps in seconds; it finds the unit of numbers from metadata, the column's name or their size."""
+    """A reader of stamps in seconds. It takes the unit of numbers from metadata, the column's name or their size."""
 
     def __init__(self, name: str, unit: str) -> None:
         self._name, self._unit = name, unit
@@ -138,7 +142,7 @@ class _Clock:
         finite = numbers[np.isfinite(numbers)]
         if not self._second and len(finite):
             reader = stamp_reader(self._name, self._unit, float(np.median(finite)))  # robust against odd stamps
-            assert isinstance(reader, NumberStamps)  # because the sample is a number
+            assert isinstance(reader, NumberStamps)  # because the argument is a number
             self._second = reader.per_second / reader.factor
         return numbers / (self._second or 1.0)
 

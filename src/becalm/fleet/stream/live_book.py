@@ -1,4 +1,4 @@
-"""Read recipes from a disk; they may change while a stream runs."""
+"""Read recipes from a disk, again whenever they change while a stream runs."""
 
 from __future__ import annotations
 
@@ -90,5 +90,5 @@ def _current(path: Path) -> Recipe:
 
 @lru_cache(maxsize=4096)
 def _read(path: Path, changed_ns: int, size: int) -> Recipe:
-    """Read a recipe once, until its file changes."""
+    """Read a recipe; the cache repeats the read only if its file has changed."""
     return Recipe.load(path)

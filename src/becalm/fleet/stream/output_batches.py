@@ -13,8 +13,8 @@ from becalm.files.tables import VERDICT, in_words
 from becalm.fleet.stream.blocks import EstimatedBlock
 from becalm.fleet.stream.columns import EVENTS, KIND, READINGS, StreamSchema
 
-_ROWS = 1 << 15
-_MICRO = 1e6
+_ROWS = 1 << 15  # least rows of an output batch, except the last
+_MICRO = 1e6  # microseconds per second
 _TYPES = {
     "string": pa.string(),
     "double": pa.float64(),
@@ -25,7 +25,7 @@ _TYPES = {
 
 
 class _Answer(NamedTuple):
-    """A row of `shape.ANSWER`."""
+    """A row of the filters' output, with the columns of `columns.ANSWER`."""
 
     sensor: str
     estimates: bytes | None
@@ -37,7 +37,7 @@ class _Answer(NamedTuple):
 
 
 def to_output_batches(shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Yield the filters' output in the columns of `StreamSchema.output_columns`."""
+    """Yield the filters' output, batches of `columns.ANSWER`, in the columns of `StreamSchema.output_columns`."""
     writer = _OutputBatches(shape)
     for batch in batches:
         answers = [_Answer(*row) for row in zip(*(column.to_pylist() for column in batch.columns), strict=True)]
@@ -66,7 +66,7 @@ class _OutputBatches:
         return self._batch(own, len(answers))
 
     def readings(self, answers: Sequence[_Answer]) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of estimates, several answers in one batch."""
+        """Yield the rows of estimates; a batch joins those of several answers."""
         held: list[pa.RecordBatch] = []
         rows = 0
         for answer in answers:

@@ -17,16 +17,23 @@ FIRST_ROWS = FEW_STAMPS
 
 START, MOST = "start", "most"
 """Options of brokers: where a new stream begins, and the largest number of messages in a micro-batch."""
+
 _MESSAGES = 100_000  # default of MOST
 
 
 def most_of(address: Address) -> int:
-    """Return the largest number of messages in a micro-batch."""
+    """Return the largest number of messages in a micro-batch, from an address.
+
+    Raises
+    ------
+    UsageError
+        If the address has another value than a number of 1 or more.
+    """
     return int(address.number(MOST, _MESSAGES, least=1))
 
 
 class Book(Protocol):
-    """A book that returns the recipe of each sensor. It can be pickled; workers call it in every micro-batch."""
+    """A book that returns the recipe of each sensor. It must be picklable; workers call it in every micro-batch."""
 
     def recipe_for(self, sensor: str) -> Recipe:
         """Return the current recipe of a sensor.
@@ -56,7 +63,7 @@ class SensorPlan:
     Attributes
     ----------
     recipes : Book
-        The recipe of each sensor. It may change while the stream runs; the new recipe takes over without a jump.
+        The recipe of each sensor. It may change while the stream runs; the estimates do not jump then.
     key : str
         The column that names the sensor of a row.
     time : str
@@ -72,7 +79,8 @@ class SensorPlan:
     silent_s : float or None
         Seconds without a row, by the clock of Spark, after which a sensor is reported as silent; None to report none.
     messages : Address or None
-        If given, rows come as messages, as in `becalm live`; it holds the options of their columns.
+        The address of the messages that contain the rows, with the options of their columns, as in `becalm live`; None
+        if rows are not messages.
     """
 
     recipes: Book
@@ -108,7 +116,7 @@ class SensorPlan:
 
 @dataclass(frozen=True)
 class StreamPlan:
-    """The options of a stream from a source through every sensor's filters into a folder.
+    """The options of a stream that filters every sensor of a source and writes into a folder.
 
     Attributes
     ----------

@@ -18,7 +18,7 @@ from becalm.fleet.stream.reading import Entry
 from becalm.fleet.stream.sensor import SensorStep, SensorWalk
 from becalm.fleet.stream.state import SensorState
 
-_SHOWN = 12  # digits of a recipe's hash
+_SHOWN = 12  # digits of a recipe's hash in the output
 
 
 class SensorProcessor(StatefulProcessor):

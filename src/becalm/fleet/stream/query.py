@@ -47,16 +47,16 @@ _EMPTY_BATCHES = "spark.sql.streaming.noDataMicroBatches.enabled"
 def cleaned(frame: DataFrame, plan: SensorPlan) -> DataFrame:
     """Return the estimates of a stream's rows, for any sink.
 
-    This sets the state store of the session. If the plan reports silent sensors, it also lets Spark run micro-batches
-    while no row comes; otherwise it switches that off.
+    This changes the session: it sets the state store. Spark runs micro-batches without rows only if the plan reports
+    silent sensors.
 
     Parameters
     ----------
     frame : DataFrame
         A stream of rows with a column for the sensor, one for the stamp, and one of numbers for each channel, null
-        where missing. Or a stream of blocks of rows, whose stamps and channels are arrays. Or, if the plan says so, a
-        stream of messages: the key, `message` (binary), `place` (bigint: their order), `stored_s` (double: seconds
-        since 1970).
+        where missing. Or a stream of blocks of rows, whose stamps and channels are arrays. Or, if the plan has
+        `messages`, a stream of messages: the key, `message` (binary), `place` (bigint: their order), `stored_s`
+        (double: seconds since 1970).
     plan : SensorPlan
         The options of each sensor.
 
@@ -80,7 +80,7 @@ def cleaned(frame: DataFrame, plan: SensorPlan) -> DataFrame:
 
 
 def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
-    """Start a stream from a source through every sensor's filters into Parquet files. Each row is written once.
+    """Start a stream that filters every sensor of a source and writes Parquet files. Each row is written once.
 
     Parameters
     ----------

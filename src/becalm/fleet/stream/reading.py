@@ -1,4 +1,4 @@
-"""Join the rows of one sensor in a micro-batch into one block in order, and drop rows that are late or unstamped."""
+"""Join the rows of one sensor in a micro-batch into one ordered block; drop late rows and rows without a stamp."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.live.block import Block, Loss, LossKind
 from becalm.live.messages.stream import MessageStream
 from becalm.live.tables import EPOCH_S
 
-_DAY_S = 86400.0  # stamps farther ahead than this are not believed
+_DAY_S = 86400.0  # stamps farther ahead than this are taken as wrong
 
 
 class Entry(NamedTuple):
@@ -29,10 +29,10 @@ class Entry(NamedTuple):
 
 
 def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) -> Block:
-    """Return rows of a lake, and the rows that waited, sorted by their stamps.
+    """Return the new rows of a lake together with the rows that waited, sorted by their stamps.
 
-    Rows with equal stamps keep the order of their block. Spark does not keep the order of blocks, so blocks are sorted
-    first, and the result is always the same.
+    Rows with equal stamps keep the order of their block. Spark delivers blocks in any order, so they are sorted first:
+    the result does not depend on it.
     """
     parts = sorted((SensorRows.unpacked(entry.batch) for entry in sorted(entries)), key=_first_stamp)
     waited = _units_under(channels, held)
@@ -56,7 +56,7 @@ def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) ->
 def read_messages(
     entries: Sequence[Entry], address: Address, held: Block, state: Mapping[str, Any]
 ) -> tuple[Block, Mapping[str, Any]]:
-    """Return the rows of messages in their broker's order, after those that waited, and the state of the numbering."""
+    """Return the rows that waited, then those of messages in their broker's order; and the state of the numbering."""
     stream = MessageStream(address)
     stream.resume(state)
     stream.take_many([(entry.batch, entry.stored_s) for entry in sorted(entries)])
@@ -69,7 +69,7 @@ def _first_stamp(part: SensorRows) -> float:
 
 
 def _alike(units: Sequence[str], others: Sequence[str]) -> bool:
-    """Return whether units agree where both are known; a file need not have every channel."""
+    """Return whether units are equal where both are known; a file need not have every channel."""
     return all(not one or not other or one == other for one, other in zip(units, others, strict=False))
 
 
@@ -91,7 +91,7 @@ def _after(held: Block, block: Block) -> Block:
 
 
 def _most(parts: Sequence[SensorRows]) -> tuple[str, ...]:
-    """Return the units that the most rows have."""
+    """Return the units that most rows have; () without parts."""
     rows = Counter[tuple[str, ...]]()
     for part in parts:
         rows[part.units] += len(part.time_s)
@@ -99,7 +99,7 @@ def _most(parts: Sequence[SensorRows]) -> tuple[str, ...]:
 
 
 def _under(channels: Sequence[str], held: Block) -> Floats:
-    """Return the readings that waited, in the current channels of the stream; NaN where a channel is new."""
+    """Return the readings that waited, in the order of the stream's channels; NaN where a channel is new."""
     values = np.full((len(held), len(channels)), np.nan)
     for place, name in enumerate(channels):
         if name in held.names:
@@ -108,7 +108,7 @@ def _under(channels: Sequence[str], held: Block) -> Floats:
 
 
 def _units_under(channels: Sequence[str], held: Block) -> tuple[str, ...]:
-    """Return the units of rows that waited, in the current channels of the stream; "" if unknown."""
+    """Return the units of the rows that waited, in the order of the stream's channels; "" if unknown."""
     units = dict(zip(held.names, held.units, strict=False))
     return tuple(units.get(name, "") for name in channels)
 
@@ -126,8 +126,8 @@ def stamped(block: Block) -> Block:
 def timely(block: Block, taken_to_s: float, now_s: float) -> Block:
     """Drop all rows of a lake with stamps before that of the last row taken.
 
-    A live stream takes eight such rows as a clock that was set back; in a lake they come from a late file instead. The
-    live rule still applies if stamps do not count from 1970, or if the last row taken lies in the future.
+    In a live stream, eight such rows mean that the clock was set back; in a lake they come from a late file. The rule
+    of live streams still applies if stamps do not count from 1970, or if the last row taken is more than a day ahead.
     """
     late = block.time_s < taken_to_s
     count = int(np.count_nonzero(late))
@@ -138,11 +138,11 @@ def timely(block: Block, taken_to_s: float, now_s: float) -> Block:
 
 
 def parted(block: Block, lateness_s: float) -> tuple[Block, Block]:
-    """Split sorted rows into those to filter now, and those that wait for rows that may come late.
+    """Split sorted rows into those to filter now, and those that wait because earlier rows may still come.
 
-    A row waits until eight rows have stamps at least `lateness_s` after it, so that one wrong stamp does not end the
-    wait. A row more than a day ahead of them does not wait if other rows are ready before it. Rows whose stamps do not
-    count from 1970 do not wait either, because their clock may restart.
+    A row waits until eight rows have stamps at least `lateness_s` after its own, so that one wrong stamp does not end
+    the wait. A row more than a day ahead of the eighth newest row does not wait if other rows are ready before it. Rows
+    whose stamps do not count from 1970 do not wait either, because their clock may restart.
     """
     if not lateness_s or not len(block) or not np.fmax.reduce(block.time_s) > EPOCH_S:
         return block, Block.of_losses()

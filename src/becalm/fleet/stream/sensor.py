@@ -1,4 +1,4 @@
-"""Process the stream of one sensor a micro-batch at a time: from a state and new rows to a new state and estimates.
+"""Process the stream of one sensor by micro-batches: from a state and new rows, return a new state and estimates.
 
 Nothing is remembered between calls, so a repeated micro-batch gives the same result on any worker.
 """
@@ -28,7 +28,7 @@ from becalm.live.messages.stream import MessageStream
 from becalm.live.stream import Stream
 
 _LONGEST_NAME, _SHOWN = 255, 40  # bytes of a folder's name; letters of a longer name that a message shows
-_ODD = 1.5  # ratio of a stream's rate to its recipe's rate that is reported
+_ODD = 1.5  # smallest ratio of a stream's rate to its recipe's rate, or the inverse, that is reported
 
 
 class SensorStep(NamedTuple):
@@ -42,7 +42,7 @@ class SensorStep(NamedTuple):
 
 
 class SensorWalk:
-    """A processor that takes a sensor's stream from one micro-batch to the next.
+    """A processor of one micro-batch of any sensor; it keeps no state of its own.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class SensorWalk:
         state, back, wake_ms = self._awake(before, now_ms)
         stream = None if state.stream is None else Stream.resumed(state.stream)
         block, numbers = self._read(entries, state, -np.inf if stream is None else stream.taken_to_s)
-        state = replace(state, messages=numbers, held=Block.of_losses())
+        unchanged = state = replace(state, messages=numbers, held=Block.of_losses())
         if not sensor and not len(block):  # only losses of an unknown sensor
             return SensorStep(None, None, _events(block.losses))
         remarks: tuple[Event, ...] = ()
@@ -100,6 +100,7 @@ class SensorWalk:
                 ready, held = self._split(block)
                 step = self._after(stream, replace(state, held=held), stream.take(ready))
         except BecalmError as cause:
+            state = unchanged  # another recipe has not taken over, either
             kept = None if state.stream is None and not numbers else state  # a name without a recipe needs no state
             remarks, step = (), SensorStep(kept, None, (*_events(block.losses), _left_out(cause, len(block))))
         wake_ms = None if step.state is None else wake_ms
@@ -124,7 +125,7 @@ class SensorWalk:
         return step._replace(events=(silent, *step.events), recipe=state.taken)
 
     def _awake(self, before: SensorState | None, now_ms: int) -> tuple[SensorState, tuple[Event, ...], int | None]:
-        """Return the state of a sensor with new rows, an event if it was silent, and when to check it again."""
+        """Return the state of a sensor to which rows came, an event if it was silent, and when to check it next."""
         before = before or SensorState(now_ms)
         wake_ms = None
         if self._plan.silent_s is not None and not before.is_watched:
@@ -146,7 +147,7 @@ class SensorWalk:
         return parted(block, self._plan.lateness_s if self._plan.messages is None else 0.0)
 
     def _begun(self, sensor: str, state: SensorState, block: Block) -> tuple[Stream | None, SensorState]:
-        """Return a sensor's filters, or None while it has too few rows to begin."""
+        """Return a sensor's new stream of filters, or None while its rows are too few to begin, and its state."""
         if not sensor:
             raise RecipeError(f"The rows have no sensor name in {self._plan.key!r}.")
         if not self.output_name(sensor):
@@ -162,7 +163,7 @@ class SensorWalk:
         return stream, replace(state, asked=taken, taken=taken)
 
     def _retuned(self, sensor: str, stream: Stream, state: SensorState) -> tuple[tuple[Event, ...], SensorState]:
-        """Change to another recipe if the book has one; wait if an earlier change is still in progress."""
+        """Change to the book's recipe if that has changed, but not while an earlier change is in progress."""
         recipe, says, hashed = _current_recipe(self._plan, sensor)
         if hashed == state.asked or stream.gives_way:
             return (), state
@@ -187,7 +188,7 @@ class SensorWalk:
         return SensorStep(state, estimates, _events(output.losses))
 
     def _place(self, name: str) -> int:
-        """Return the index of a recipe's channel in the fleet's channels; "load (N)" and "load" are the same."""
+        """Return the index of a recipe's channel among the fleet's channels; "load (N)" and "load" are the same."""
         alike = [k for k, own in enumerate(self._channels) if name in (own, parse_header(own)[0])]
         alike = alike or [k for k, own in enumerate(self._channels) if parse_header(name)[0] == own]
         if len(alike) != 1:
@@ -214,7 +215,7 @@ def _hash_of(recipe: Recipe) -> str:
 
 
 def _odd_rate(recipe: Recipe, time_s: Floats) -> tuple[Event, ...]:
-    """Return an event if the rows' rate differs from the recipe's, so that each step would be a gap or a repeat."""
+    """Return an event if the rate of the rows differs so much from the recipe's that steps would be gaps or repeats."""
     steps_s = np.diff(time_s[np.isfinite(time_s)][:FIRST_ROWS])
     steps_s = steps_s[steps_s > 0]
     if not len(steps_s) or 1 / _ODD < np.median(steps_s) * recipe.nominal_rate_hz < _ODD:

@@ -25,16 +25,16 @@ from becalm.live.messages.stream import MessageStream
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
 
-_EVER = "36500d"  # by default, Spark silently skips files that are a week older than the newest
-_LAKE_BYTES = 256 << 20  # of a micro-batch, whose rows are sorted in memory
-_FILE = "path string, modificationTime timestamp, length bigint, content binary"  # only the path is read
+_EVER = "36500d"  # oldest file that Spark reads; by default, it skips files a week older than the newest
+_LAKE_BYTES = 256 << 20  # largest input of a micro-batch, whose rows are sorted in memory
+_FILE = "path string, modificationTime timestamp, length bigint, content binary"  # only the path is used
 _PATTERN = re.compile(r"[][*?{}\\]")  # Spark would read these characters in a folder's name as a pattern
 _KAFKA_START = {"first": "earliest", "now": "latest"}
 _KAFKA = "org.apache.spark:spark-sql-kafka-0-10_2.13"
 
 
 def opened(spark: SparkSession, plan: StreamPlan) -> tuple[StreamSchema, DataFrame, SensorPlan]:
-    """Return the shape of a source, its blocks, and the plan of its sensors, which describes messages if it has them.
+    """Return the columns of a source, its blocks, and the plan of its sensors, with `messages` if rows are messages.
 
     Raises
     ------

@@ -25,11 +25,11 @@ class SensorState:
     heard_ms : int
         When rows last came, by the clock of Spark, in milliseconds since 1970.
     is_silent : bool
-        Whether it has been reported as silent since.
+        Whether the sensor has been reported as silent since then.
     is_watched : bool
         Whether a timer is set to check for silence.
     asked : str
-        Hash of the recipe that its book returned last, or of the error message if there was none.
+        Hash of the recipe that the book last returned for the sensor, or of the error message if there was none.
     taken : str
         Hash of the recipe that its filters use.
     stream : Checkpoint or None
@@ -37,7 +37,7 @@ class SensorState:
     held : Block
         Rows that wait for the filters to begin, or for earlier rows.
     messages : mapping
-        The state of the numbering of its messages.
+        The state of the numbering of its messages, as `MessageStream.state`.
     """
 
     heard_ms: int

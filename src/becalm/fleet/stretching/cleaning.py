@@ -61,7 +61,7 @@ class Course:
             self._took_s += result.took_s
 
     def next(self) -> list[TaskStretch]:
-        """Return the stretches to run next: first all, then those whose start differs from what the one before left."""
+        """Return the stretches to run next: first all, then those that began in a state other than the correct one."""
         if self.failed is not None or self.whole:
             return []
         if not self._estimates:
@@ -91,7 +91,7 @@ class Course:
         return outcome
 
     def _was_run(self, stretch: TaskStretch) -> bool:
-        """Return whether a stretch already ran from this very state; running it again would never end."""
+        """Return whether a stretch already ran from exactly this state, so that another run would change nothing."""
         return self._estimates[stretch.number].stretch == stretch
 
     @property
@@ -100,7 +100,7 @@ class Course:
 
 
 def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list[Outcome]:
-    """Clean sensors that may be long, each in several tasks at once.
+    """Clean sensors that may be long; cut those that are, and clean their stretches in parallel.
 
     Parameters
     ----------

@@ -13,9 +13,9 @@ State = tuple[bytes, ...]
 
 
 class Extremes(NamedTuple):
-    """The range of the readings before a row."""
+    """The range of all readings before a row."""
 
-    row: int
+    row: int  # its index
     least: tuple[float, ...]  # one for each channel
     most: tuple[float, ...]
 
@@ -27,21 +27,21 @@ class Long(NamedTuple):
     sensor: Sensor
     recipe: str  # the text of its recipe, fitted to its channels
     causal: bool  # whether estimates use only the past
-    known: ParsedSource
-    files: tuple[OutputFile, ...]  # one for each input file, in order
+    known: ParsedSource  # its channels, clock and number of rows
+    files: tuple[OutputFile, ...]  # the output files, one for each input file, in order
     staged: str  # the staging folder of its output
     hashed: str  # the hash of its input
     cuts: tuple[int, ...]  # the first row of each stretch, and the number of rows
     first: tuple[float, ...]  # the first usable reading of each channel
-    extremes: tuple[Extremes, ...]
+    extremes: tuple[Extremes, ...]  # in the order of rows; () if the files do not have them
     notes: tuple[str, ...]  # sentences about its files and clock
     took_s: float  # the time of the survey, in seconds
 
 
 class TaskStretch(NamedTuple):
-    """A part of one sensor's rows, to be cleaned in a task."""
+    """Successive rows of one sensor, which a task cleans."""
 
-    number: int
-    first: int
-    stop: int
+    number: int  # index among the stretches of the sensor
+    first: int  # first row
+    stop: int  # row after the last
     state: State | None = None  # the filters' state after the rows before it, if that is known

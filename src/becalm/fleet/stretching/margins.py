@@ -16,21 +16,21 @@ from becalm.files.shared_source import KnownSource
 from becalm.native.scans import REACH
 
 TIMES = 16
-"""Multiple of the length after which 1e-13 of a causal filter's initial state is left.
+"""Warm-up of a causal filter, as a multiple of the readings after which 1e-13 of its initial state is left.
 
-After so many readings, the states of two filters with different starts are bitwise equal.
+After this warm-up, the states of two filters with different initial states are bitwise equal.
 """
 
 SMOOTHED_TIMES = 2
-"""The same multiple for a smoother, which must be right to 1e-10 only."""
+"""The same for a smoother, on each side of a stretch; its estimates must be right to 1e-10 only."""
 
-_GATED = 1024  # additional rows for a gate, which reconsiders the readings that it rejected in succession
+_GATED = 1024  # additional readings for a gate, which reconsiders the readings that it rejected in succession
 
 
 class Margin(NamedTuple):
     """The rows that filters need on each side of a stretch."""
 
-    readings: float  # for each filtered channel, and as much time in steps; inf if no number is enough
+    readings: float  # least readings of each filtered channel, and least time in steps; inf if no number is enough
     aligned: int  # filters must begin at a multiple of this many rows
 
 
@@ -51,7 +51,7 @@ def margin_of(recipe: Recipe, step_s: float) -> Margin:
 
 
 def warm_up_start(source: KnownSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
-    """Return the row at which to begin, so that each channel has enough readings before `first`.
+    """Return the row at which to begin, so that each filtered channel has enough readings before `first`.
 
     Return None if that takes more than `most` rows.
     """
@@ -67,9 +67,9 @@ def warm_up_start(source: KnownSource, recipe: Recipe, margin: Margin, first: in
 
 
 def ended(source: KnownSource, recipe: Recipe, margin: Margin, span: tuple[int, int], most: int) -> int | None:
-    """Return the row at which to stop, so that each channel has enough readings after a stretch.
+    """Return the row at which to stop, so that each filtered channel has enough readings after a stretch.
 
-    `span` is the row after the stretch, and the row after the whole sensor. Return None if more than `most` rows are
+    `span` is the row after the stretch, and the number of rows of the sensor. Return None if more than `most` rows are
     needed.
     """
     stop, last = span
@@ -84,6 +84,7 @@ def ended(source: KnownSource, recipe: Recipe, margin: Margin, span: tuple[int, 
 
 
 def _is_long(source: KnownSource, recipe: Recipe, margin: Margin, first: int, stop: int) -> bool:
+    """Return whether the rows from `first` to before `stop` have the readings and the time of a margin."""
     counts, steps = np.zeros(len(recipe.channel), np.int64), 0.0
     for chunk in source.chunks(first, stop, stop - first):
         counts += _readings(columns_of(chunk, recipe))

@@ -28,7 +28,7 @@ from becalm.fleet.stretching.long import Long, State, TaskStretch
 from becalm.fleet.stretching.margins import ended, margin_of, warm_up_start
 
 OVERLAP = 64
-"""Rows that are compared where two smoothed stretches meet."""
+"""Largest number of rows that are compared where two smoothed stretches meet."""
 
 Write = Callable[[CleanChunk], None]
 
@@ -36,19 +36,19 @@ Write = Callable[[CleanChunk], None]
 class Seams(NamedTuple):
     """The values that are compared where a stretch meets its neighbours."""
 
-    start: State | None = None  # comparable states of causal filters before it
-    end: State | None = None  # the same after it
-    left: State | None = None  # complete states after it, with which the next stretch can run
+    start: State | None = None  # comparable states of causal filters before the stretch
+    end: State | None = None  # the same after the stretch
+    left: State | None = None  # complete states after the stretch, from which the next one can run
     alive: tuple[bool, ...] = ()  # for each channel, whether the phase of its dead-sensor window does not matter
-    head: Floats | None = None  # (m, 2, OVERLAP) smoothed signal and sigma of its first rows
+    head: Floats | None = None  # (m, 2, n) smoothed signal and sigma of its first rows, n <= OVERLAP
     beyond: Floats | None = None  # the same for the first rows after it
 
 
 class StretchEstimates(NamedTuple):
-    """The result of a stretch; its estimates themselves are in files."""
+    """The result of a stretch, without its estimates, which are in files."""
 
     stretch: TaskStretch
-    seams: Seams | None = None  # None if the rows around it are too few to warm up its filters
+    seams: Seams | None = None  # None if the rows around the stretch are too few to warm up its filters
     reports: tuple[ChannelReport, ...] = ()
     counts: tuple[dict[Verdict, int], ...] = ()  # for each channel, how often each verdict was written
     pieces: tuple[OutputFile, ...] = ()
@@ -84,7 +84,7 @@ def run_stretch(long: Long, stretch: TaskStretch) -> StretchEstimates:
     Raises
     ------
     BecalmError
-        If it cannot be read, or written.
+        If the sensor cannot be read, or its estimates cannot be written.
     """
     began = monotonic()
     recipe = Recipe.from_toml(long.recipe)
@@ -109,7 +109,7 @@ def run_stretch(long: Long, stretch: TaskStretch) -> StretchEstimates:
 
 
 def pieces_of(files: tuple[OutputFile, ...], stretch: TaskStretch) -> list[OutputFile]:
-    """Return the files that a stretch writes: one for each input file, or part of one, that its rows are in."""
+    """Return the files that a stretch writes: one for each input file, or part of an input file, with rows of it."""
     pieces, begins = list[OutputFile](), accumulate((file.rows for file in files), initial=0)
     for (name, rows), begin in zip(files, begins, strict=False):
         first, stop = max(begin, stretch.first), min(begin + rows, stretch.stop)
@@ -186,14 +186,14 @@ def _smoothed(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRep
 
 
 def _overlap(answers: list[CleanChunk]) -> Floats | None:
-    """Return signal and sigma of the first rows of each channel."""
+    """Return signal and sigma of the first rows of each channel, (m, 2, n); None if there are no rows."""
     if not answers:
         return None
     return np.array([[one.signal[:OVERLAP], one.sigma[:OVERLAP]] for one in answers[0].estimates])
 
 
 def _histories(work: _Work, begin: int) -> list[History]:
-    """Return each channel's history before the row at which a stretch starts to warm up."""
+    """Return each channel's history before the row at which the warm-up of a stretch begins."""
     earlier = [one for one in work.long.extremes if one.row <= begin]
     steps = work.source.steps_before(begin)
     nothing = (np.inf,) * len(work.recipe.channel)

@@ -1,8 +1,8 @@
-"""Compare the filters' states where two stretches meet; if they differ, the later stretch runs again.
+"""Compare the filters' states where two stretches meet. If they differ, the later stretch runs again.
 
-If every stretch starts with exactly the numbers with which the one before it ended, the output equals that of a single
-run and does not depend on where it was cut. Smoothed rows also depend on later rows, so smoothed stretches are compared
-in the rows where they overlap.
+If every stretch starts in exactly the state in which the one before it ended, the output equals that of a single run,
+and does not depend on the cuts. Smoothed rows also depend on later rows, so smoothed stretches are compared in the rows
+where they overlap.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from becalm.fleet.stretching.long import State, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates
 
 SMOOTHED_TO = 1e-10
-"""Largest difference of two smoothed stretches, relative to the largest signal or sigma of the channel."""
+"""Largest difference of two smoothed stretches, as a share of the channel's largest value in the compared rows."""
 
 
 def to_run_again(estimates: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
-    """Return the causal stretches that did not start in the state that the one before left, with that state.
+    """Return the causal stretches to run again, each with the state in which the stretch before it ended.
 
     Parameters
     ----------
@@ -32,7 +32,8 @@ def to_run_again(estimates: Sequence[StretchEstimates]) -> list[TaskStretch] | N
     Returns
     -------
     list of TaskStretch or None
-        None if the sensor cannot be cut there, because rows at a seam still wait for later ones.
+        The stretches that did not start in that state; None if the sensor cannot be cut, because rows at a seam still
+        wait for later ones.
     """
     again = list[TaskStretch]()
     for before, now in pairwise(estimates):
@@ -62,7 +63,7 @@ def _fits(end: State, start: State | None, alive: Sequence[bool]) -> bool:
 
 
 def _agree(one: np.ndarray | None, other: np.ndarray | None) -> bool:
-    """Compare signals and sigmas (m, 2, n), each channel by its own size."""
+    """Return whether two arrays of signals and sigmas (m, 2, n) agree, each channel relative to its largest value."""
     if one is None or other is None:
         return False
     rows = min(one.shape[2], other.shape[2])

@@ -1,4 +1,4 @@
-"""Survey a long sensor before it is cut in time: find its clock, its levels, and where to cut."""
+"""Survey a long sensor before it is cut in time: find its clock, its first readings, their range, and the cuts."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FEWEST = 4
 
 
 def survey(job: Job, sensor: Sensor) -> Long | Outcome:
-    """Survey a sensor; clean it at once if it need not, or cannot, be cut.
+    """Survey a sensor that is to be cut; clean any other one at once, and return its outcome.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _first(readings: Floats) -> float:
 
 
 def _extremes(parts: OpenedSensor) -> tuple[Extremes, ...]:
-    """Return the range of the readings up to each row group, from the statistics in the files; () if one lacks them."""
+    """Return the range of the readings to the end of each row group, from the files; () if statistics are absent."""
     extremes, row, names = [], 0, [channel.name for channel in parts.recipe.channel]
     for path in parts.paths:
         with pq.ParquetFile(path) as file:

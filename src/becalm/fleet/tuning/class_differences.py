@@ -3,7 +3,7 @@
 A channel differs from its class if its noise is an outlier (`fleet.class_outliers`), or if the class's recipe does not
 describe it but describes most others. A recipe describes a channel if the verdict is "fits" or "fits except" and the
 mean NIS is within a factor of two of 1. A different order or process noise alone is not a reason, because the class's
-recipe may do as well; it is only mentioned together with a reason.
+recipe may describe the channel as well; it is mentioned only together with a reason.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def reasons(
     if class_recipe is None:
         why = "Its class has no recipe: more than half of its sensors have no channel in common."
         return {(channel.sensor, channel.recipe.name): why for one in found for channel in one.channels}
-    decided = {one.name: one for one in class_recipe.recipe.channel}  # used for channels in other units as well
+    decided = {one.name: one for one in class_recipe.recipe.channel}  # by name, for channels in any unit
     rows = rows_by_key(judged)
     whys: dict[Key, str] = {}
     for (name, _), channels in channels_by_key(found).items():
@@ -80,7 +80,7 @@ def _of_channel(
     factors = factors_apart([channel.recipe.noise_std or 0.0 for channel in moving])
     judged = [rows.get((channel.sensor, channel.recipe.name)) for channel in moving]
     described = [is_described(row) for row in judged if row is not None]
-    usable = 2 * sum(described) > len(described)  # if it describes only few, the recipe is to blame, not the sensors
+    usable = 2 * sum(described) > len(described)  # otherwise the recipe is wrong, not the sensors
     whys = {}
     for channel, factor, row in zip(moving, factors, judged, strict=True):
         parts = [] if factor is None else [f"its noise is {times(factor)} that of its class"]

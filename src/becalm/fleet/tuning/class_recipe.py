@@ -1,4 +1,4 @@
-"""Make the recipe of a class: for each channel, copy that of the most typical sensor, so that it fits at least one.
+"""Make the recipe of a class: copy each channel from its most typical sensor, so that it fits at least that one.
 
 The rule. A class's recipe has the channels, by name and unit, that more than half of its tuned sensors have. The
 candidates for a channel are the sensors whose own filter describes it; if there are none, those that have a filter; if
@@ -21,7 +21,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.fleet.tuning.limits import limits_of_class
 
-_LEAST = float(np.finfo(np.float64).tiny)  # for the logarithm of a density of 0
+_LEAST = float(np.finfo(np.float64).tiny)  # stands for a density of 0 in logarithms
 
 
 class Typical(NamedTuple):

@@ -1,4 +1,4 @@
-"""Form the classes of a lake: choose the sensors of each that are tuned, and hold the results."""
+"""Divide a lake into classes: choose which sensors of each are tuned, and hold the results."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _NO_CLASS = "They are of several kinds and should be in separate folders, or no 
 
 
 class Chosen(NamedTuple):
-    """The sensors of a class."""
+    """The sensors of a class that are tuned."""
 
     name: str
-    sensors: int  # number of its sensors in the lake
+    sensors: int  # number of the class's sensors in the lake
     places: tuple[SensorPlace, ...]  # the sensors to tune, by name
 
 
 def chosen_of(places: Sequence[SensorPlace], most: int = MOST_SENSORS) -> list[Chosen]:
-    """Return the classes of some sensors, sorted by name, with the sensors of each that are to be tuned.
+    """Return the classes of some sensors, sorted by name, with the sensors to tune in each.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class TunedClass:
 
     @property
     def described(self) -> tuple[int, int]:
-        """Return how many channels of its sensors its recipe describes, and how many it filters."""
+        """Return how many channels of the tuned sensors the class's recipe describes, and how many it filters."""
         channels = [channel for one in self.found for channel in one.channels if channel.moves]
         rows = [self._rows.get((channel.sensor, channel.recipe.name)) for channel in channels]
         filtered = [row for row in rows if row is not None]

@@ -21,7 +21,7 @@ class TunedChannel(NamedTuple):
     row : FleetRow
         The result of that recipe on the rows it was tuned on.
     lowest, highest : float
-        The range of its readings, in the channel's unit; NaN if it has none.
+        The range of its valid readings, in the channel's unit; NaN if it has none.
     """
 
     sensor: str
@@ -32,7 +32,7 @@ class TunedChannel(NamedTuple):
 
     @property
     def key(self) -> tuple[str, str]:
-        """Return name and unit; two sensors have the same channel if both agree."""
+        """Return the channel's name and unit; two sensors have the same channel if both are equal."""
         return self.recipe.name, self.recipe.unit
 
     @property

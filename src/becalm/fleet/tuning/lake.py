@@ -1,4 +1,4 @@
-"""Tune a lake: tune each sensor in its own task, make a recipe for each class, and run it over the class's sensors."""
+"""Tune a lake: tune each sensor in a task, make a recipe for each class, and run it over the class's tuned sensors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _LOCK = ".lock"
 
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
-"""Run one function for each of several tasks; return the results in their order, as `fleet.spark_tasks.run_tasks`."""
+"""A function that runs another on each of several tasks and returns the results in their order, as `run_tasks`."""
 
 
 class LakeTuningOptions(NamedTuple):
@@ -96,14 +96,15 @@ def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOption
         A folder for the recipes, with the same layout as the lake: `kind=pump.toml`, and `default.toml` for sensors
         that are in the lake itself. `report.html` and `sensors.jsonl` in this folder have the results.
     asked : LakeTuningOptions
-        What identifies a sensor, which of them are tuned, and how.
+        What identifies a sensor, which sensors are tuned, and how.
 
     Raises
     ------
     InputError
         If the lake holds no sensor, cannot be read, or no sensor can be tuned.
     UsageError
-        If the folder is in the lake, or holds recipes and `replace` is false, or an option is not valid.
+        If the folder overlaps the lake, or holds recipes and `replace` is false, or another job writes to it, or an
+        option is not valid.
     OutputError
         If the folder cannot be written.
     """
@@ -111,7 +112,7 @@ def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOption
 
 
 def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> TunedLake:
-    """Tune a lake as `tune` does, with another function `run` that runs the tasks."""
+    """Tune a lake as `tune` does, but run the tasks with the function `run`."""
     began, started = datetime.now(UTC), monotonic()
     lake, recipes = lake.resolve(), recipes.resolve()
     chosen = chosen_in(lake, recipes, asked)
@@ -130,7 +131,7 @@ def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTH
 
 
 def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> list[Chosen]:
-    """Check the options, and return the sensors of a lake that are to be tuned, by class.
+    """Check the options, and return the classes of a lake with the sensors to tune in each.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.fleet.tuning.found import TunedChannel
 
-_FEWEST_AT_A_RAIL = 2  # sensors that must reach a saturation limit; one alone may have its own
+_FEWEST_AT_A_RAIL = 2  # sensors that must reach a saturation limit of the class; one sensor may have a limit of its own
 _SAME = 1e-9  # relative difference at which two saturation limits, or resolutions, count as equal
 
 _Side = Literal["low", "high"]
@@ -20,9 +20,9 @@ def limits_of_class(alike: Sequence[TunedChannel], channels: Sequence[TunedChann
     """Return the limits of a channel of a class; None if its sensors have none.
 
     Most limits, such as the longest run of equal readings and the largest sum of innovations, come from the typical
-    sensors: if more than half of them have a limit, the least strict value is used. A saturation limit is one of the
-    class if at least two sensors reached it and none exceeded it. A magnitude above which a number is not a reading is
-    used as soon as one sensor has it.
+    sensors: if more than half of them have a limit, the class has its least strict value. The class has a saturation
+    limit if at least two sensors reached it and none exceeded it. It has a largest valid magnitude (`largest`) if one
+    sensor has one.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def limits_of_class(alike: Sequence[TunedChannel], channels: Sequence[TunedChann
     )
     readings = (limits.low, limits.high, limits.stuck_readings, limits.largest, limits.outlier_distance, limits.blank)
     nothing = readings == (None,) * len(readings)
-    return None if nothing else limits  # limits of time and of innovations alone are not enough
+    return None if nothing else limits  # gap_steps or drift_threshold, for example, is not enough alone
 
 
 def _least_strict(
@@ -66,13 +66,13 @@ def _least_strict(
 
 
 def _farthest(distances: Iterable[float]) -> float:
-    """Return the greatest distance from 0, or 0 if one is 0, which is the least strict and rejects nothing."""
+    """Return the least strict distance from 0: 0 if there is one, because it rejects nothing; else the greatest."""
     ordered = sorted(distances)
     return ordered[-1] if ordered[0] > 0 else 0.0
 
 
 def _same(values: Sequence[float | None]) -> float | None:
-    """Return the common value of all; None if one differs or is missing."""
+    """Return the value that all have in common; None if one differs or is missing."""
     present = [one for one in values if one is not None]
     same = len(present) == len(values) and all(math.isclose(one, present[0], rel_tol=_SAME) for one in present)
     return present[0] if present and same else None

@@ -38,7 +38,7 @@ def refuse_recipes(folder: Path) -> None:
 
 
 class NamedRecipe(NamedTuple):
-    """A recipe to write, and a sentence about the sensors that it comes from."""
+    """A recipe to write, and a sentence on the sensors that it comes from."""
 
     recipe: Recipe
     origin: str
@@ -67,7 +67,7 @@ def named_recipes(classes: Sequence[TunedClass], *, own: bool) -> dict[str, Name
 
 
 def book_of(named: Mapping[str, NamedRecipe]) -> RecipeBook:
-    """Return the recipes as a book, in which jobs look them up."""
+    """Return the recipes as a book, which jobs search for the recipe of a sensor."""
     return RecipeBook({name: one.recipe.to_toml() for name, one in named.items()}, "What was tuned")
 
 

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from paho.mqtt.properties import Properties
     from paho.mqtt.reasoncodes import ReasonCode
 
-_ANSWER_S = 10.0
-_KEEPALIVE_S = 20
+_ANSWER_S = 10.0  # longest wait for an answer of the broker, in seconds
+_KEEPALIVE_S = 20  # longest silence of the client before it pings the broker, in seconds
+
+# reason codes of MQTT 5
 _REFUSED_LOGIN = (134, 135)  # bad user or password, not authorised
 _REFUSED_VERSION = 132
 _TAKEN_OVER = 142
@@ -65,7 +67,7 @@ class MqttLink:
         self.changed = threading.Condition()
         """Notified when the connection ends; the user of the connection may also use it for messages."""
         self.closing = False
-        """True while the connection is being closed; callbacks must not block then."""
+        """True once `close` has begun; callbacks must not block then."""
         self._client: Client | None = None
         self._serving = False
         self._answered = False
@@ -109,10 +111,10 @@ class MqttLink:
         self._wait(lambda: self._answered, "it does not answer like an MQTT broker")
 
     def subscribe(self, topic: str) -> None:
-        """Subscribe with QoS 1; raises errors as `connect`.
+        """Subscribe with QoS 1; raises the errors of `connect`.
 
-        If the broker still has the session, it may send many messages before its answer, and the queue could fill. So
-        this does not wait for the answer then; a refusal ends the connection later.
+        If the broker still has the session, this does not wait for its answer, because messages of the session may
+        come first and fill the queue; a refusal then ends the connection later.
         """
         from paho.mqtt.client import MQTTv5
         from paho.mqtt.subscribeoptions import SubscribeOptions

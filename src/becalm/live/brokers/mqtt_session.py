@@ -18,7 +18,7 @@ class Session:
     Attributes
     ----------
     client : str
-        Client identifier, by which the broker stores the session.
+        Client identifier, under which the broker stores the session.
     version : str
         Version of the protocol, "5" or "3.1.1".
     kept_s : float
@@ -39,7 +39,7 @@ def topic_of(remote: Remote) -> str:
     Raises
     ------
     UsageError
-        If the address has no topic, or a pattern of several.
+        If the address has no topic, or a pattern of topics.
     """
     topic = remote.path
     if not topic or {"+", "#", "\0"} & set(topic):

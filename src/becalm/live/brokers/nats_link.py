@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from nats.js.api import StreamInfo
 
 PORT = 4222
-_ANSWER_S = 10.0
-_PING_S = 10
+_ANSWER_S = 10.0  # longest wait for an answer of the server, in seconds
+_PING_S = 10  # interval between pings of the server, in seconds
 _T = TypeVar("_T")
 
 
@@ -137,7 +137,7 @@ class NatsLink:
             raise self._error_of(cause, reached=reached) from cause
 
     def call(self, work: Coroutine[Any, Any, _T]) -> _T:
-        """Run a coroutine on the connection's thread, and return its result; its own errors are raised too.
+        """Run a coroutine on the connection's thread, and return its result; raises the errors of the coroutine too.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Pull the messages of a JetStream stream in order from a given one; if one is missing, end the connection."""
+"""Pull the messages of a JetStream stream in order from a given number on; end the connection if one is missing."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from becalm.live.brokers.remote import Remote
 if TYPE_CHECKING:
     from nats.aio.msg import Msg
 
-_BUFFERED_BYTES = 32_000_000
+_BUFFERED_BYTES = 32_000_000  # most bytes of requested and buffered messages, each as large as the largest so far
 _MOST_REQUESTED = 4096  # messages; fewer if they are large
-_EXPIRES_S, _HEARTBEAT_S, _SILENT_S = 30.0, 5.0, 20.0
+_EXPIRES_S, _HEARTBEAT_S, _SILENT_S = 30.0, 5.0, 20.0  # life of a request, its heartbeats, silence of a lost server
 _INACTIVE_S = 120.0  # time without requests after which the server removes the consumer
-_NANO = 1_000_000_000
+_NANO = 1_000_000_000  # nanoseconds per second
 
 
 class StreamMessage(NamedTuple):
@@ -103,7 +103,7 @@ class NatsPull:
         Raises
         ------
         AwayError
-            If the connection ended, or a message was lost.
+            If the connection ended, a message was lost, or the server is silent.
         """
         link = self._link
         with link.changed:
@@ -178,7 +178,7 @@ class NatsPull:
         self._came.append(StreamMessage(number, message.data, stored_ns / _NANO, self._heard_s))
 
     def _handle_status(self, headers: dict[str, str]) -> None:
-        """Handle a status: 100 is a heartbeat, 408 the end of a request with messages left, others end the reading."""
+        """Handle a status: 100 is a heartbeat, 408 ends a request that has messages left, others end the connection."""
         status = headers.get("Status")
         if status == "100":
             return

@@ -16,7 +16,7 @@ from becalm.live.protocols import AwayError
 if TYPE_CHECKING:
     import ssl
 
-OPTIONS = ("password_file", "tls", "ca", "cert", "key")
+OPTIONS = ("password_file", "tls", "ca", "cert", "key")  # names of the options of `Remote`
 
 
 @dataclass(frozen=True)
@@ -172,6 +172,6 @@ def variable(address: Address, what: str) -> str:
 
 
 def _uses_tls(address: Address) -> bool:
-    """Return whether an address requires TLS, by tls=1 or by an option for certificates."""
+    """Return whether an address requires TLS: by tls=1, or by an option for certificates without tls=0."""
     tls = address.chosen("tls", ("0", "1"), "1" if {"ca", "cert", "key"} & set(address.options) else "0")
     return tls == "1"

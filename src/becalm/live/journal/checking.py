@@ -13,6 +13,7 @@ from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import TABLES, BlockRow, RollRow
 
 Span = tuple[int, int]
+"""First row, and the row after the last."""
 
 _BLOCKS = "SELECT number, first_row, end_row FROM blocks WHERE number > ? ORDER BY number"
 
@@ -45,9 +46,9 @@ def faults(folder: Path) -> Iterator[str]:
     Raises
     ------
     JournalError
-        If the folder has no journal, or it cannot be opened.
+        If the folder has no journal, or it cannot be opened for another reason than damage.
     """
-    mark = MarkFile(folder).read()  # before the database, which must not be older while the stream continues
+    mark = MarkFile(folder).read()  # first, so that the mark is not newer than the database while the stream runs
     try:
         opened = open_journal(folder)
     except JournalError as cause:
@@ -72,7 +73,7 @@ def _damaged(fault: str) -> str:
 
 
 def file_faults(folder: Path, rolls: Iterable[RollRow]) -> Iterator[str]:
-    """Yield a sentence for each file that is missing or differs from what was written; all files are read."""
+    """Yield a sentence for each file that cannot be read or differs from what was written; pruned files are skipped."""
     for roll in rolls:
         path, held = folder / roll.path, f"{roll.path}, which holds {rows_text((roll.first_row, roll.end_row))},"
         if roll.pruned_s is not None:

@@ -19,7 +19,7 @@ PAGE = 8192  # page size in bytes
 
 _APPLICATION = 0x6265636C  # "becl"
 _WAL_PAGES = 2048  # pages in the write-ahead log (16 MiB) after which a commit moves them into the database
-_WAIT_S = 30.0  # time to wait for another writer, such as `becalm journal DIR prune`
+_WAIT_S = 30.0  # seconds to wait for another writer, such as `becalm journal DIR prune`
 
 _SCHEMA = """
 CREATE TABLE heads (number INTEGER PRIMARY KEY, names TEXT, units TEXT, rate_hz REAL, recipe TEXT, seal BLOB);
@@ -156,7 +156,7 @@ def reading(folder: Path) -> Iterator[None]:
 
 
 def put(connection: sqlite3.Connection, row: tuple[Any, ...]) -> None:
-    """Write a row into its table; it replaces a row with the same number."""
+    """Write a row into its table, in place of one with the same number; a row without a number gets the next one."""
     marks = ", ".join("?" * (len(row) + 1))
     number = row[0]
     if number is None:
@@ -194,7 +194,7 @@ def unsealed(kind: type[Row], row: tuple[Any, ...]) -> Row:
 
 
 def rolled_blocks(connection: sqlite3.Connection) -> int:
-    """Return the number of the last block whose rows are in a Parquet file; blocks up to it are no longer used.
+    """Return the number of the last block whose rows are in a Parquet file, or 0; blocks up to it are no longer used.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from becalm.live.journal.database import PAGE, create
 
-_SIZE = slice(28, 32)  # size of the database in pages, big-endian
+_SIZE = slice(28, 32)  # bytes of the first page: size of the database in pages, big-endian
 _WAL = slice(18, 20)  # format numbers; 2 means that a write-ahead log exists
 
 
@@ -23,7 +23,7 @@ def is_sound(connection: sqlite3.Connection) -> bool:
 
 
 def with_first_page(path: Path, copy: Path) -> None:
-    """Copy a database with its write-ahead log, and replace the copy's first page by an intact one.
+    """Copy a database with its write-ahead log, and replace the copy's first page with an intact one.
 
     Raises
     ------

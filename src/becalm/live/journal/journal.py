@@ -26,7 +26,7 @@ OPTIONS = ("roll", "keep")
 _HOUR_S = 3600.0
 _UNROLLED = """SELECT sum(length(data)) FROM blocks
     WHERE number > coalesce((SELECT last_block FROM rolls ORDER BY number DESC LIMIT 1), 0)"""
-_LEAST_ROLL_S, _MOST_ROLL_S = 1.0, 30 * 86400.0
+_LEAST_ROLL_S, _MOST_ROLL_S = 1.0, 30 * 86400.0  # limits of the option `roll`
 _REMOVED = 4  # least number of rolled blocks that a commit removes; more than it adds, so that the database shrinks
 _PATIENCE_S = 5.0  # time to finish rolling when the stream ends
 
@@ -38,9 +38,9 @@ class _Place:
     block: int = 0
     row: int = 0
     head: HeadRow | None = None
-    hour: tuple[int, int] = (0, 0)
+    hour: tuple[int, int] = (0, 0)  # `period_s` and `dated` of the last block
     empty: bool = False  # True if the last block has no rows
-    size: int = 0  # bytes since the last hour ended
+    size: int = 0  # bytes of the blocks since the rolling thread was last woken
 
 
 class Journal:
@@ -177,7 +177,7 @@ class Journal:
         self._place = _Place(last.number, last.end_row, head, hour, empty, size)
 
     def settle(self, timeout_s: float) -> bool:
-        """Wait until all completed hours are in files and recorded; return False if they are not in time.
+        """Wait until all completed hours are in files and recorded; return False if that fails or takes longer.
 
         The stream may continue meanwhile.
 

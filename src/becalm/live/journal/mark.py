@@ -15,7 +15,7 @@ from becalm.live.block import Checkpoint, Head
 from becalm.live.journal.database import writing
 
 _MAGIC = b"becalm journal mark 1\n"
-_SEAL = 32
+_SEAL = 32  # bytes of a SHA-256 digest
 
 
 class Mark(NamedTuple):

@@ -22,7 +22,7 @@ from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, LossRow, Rol
 from becalm.live.journal.row_bytes import unpacked
 from becalm.live.tables import ROW, TIME, output_table, table_schema
 
-_BATCH_ROWS = 1 << 16
+_BATCH_ROWS = 1 << 16  # most rows in a table from a file
 _SPANS = """SELECT period_s, dated, CAST(first_row AS INTEGER), CAST(end_row AS INTEGER), CAST(first_s AS REAL),
     CAST(last_s AS REAL), length(data) FROM blocks WHERE number > ? AND end_row > first_row ORDER BY number"""
 # the casts are needed because a damaged row may hold values of any type
@@ -31,15 +31,15 @@ _SPANS = """SELECT period_s, dated, CAST(first_row AS INTEGER), CAST(end_row AS 
 class JournalStretch(NamedTuple):
     """Rows of an hour, in a Parquet file or still in the database."""
 
-    where: str
+    where: str  # path of the file in the folder, or the database's name
     first_row: int
-    end_row: int
-    rows: int
-    first_s: float | None
+    end_row: int  # the row after the last
+    rows: int  # fewer than end_row - first_row if rows were lost
+    first_s: float | None  # stamps in seconds
     last_s: float | None
-    dated: bool
-    size: int
-    pruned: bool
+    dated: bool  # True if the hour comes from the stamps, not from the arrival time
+    size: int  # bytes
+    pruned: bool  # True if the file was removed because of its age
 
     @property
     def rate_hz(self) -> float | None:
@@ -87,7 +87,7 @@ class JournalReader(Closing):
         return heads[0].head() if heads else None
 
     def checkpoint(self) -> Checkpoint | None:
-        """Return the last checkpoint; None if no rows are committed."""
+        """Return the last checkpoint; None if nothing is committed."""
         with self._read_transaction():
             blocks = get(self.connection, BlockRow, "ORDER BY number DESC LIMIT 1")
             heads = get(self.connection, HeadRow, "ORDER BY number DESC LIMIT 1")
@@ -104,7 +104,7 @@ class JournalReader(Closing):
             return [(hole.first_row, hole.end_row) for hole in get(self.connection, HoleRow)]
 
     def rolls(self) -> list[RollRow]:
-        """Return the records of all files in row order, with those that were removed because of their age."""
+        """Return the records of all files in row order, including files that were removed because of their age."""
         with reading(self.folder):
             return get(self.connection, RollRow)
 
@@ -139,7 +139,7 @@ class JournalReader(Closing):
         Parameters
         ----------
         first_row : int
-            Number of the first row.
+            Number of the first row to return.
         from_s, to_s : float
             Range of the stamps in seconds; `to_s` is excluded.
 
@@ -180,7 +180,7 @@ class JournalReader(Closing):
                     self.connection.execute("ROLLBACK")
 
     def _next(self, row: int, roll: int, block: int) -> tuple[Head, RollRow | BlockRow] | None:
-        """Return the record of the file or block that holds `row`, or of the next one after it."""
+        """Return the file or block that holds `row`, or the next one, after file `roll` and block `block`."""
         with self._read_transaction():
             after = "WHERE number > ? AND end_row > ? AND pruned_s IS NULL ORDER BY number LIMIT 1"
             records: list[RollRow] | list[BlockRow] = get(self.connection, RollRow, after, (roll, row))

@@ -36,7 +36,7 @@ class BlockRow(NamedTuple):
     """
 
     number: int  # from 1, without gaps
-    head: int
+    head: int  # number of the head
     first_row: int
     end_row: int  # the row after the last
     first_s: float | None  # stamps; None if there are no rows
@@ -46,8 +46,8 @@ class BlockRow(NamedTuple):
     dated: int  # 1 if that hour comes from the stamps, 0 if it comes from the arrival time
     position: str
     source: str
-    snapshot: bytes | None
-    data: bytes | None
+    snapshot: bytes | None  # None except in the last block of a commit
+    data: bytes | None  # packed rows; None if there are none
 
     def checkpoint(self, recipe: str) -> Checkpoint:
         """Return the checkpoint after these rows."""
@@ -59,15 +59,15 @@ class RollRow(NamedTuple):
 
     number: int
     path: str  # relative to the journal's folder, with /
-    head: int
+    head: int  # number of the head
     last_block: int  # the rows of this block and all earlier ones are in files
     first_row: int
     end_row: int
     rows: int  # fewer than end_row - first_row if rows were lost
     first_s: float | None
     last_s: float | None
-    dated: int
-    rolled_s: float
+    dated: int  # as in BlockRow
+    rolled_s: float  # time when the file was written, in seconds since 1970
     size: int  # bytes
     sha256: str
     pruned_s: float | None  # time when the file was removed because of its age; None if it was not
@@ -94,7 +94,7 @@ class LossRow(NamedTuple):
 
 
 class HoleRow(NamedTuple):
-    """Rows that were committed, and could not be read again."""
+    """A span of rows that were committed and could not be read again."""
 
     number: int | None
     first_row: int

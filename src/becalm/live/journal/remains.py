@@ -23,6 +23,7 @@ from becalm.live.journal.records import TABLES, BlockRow, HeadRow, HoleRow, Loss
 from becalm.live.journal.rolling import END_ROW, FIRST_ROW
 
 HEADED = f"{NAME}.headed"
+"""Name of a copy of the damaged database with an intact first page."""
 
 Row = TypeVar("Row", bound=tuple[Any, ...])
 
@@ -62,7 +63,7 @@ class Plan:
 def connect_damaged(path: Path) -> sqlite3.Connection:
     """Open a damaged, possibly truncated database read-only; an empty database if the file is missing.
 
-    If the first page is damaged, this opens a copy with an intact first page; the file HEADED is left there.
+    If the first page is damaged, this opens a copy with an intact first page, and leaves the copy as HEADED.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def planned(folder: Path, remains: Remains, mark: Mark | None) -> Plan | None:
 
 
 def _in_order(blocks: Sequence[BlockRow], end: int) -> list[BlockRow]:
-    """Return the blocks after row `end` that do not overlap, up to the last one with a snapshot."""
+    """Return the blocks from row `end` on that do not overlap, up to the last one with a snapshot."""
     kept: list[BlockRow] = []
     for block in blocks:
         if block.first_row >= end:
@@ -161,7 +162,7 @@ def _all_files(folder: Path, remains: Remains) -> list[RollRow]:
         if roll is None:
             continue
         span = (roll.first_row, roll.end_row)
-        if uncovered(span, spans) == [span] and uncovered(span, blocks):  # if blocks cover it, they are rolled again
+        if uncovered(span, spans) == [span] and uncovered(span, blocks):  # blocks that cover a file are rolled again
             rolls.append(roll)
             spans.append(span)
     return sorted(rolls, key=lambda roll: roll.first_row)

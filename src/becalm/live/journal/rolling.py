@@ -29,7 +29,7 @@ FIRST_ROW, END_ROW = b"becalm.first_row", b"becalm.end_row"
 """Keys of a file's metadata: the first row of the stream that it holds, and the row after the last."""
 
 MOST_BYTES = 1 << 30
-"""Most bytes of blocks in a file; longer hours are split, so that the size of database and files is bounded."""
+"""Bytes of blocks that complete a file before its hour ends, so that the size of database and files is bounded."""
 
 _GROUP_ROWS, _GROUP_BYTES = 1 << 20, 16 << 20  # rows, or bytes of blocks, that fill a row group
 _SPAN = "SELECT first_row, end_row FROM blocks WHERE number = ?"
@@ -63,7 +63,7 @@ class Rolled(NamedTuple):
 def next_piece(connection: sqlite3.Connection, after: int) -> Piece | None:
     """Return the first blocks after block `after` that make a file: a completed hour, or MOST_BYTES of it.
 
-    The last block of the journal is never included, because it holds the checkpoint.
+    Return None if there are none. The last block of the journal is never included, because it holds the checkpoint.
     """
     cursor = connection.execute(
         "SELECT number, head, period_s, dated, first_row, end_row, first_s, last_s, length(data) FROM blocks"
@@ -96,6 +96,8 @@ def roll(connection: sqlite3.Connection, folder: Path, piece: Piece, stop: Event
         If `stop` is set meanwhile; no file is left.
     OutputError
         If the file cannot be written; no file is left.
+    BrokenSealError
+        If a block is missing or the head is damaged; no file is left.
     """
     head = _head(connection, piece.head)
     path = _free_path(connection, folder, piece)
@@ -154,7 +156,7 @@ def _groups(connection: sqlite3.Connection, piece: Piece, holes: list[HoleRow], 
 
 
 def _free_path(connection: sqlite3.Connection, folder: Path, piece: Piece) -> Path:
-    """Return the path for a piece; an unrecorded file with the same rows, left by a crash, is replaced."""
+    """Return the path for a piece; an unrecorded file with the same first row, left by a crash, is replaced."""
     start = datetime.fromtimestamp(piece.period_s, UTC)
     if piece.dated:
         stem = f"{start:%H}" if start.minute == start.second == 0 else f"{start:%H_%M_%S}"

@@ -14,12 +14,12 @@ from becalm.live.journal.parquet_files import remove
 from becalm.live.journal.records import RollRow
 from becalm.live.journal.rolling import Rolled, Stopped, next_piece, roll
 
-_RETRY_S = 60.0  # time until a file that could not be written is tried again, if no hour is completed before
+_RETRY_S = 60.0  # seconds until a file that could not be written is tried again, if no hour is completed before
 _log = logging.getLogger(__name__)
 
 
 class Roller:
-    """Writes completed hours to Parquet files; a file is valid once the keeper has recorded it with its next block.
+    """Writes completed hours to Parquet files; a file is valid once the next commit of the journal has recorded it.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class Roller:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._after = 0  # the last block that has rolled
+        self._after = 0  # number of the last block that is in a file
         self._done: deque[Rolled] = deque()
         self._wake, self._stop, self._idle = Event(), Event(), Event()
         self._unwanted: deque[RollRow] = deque()

@@ -1,4 +1,4 @@
-"""Pack rows into a block as Arrow IPC, with fixed-size lists of channels, so that arrays are not copied."""
+"""Pack rows into blocks and unpack them: Arrow IPC with fixed-size lists of channels, so that arrays are not copied."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from becalm.live.block import Output
 from becalm.live.journal.records import BlockRow
 from becalm.live.tables import EPOCH_S
 
-_OPTIONS = {"compression": "lz4"}  # it shrinks constant sigma and verdicts to almost nothing; readings do not shrink
+_OPTIONS = {"compression": "lz4"}  # shrinks constant sigma and verdicts to almost nothing, but not readings
 _PARTS = ("time_s", "values", "signal", "sigma", "verdicts")
 _LATEST_S = 1e11  # a stamp beyond this (year 5138) is not a date
 

@@ -17,7 +17,7 @@ from becalm.live.journal.remains import HEADED, Plan, connect_damaged, moved, pl
 _PART, _NEW = (
     f"{NAME}.part",
     f"{NAME}.salvaged",
-)  # the new database, while written and complete
+)  # names of the new database, while it is written and once it is complete
 _COPIED_BLOCKS = 64  # blocks copied in one transaction
 
 
@@ -39,7 +39,8 @@ def mend(folder: Path, mark: Mark | None) -> tuple[Loss, ...]:
     Raises
     ------
     JournalError
-        If no checkpoint is left from which the stream could continue; all files are left as they are.
+        If no checkpoint is left from which the stream could continue, or the database is of another program or a newer
+        becalm and there is no mark; all files are left as they are.
     StorageFullError
         If the disk has no room for the new database.
     """
@@ -84,7 +85,7 @@ def _lost_at_the_end(folder: Path, mark: Mark) -> tuple[Loss, ...]:
 
 
 def _salvage(folder: Path, mark: Mark | None, why: str) -> tuple[Loss, ...]:
-    """Copy the intact rows into a new database, and replace the damaged one by it."""
+    """Copy the intact rows into a new database, and put it in the place of the damaged one."""
     old, renamed = folder / NAME, _damaged_path(folder)
     with writing(folder), closing(connect_damaged(old)) as connection:
         plan = planned(folder, remains_of(connection), mark)
@@ -155,7 +156,7 @@ def _damaged_files(folder: Path) -> list[Path]:
 
 
 def _log_path(folder: Path) -> str:
-    """Return the new name of a damaged file's log: that of the last damaged file, or a free one if it has a log."""
+    """Return the new name of a damaged write-ahead log: of the last damaged file, or a free one if that has one."""
     damaged = _damaged_files(folder)
     last_log = f"{damaged[-1]}-wal" if damaged else ""
     return last_log if damaged and not Path(last_log).exists() else f"{_damaged_path(folder)}-wal"

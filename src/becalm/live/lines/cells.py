@@ -105,7 +105,7 @@ class IsoStamps:
 
 
 def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
-    """Return the parser of a time column from its name, its unit and its first cell; None if that cell is empty.
+    """Return the parser of a time column from its name, its unit and its first cell; None if that cell has no stamp.
 
     Numbers are seconds, unless the unit, the name or the size of the first number indicates another unit: 1.7e12 is
     in milliseconds since 1970.

@@ -95,7 +95,7 @@ class Columns:
 def columns_of(
     names: Sequence[str], units: Sequence[str], first: Sequence[Cell], options: LineOptions
 ) -> Columns | None:
-    """Return the columns from their names and the first row; None if that row is not enough.
+    """Return the columns from their names and the first row; None if that row has no channel, or no valid stamp.
 
     Raises
     ------

@@ -16,9 +16,9 @@ LONGEST_LINE = 1 << 20
 """Most bytes of a line; a longer line is counted as garbled, and not kept in memory."""
 
 _LONGEST_FIRST = 1 << 16  # most bytes of a line while the layout is unknown
-_MOST_ABOVE = 100
-_SHOWN = 60
-_SPREAD_S = 0.1
+_MOST_ABOVE = 100  # lines that are kept while the layout is unknown
+_SHOWN = 60  # bytes of a line in a message
+_SPREAD_S = 0.1  # longest time over which rows without stamps are spread
 _TOO_LONG = "it is longer than 1 MB"
 
 
@@ -30,9 +30,9 @@ class Lines:
     and rows whose stamp cannot be parsed. If a cell is not a number, its reading is missing, the other cells of the
     row are used, and the line is counted as garbled. An empty cell, or a spelling of NaN, is a missing reading only.
 
-    Stamps come from a column: seconds, counts since 1970, or ISO text. Without such a column, rows are stamped from
-    the arrival of the first row at the given rate, counting garbled lines too; without a rate, they are spread evenly
-    over the time since the previous piece, at most 0.1 s.
+    With a given rate, rows are stamped at this rate from the arrival of the first row, counting garbled lines too.
+    Without a rate, stamps come from a column: seconds, counts since 1970, or ISO text. Without such a column, rows are
+    spread evenly over the time since the previous piece, at most 0.1 s.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Lines:
 
     def __init__(self, options: LineOptions) -> None:
         self._options = options
-        self._half = bytearray()
+        self._half = bytearray()  # the incomplete last line
         self._skipping = False  # True up to the next line end
         self._within = False  # True if the first line may be incomplete
         self._above: list[bytes] = []
@@ -76,7 +76,7 @@ class Lines:
         return self._block(taken, came_s)
 
     def finish(self, came_s: float) -> Block | None:
-        """Parse the rest at the end; a last line without a line end is counted as garbled, unless it is whole JSON."""
+        """Parse the rest at the end; a last line without a line end is garbled, unless it is a JSON object."""
         last = bytes(self._half)
         self._half.clear()
         is_json = last.lstrip().startswith(b"{") and last.rstrip().endswith(b"}")

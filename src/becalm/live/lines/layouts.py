@@ -13,15 +13,16 @@ from becalm.live.lines.columns import LineOptions, columns_of
 from becalm.live.lines.rows import CsvLayout, JsonLayout, LineLayout, json_object
 
 _SEPARATORS = (";", "\t", ",", "|", " ", "")  # if several give the same number of cells, the first wins
-_REMARK = "#%/"
+_REMARK = "#%/"  # characters that may precede the names in a header
 _DIGIT = re.compile("[0-9]")
 
 
 def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tuple[LineLayout, list[bytes]] | None:
     """Return the layout from the newest line and the lines above it; None if they are not enough.
 
-    A row of CSV has numbers, and above it is a line with as many names, or another such row; or the options have its
-    names. If it also has words, another such row must be above it in any case.
+    The newest line is a row of CSV if it has numbers, and either a line above has a name for each cell or the line
+    directly above is such a row; names in the options replace the line of names. If the newest line also has words,
+    the line directly above must be such a row in any case.
 
     Parameters
     ----------
@@ -109,7 +110,7 @@ def _csv_rows(above: Sequence[str], row: str, options: LineOptions) -> Iterator[
 
 
 def _has_kinds(text: str, separator: str, kinds: Sequence[str]) -> bool:
-    """Return whether a line has cells of these kinds; a column of words is then not a column of bad readings."""
+    """Return whether a line has words in the same cells as these kinds; those columns then hold no readings."""
     cells = split(text, separator)
     pairs = zip(cells, kinds, strict=False)
     return len(cells) == len(kinds) and all((kind_of(cell) == WORDS) == (kind == WORDS) for cell, kind in pairs)

@@ -12,14 +12,14 @@ from becalm.core.arrays import Floats, Integers
 from becalm.live.lines.cells import NumberStamps, StampReader
 from becalm.live.messages.columns import ParsedMessage, RoleFinder, UnreadableMessageError, first_of, stamps_reader
 
-_END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+_END = b"\xff\xff\xff\xff\x00\x00\x00\x00"  # end of an IPC stream
 _SCHEMAS = 16  # cached schemas; bounded, in case a sender changes its schema with each message
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass
 class _Plan:
-    """How to read a schema's columns: numeric ones as one matrix (seq, stamps, channels), timestamps separately."""
+    """A plan to read the columns of a schema: numbers as one matrix (seq, stamps, channels), timestamps separately."""
 
     schema: pa.Schema
     names: tuple[str, ...]
@@ -29,7 +29,7 @@ class _Plan:
     has_seq: bool
     has_time: bool
     moment: int  # index of the column of Arrow timestamps, -1 if there is none
-    tick_s: float
+    tick_s: float  # resolution of these timestamps
     stamp: tuple[str, str]  # the column of stamps and its unit
     stamps: NumberStamps | None = None  # parser of the stamps, chosen from the first one
 
@@ -190,7 +190,7 @@ def _moments(batch: pa.RecordBatch, plan: _Plan) -> Floats:
 
 
 def _cuts(numbers: Floats, ends: Integers) -> list[int]:
-    """Return where consecutive row numbers begin and end; they may be interrupted only between messages."""
+    """Return the starts of the runs of consecutive row numbers, and the end; a run must start with a message."""
     breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
     if not np.isin(breaks, ends).all():
         raise UnreadableMessageError("one of which does not number its rows one by one")

@@ -29,7 +29,19 @@ class UnreadableMessageError(ValueError):
 
 @dataclass(frozen=True)
 class ParsedMessage:
-    """The rows of a message, with the channels in the message's order."""
+    """The rows of a message, with the channels in the message's order.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        Names and units of the channels, (m,).
+    seq : int or None
+        Number of the first row; None without numbers.
+    time_s : (B,) float array or None
+        Stamps in seconds; None without stamps.
+    values : (B, m) float array
+        Readings, NaN where missing.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...]

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 MAXIMUM_BYTES = 16_000_000
 """Most bytes of a message; a longer one is counted as garbled, so that memory is bounded."""
 
-_ARROW = b"\xff\xff\xff\xff"
+_ARROW = b"\xff\xff\xff\xff"  # first bytes of an Arrow message
 _UNREADABLE = (ValueError, TypeError, LookupError, ArithmeticError, RuntimeError, MemoryError, OSError, EOFError)
 
 
 @dataclass(frozen=True, slots=True)
 class MessageRows:
-    """The rows of one message.
+    """The rows of a message, or of several consecutive messages.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class MessageRows:
     values : (B, m) float array
         Readings, C-contiguous, NaN where missing.
     arrived_s : float
-        Time when the message arrived, in seconds since 1970.
+        Time when the last of the messages arrived, in seconds since 1970.
     """
 
     seq: int | None
@@ -66,8 +66,8 @@ class MessageReader:
 
     Arrow is an IPC stream of numeric columns, with the unit as `unit` in a field's metadata. JSON is an object of
     numbers (a row) or of lists (columns), or a list of row objects; it may contain an object `units`. CSV needs the
-    option `columns`. Text that is not a time is ignored. Column `seq` numbers the rows: in JSON it is the number of
-    the first row, elsewhere it has a number for every row, increasing by one. Stamps are parsed like those of lines.
+    option `columns`. Text that is not a time is ignored. Column `seq` has the numbers of all rows, increasing by one;
+    in JSON it may be the number of the first row alone. Stamps are parsed like those of lines.
 
     Parameters
     ----------
@@ -82,10 +82,10 @@ class MessageReader:
         self._first = ""
         self.names: tuple[str, ...] = ()
         self.units: tuple[str, ...] = ()
-        self._shape: tuple[bool, bool] | None = None
+        self._shape: tuple[bool, bool] | None = None  # whether messages have row numbers, and stamps
 
     def read(self, payload: bytes, arrived_s: float) -> MessageRows | None:
-        """Return the rows of a message; None if it cannot be read, which `losses` counts.
+        """Return the rows of a message; None if it cannot be read: `losses` then counts it.
 
         Parameters
         ----------

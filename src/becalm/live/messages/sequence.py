@@ -15,9 +15,9 @@ from becalm.live.messages.reading import MessageRows
 WAIT_S = 0.02
 """Time for which an early message waits for the one before it, in seconds."""
 
-_OLD_S = 1.0  # messages with only old row numbers mean that the sender restarted, after this time...
-_OLD_MESSAGES = 3  # ...and this many messages
-_REMEMBERED = 64  # spans of missing rows, so that rows of them that arrive later count as late, not as repeated
+_OLD_S = 1.0  # seconds of only old row numbers after which the sender counts as restarted
+_OLD_MESSAGES = 3  # least number of messages in this time
+_REMEMBERED = 64  # spans of missing rows; rows of them that arrive later are late, not repeated
 _QUOTED = 4  # spans listed in a loss
 
 
@@ -25,10 +25,10 @@ _QUOTED = 4  # spans listed in a loss
 class Sequence:
     """Sorts batches by their row numbers, and returns each row once.
 
-    An early batch waits until `reorder` others wait or 20 ms have passed; then the rows before it are missing. A batch
-    with old numbers is repeated, or late if its rows were counted as missing (they are then counted twice: as missing,
-    and later as late). If the numbers go back but the stamps advance, the sender has restarted. Without stamps the
-    sender has restarted if only old numbers arrive for a second.
+    An early batch waits until more than `reorder` batches wait or 20 ms have passed; the rows before it then count as
+    missing. A batch with old numbers is repeated, or late if its rows were counted as missing (they are then counted
+    twice: as missing, and later as late). The sender has restarted if the numbers go back and the stamps advance, or if
+    only old, increasing numbers arrive for a second and in three messages.
 
     Parameters
     ----------

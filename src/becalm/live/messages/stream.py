@@ -20,9 +20,9 @@ class MessageStream:
 
     Options of the address: `columns=`, `channels=`, `time=` and `rate=`, as for lines.
 
-    With `rate=`, rows without stamps are stamped by their numbers from the arrival of the first row; without numbers,
-    the last row of a message gets its arrival time. Without `rate=`, a message without stamps may have only one row,
-    which gets the arrival time.
+    With `rate=`, rows are stamped by their numbers from the arrival of the first row, and stamps of the sender are
+    ignored; without numbers, the last row of a message gets the message's arrival time. Without `rate=`, a message
+    without stamps may have only one row, which gets the arrival time.
 
     Parameters
     ----------

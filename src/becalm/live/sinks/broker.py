@@ -14,15 +14,25 @@ from becalm.live.brokers.remote import OPTIONS, Remote
 from becalm.live.messages.encoding import FORMATS
 from becalm.live.sinks.outbox import LARGEST, Letter, Outbox
 
-_STALL_S = 20.0
-_GATHER_S = 0.02
+_STALL_S = 20.0  # seconds without an acknowledgement after which the broker is away
+_GATHER_S = 0.02  # default of the option `gather`, in seconds
 
 ResultCallback = Callable[[int, BecalmError | None], None]
 """Called, on any thread, with the number of an acknowledged message, or with the error that refused it."""
 
 
 class BrokerConnection(Protocol):
-    """A connection through which messages are sent."""
+    """A connection through which messages are sent.
+
+    Attributes
+    ----------
+    changed : threading.Condition
+        Notified when the connection ends or a message has a result.
+    window : int
+        Most unacknowledged messages.
+    largest : int
+        Most bytes of a message.
+    """
 
     changed: threading.Condition
     window: int
@@ -47,7 +57,7 @@ class BrokerConnection(Protocol):
 
 
 class BrokerSink(ABC):
-    """A sink that publishes rows, and keeps each until the broker has acknowledged it.
+    """A sink that publishes rows, and keeps each message until the broker has acknowledged it.
 
     A message contains rows of one or several outputs: `seq`, the number of its first row; `time`; and for each channel
     NAME, NAME_sigma and NAME_verdict. A reader should drop duplicate rows by `seq`, as becalm's own sources do.
@@ -83,7 +93,7 @@ class BrokerSink(ABC):
         """Return a new connection."""
 
     def open(self, head: Head) -> None:
-        """Connect; unacknowledged messages are published again. Raises errors as `Sink.open`."""
+        """Connect; unacknowledged messages are published again. Raises the errors of `Sink.open`."""
         self.close()
         self._outbox.begin(head)
         self._acknowledged = set()
@@ -110,7 +120,7 @@ class BrokerSink(ABC):
         AwayError
             If the broker is away or silent; `open` publishes the unacknowledged messages again.
         InputError
-            If the broker refuses messages.
+            If the broker refuses a message.
         """
         self._outbox.seal(self._largest())
         left, since = len(self._outbox), time.monotonic()

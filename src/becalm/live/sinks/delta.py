@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _APPLICATION = "becalm"
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # errors of a full disk; EIO may be one
 _LOG_KEPT = {"delta.logRetentionDuration": "interval 7 days"}
 _CONFLICTS = ("oncurrent", "changed since last commit")  # in deltalake's messages about a concurrent commit
 _OTHER = "is also written by another process; stop that process, or give another folder."
-_SEARCHED_COMMITS = (16, 1024, None)  # other programs may have committed since becalm's last commit
+_SEARCHED_COMMITS = (16, 1024, None)  # commits to search for becalm's last one, attempt by attempt; None: all
 
 
 class DeltaSink:
@@ -121,8 +121,11 @@ class DeltaSink:
 
         Raises
         ------
-        BecalmError
-            The errors of `Keeper.keep`; only a remote store can be away.
+        StorageFullError
+            If the disk is full; nothing is committed, and the same call may be made again.
+        AwayError
+            If a remote store cannot be reached, or the table cannot be read after a commit; `last` then shows whether
+            the rows were committed.
         OutputError
             If another process wrote to the table, or it cannot be written.
         """
@@ -146,7 +149,7 @@ class DeltaSink:
         self._table = None
 
     def _remove_old_checkpoints(self) -> None:
-        """Remove older checkpoints without a commit; newer ones may belong to a process that is about to commit."""
+        """Remove older checkpoint files; newer ones may belong to a process that is about to commit."""
         current = self._checkpoint_file
         for name in self._files.beside():
             if name != current and name.partition("-")[0] <= current.partition("-")[0]:
@@ -222,7 +225,7 @@ class DeltaSink:
         return pa.schema(self._table.schema().to_arrow())
 
     def _refuse_other(self, head: Head) -> None:
-        """Raise a UsageError for other channels or units; a unit missing on one side is accepted, the table's stay."""
+        """Raise a UsageError for other channels or units; a missing unit is accepted, and the table keeps its units."""
         stored = self._table_schema()
         pairs = zip(map(_unit, stored), map(_unit, self._schema), strict=False)
         if stored.names != self._schema.names or any(old and new and old != new for old, new in pairs):

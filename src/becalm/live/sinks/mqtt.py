@@ -58,7 +58,7 @@ class _MqttLine(MqttLink):
     def connect(self, *, reached: bool) -> None:
         super().connect(reached=reached)
         self.window = min(self.window, _WINDOW)
-        self.largest -= len(self._topic.encode()) + 32
+        self.largest -= len(self._topic.encode()) + 32  # the broker limits packets, which also hold topic and header
 
     def post(self, letter: Letter) -> int:
         return self.publish(self._topic, letter.payload)

@@ -74,7 +74,7 @@ class Outbox:
         Raises
         ------
         OutputError
-            If a single row is larger than `largest`.
+            If the message of a single row is larger than `largest` or LARGEST.
         """
         if not len(output):
             return
@@ -84,12 +84,12 @@ class Outbox:
         if not self._gathered:
             self._since_s = time.monotonic()
         self._gathered.append(output)
-        size = sum(out.signal.nbytes for out in self._gathered) * 3
+        size = sum(out.signal.nbytes for out in self._gathered) * 3  # estimate, in bytes of a message
         if size >= LARGEST or time.monotonic() - self._since_s >= self._gather_s:
             self.seal(largest)
 
     def seal(self, largest: int) -> None:
-        """Make messages of all collected rows; raises errors as `put`."""
+        """Make messages of all collected rows; raises the errors of `put`."""
         gathered, self._gathered = self._gathered, []
         if self._head is not None and gathered:
             self._waiting.extend(self._letters(self._head, _joined(gathered), min(largest, LARGEST)))

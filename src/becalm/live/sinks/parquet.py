@@ -108,7 +108,7 @@ class ParquetSink:
             self._part.drain()
 
     def close(self) -> None:
-        """Finish the last file; raises errors as `flush`. May be called twice."""
+        """Finish the last file; raises the errors of `flush`. May be called twice."""
         self._distribute()
         if self._part is not None:
             self._over.append(self._part)
@@ -146,7 +146,7 @@ class ParquetSink:
         return PartFile(self._folder / f"rows-{output.first_row + start:012}.parquet", self._head)
 
     def _end(self, part: PartFile, output: Output, start: int) -> int:
-        """Return the row of an output before which a file ends, counting from `start`."""
+        """Return the index in an output of the first row from `start` on that belongs to the next file."""
         stamps = output.time_s[start : start + self._most - part.rows]
         later = (stamps >= self._until_s) & (stamps < _LATEST_S)
         return start + (int(later.argmax()) if later.any() else len(stamps))

@@ -21,8 +21,8 @@ from becalm.live.tables import output_table
 PART = ".part"
 """Suffix of the name of an incomplete file."""
 
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-_MOST_ROWS, _MOST_OUTPUTS = 1 << 16, 1 << 12  # buffered until they are made a table; an output may be a single row
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # errors of a full disk; EIO may be one
+_MOST_ROWS, _MOST_OUTPUTS = 1 << 16, 1 << 12  # buffered until they become a table; an output may be a single row
 
 
 class PartFile:
@@ -45,6 +45,7 @@ class PartFile:
         self._buffered_rows = self._written = 0
         self._ended = self._made = False
         self.rows = 0
+        """Number of rows taken."""
 
     def take(self, output: Output) -> None:
         """Buffer rows in memory."""
@@ -82,7 +83,7 @@ class PartFile:
         self._packed.truncate()
 
     def finish(self) -> Path:
-        """Complete the file and rename it; raises errors as `drain`, after which the call may be repeated."""
+        """Complete the file and rename it; raises the errors of `drain`, after which the call may be repeated."""
         if not self._ended:
             self._tabulate()
             self._rows.close()
@@ -110,7 +111,15 @@ class PartFile:
 
 @contextmanager
 def translate_write_errors(path: Path) -> Iterator[None]:
-    """Turn errors while writing a file into messages for the user."""
+    """Turn errors while writing a file into messages for the user.
+
+    Raises
+    ------
+    StorageFullError
+        If the disk is full.
+    OutputError
+        If the file cannot be written or locked for another reason.
+    """
     try:
         yield
     except OSError as cause:

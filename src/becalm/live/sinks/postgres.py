@@ -18,7 +18,7 @@ from becalm.live.sinks.postgres_tables import Tables
 if TYPE_CHECKING:
     import psycopg
 
-_LOCK_WAIT_S, _LOCK_RETRY_S = 3.0, 0.05
+_LOCK_WAIT_S, _LOCK_RETRY_S = 3.0, 0.05  # longest wait for the lock, and wait between attempts, in seconds
 
 
 class PostgresSink:
@@ -102,7 +102,7 @@ class PostgresSink:
         StorageFullError
             If the server's disk is full; nothing is committed, and the same call may be made again.
         AwayError
-            If the connection was lost; after opening again, `last` shows whether the rows were committed.
+            If the connection was lost; `last` then shows whether the rows were committed.
         OutputError
             If the server refuses them, for example because this user may not write.
         """
@@ -136,14 +136,14 @@ class PostgresSink:
             copy.write(ENDS)
 
     def _locked(self, connection: psycopg.Connection) -> bool:
-        """Take the lock; wait up to 3 s, because the lock of a killed process is released a little later."""
+        """Take the lock, and return whether that succeeds within 3 s; a killed process releases it a little later."""
         until = time.monotonic() + _LOCK_WAIT_S
         while not (locked := self._tables.locked(connection)) and time.monotonic() < until:
             time.sleep(_LOCK_RETRY_S)
         return locked
 
     def _connection_with_lock(self) -> psycopg.Connection:
-        """Return the connection, which holds the lock."""
+        """Return the connection that holds the lock; open it if there is none."""
         if self._connection is not None:
             return self._connection
         connection = connect_to(self._place)

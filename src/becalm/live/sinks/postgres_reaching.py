@@ -21,8 +21,9 @@ LONGEST_NAME = 63
 _TLS = ("sslmode", "sslrootcert", "sslcert", "sslkey")
 _TLS_MODES = ("disable", "allow", "prefer", "require", "verify-ca", "verify-full")
 _FORM = "postgres://USER@HOST:PORT/DATABASE?table=NAME"
+# parameters of libpq, in seconds, and the number of keepalives without an answer that closes the connection
 _ALIVE = {"connect_timeout": 10, "keepalives_idle": 15, "keepalives_interval": 5, "keepalives_count": 3}
-_SILENT_MS = 30_000  # time after which unacknowledged data closes the connection
+_SILENT_MS = 30_000  # milliseconds after which unacknowledged data closes the connection
 _SERVER_OPTIONS = "-c tcp_keepalives_idle=15 -c tcp_keepalives_interval=5 -c tcp_keepalives_count=3"
 
 _REFUSALS = (
@@ -39,8 +40,8 @@ _REFUSALS = (
 )
 """Parts of messages of libpq and the server about permanent errors; a refused connection has no error code."""
 
-_FULL = ("53100", "58030")  # disk full, and an I/O error, which a full disk can cause
-_AWAY = ("08", "53", "57P")  # classes: connection, resources, shutdown
+_FULL = ("53100", "58030")  # SQLSTATE: disk full, and an I/O error, which a full disk can cause
+_AWAY = ("08", "53", "57P")  # beginnings of SQLSTATE: connection, resources, shutdown
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def connect_to(place: TablePlace) -> psycopg.Connection:
     AwayError
         If the server cannot be reached now.
     InputError
-        If the server can never be reached: a wrong password, no such database, no such certificate.
+        If the server can never be reached: a wrong password, no such database, no such certificate or password file.
     """
     library = driver()
     parameters = {**place.asked, **_ALIVE, "tcp_user_timeout": _SILENT_MS, "options": _SERVER_OPTIONS}

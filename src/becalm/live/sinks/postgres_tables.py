@@ -121,7 +121,7 @@ class Tables:
         return self._of("COPY {rows} ({columns}) FROM STDIN (FORMAT BINARY)", columns=self._sql.SQL(", ").join(written))
 
     def write_losses(self, connection: psycopg.Connection, outputs: list[Output]) -> None:
-        """Write the losses, each with the number of the row after it."""
+        """Write the losses, each with the first row of its output; the loss is before or in the rows from there on."""
         rows = [
             (one.first_row, loss.kind.value, loss.rows, _plain(loss.says), loss.noticed_s)
             for one in outputs
@@ -152,7 +152,7 @@ class Tables:
         return self._sql.SQL(query).format(**self._names, **parts)
 
     def _with_values(self, query: Any) -> sql.Composed:
-        """Return a query that is executed with values; in names in such a query, psycopg needs %% for each %."""
+        """Return a query that is executed with values; psycopg reads % in it as a placeholder, so names have %%."""
         return self._sql.SQL(query).format(**self._escaped_names)
 
 

@@ -58,7 +58,7 @@ class StdoutSink:
         Raises
         ------
         OutputError
-            If it cannot be written, or standard output is closed, because another file may then have its descriptor.
+            If it cannot be written, or standard output is closed; its descriptor may then be that of another file.
         """
         if self._descriptor == 1 and sys.__stdout__ is None:
             raise OutputError(

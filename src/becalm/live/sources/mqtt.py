@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessage
 
 _BLOCK_MESSAGES = 256  # most messages in a block, so that a backlog is split
-_QUEUED_BYTES = 64_000_000
+_QUEUED_BYTES = 64_000_000  # bytes of queued messages above which paho's thread waits
 
 
 class _Message(NamedTuple):
@@ -37,7 +37,7 @@ class MqttSource:
 
     A message is acknowledged once its rows are committed. A broker that keeps sessions sends unacknowledged messages
     again; duplicates are recognized by the row numbers and left out. Rows that the broker itself loses are counted by
-    the gaps in `seq`; mosquitto by default writes its store every 30 minutes, so kill -9 loses what it held.
+    the gaps in `seq`; mosquitto by default writes its store every 30 minutes, so kill -9 loses what it has not written.
     If the sender does not number its rows, duplicates are not left out and losses are not counted.
     `MessageStream` describes the messages.
 
@@ -45,7 +45,7 @@ class MqttSource:
     number: mosquitto then sends 20 messages for each commit, unless its `max_inflight_messages` is raised.
 
     Options: `client=NAME`, the client identifier of this session, by default made from the topic (two readers of one
-    topic need two names, or the broker disconnects one for the other repeatedly); `keep=7d`, the time for which the
+    topic need two names, else the broker disconnects one of them again and again); `keep=7d`, the time for which the
     broker keeps the session while the client is away; `version=5|3.1.1`; `window=10000`; those of `MessageStream` and
     `Remote`.
 
@@ -81,13 +81,16 @@ class MqttSource:
         self._queue: deque[_Message] = deque()
         self._queued_bytes = 0
         self._pending_losses: tuple[Loss, ...] = ()
-        self._blocks: int | None = None  # number of blocks with rows
+        self._blocks: int | None = None  # number of blocks with rows; None before `open`
         self._kept = 0  # number of these blocks that are committed
         self._guard = threading.Lock()  # one thread reads rows, another commits them
         self._unacknowledged: deque[tuple[int, int]] = deque()  # (message, block that must be committed before)
 
     def open(self, position: str) -> None:
-        """Connect and continue the session; unacknowledged messages arrive again. Raises errors as `Source.open`."""
+        """Connect and continue the session; the broker sends unacknowledged messages again.
+
+        Raises the errors of `Source.open`.
+        """
         self.close()
         fields = parse_position("mqtt", position, "blocks")
         if self._blocks is None:
@@ -161,7 +164,7 @@ class MqttSource:
     def _await_commit(self, taken: list[_Message], *, new: bool) -> None:
         """Record the block that must be committed before these messages are acknowledged.
 
-        This is the block of their rows, which is `new`; for messages without rows it is the block before.
+        If the messages made a `new` block with rows, this is that block, else the block before.
         """
         blocks = self._blocks = (self._blocks or 0) + new
         with self._guard:

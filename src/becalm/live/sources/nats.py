@@ -66,7 +66,7 @@ class NatsSource:
         self._pending_losses: tuple[Loss, ...] = ()
 
     def open(self, position: str) -> None:
-        """Connect and continue with the message after `position`; raises errors as `Source.open`."""
+        """Connect and continue with the message after `position`; raises the errors of `Source.open`."""
         self.close()
         fields = parse_position("nats", position, "message")
         self._link = link = NatsLink(self._remote)

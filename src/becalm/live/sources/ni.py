@@ -20,10 +20,10 @@ from becalm.live.protocols import AwayError
 
 _OPTIONS = ("rate", "range", "wiring", "columns", "rows")
 _WIRINGS = {"default": "DEFAULT", "rse": "RSE", "nrse": "NRSE", "diff": "DIFF", "pseudo-diff": "PSEUDO_DIFF"}
-_BLOCK_S = 0.01
+_BLOCK_S = 0.01  # default length of a block, in seconds
 _BUFFER_S = 10.0  # length of the driver's buffer, in seconds
-_LEAST_BUFFER = 10_000
-_MOST_ROWS = 1 << 16
+_LEAST_BUFFER = 10_000  # rows in the driver's buffer
+_MOST_ROWS = 1 << 16  # in a block
 _BAD_VALUE = -200077  # the driver's error code for a rate or range that the device does not support
 
 
@@ -33,8 +33,9 @@ class NiSource:
     This was written from the documentation of nidaqmx and tested only with a simulated driver, never with a device or
     the vendor's driver.
 
-    The stamps count the device's samples from the moment when it was started. If the stream reads more than ten
-    seconds too slowly, the driver stops. The source is then away, as after unplugging, and the device is started again.
+    The stamps count the device's samples from the moment when it was started. The driver buffers at least ten seconds;
+    if the stream falls further behind, the driver stops, the source is away as after unplugging, and the device is
+    started again.
 
     Parameters
     ----------

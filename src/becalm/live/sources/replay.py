@@ -20,10 +20,10 @@ from becalm.live.position import parse_position
 from becalm.live.protocols import EndOfStream
 
 _OPTIONS = ("speed", "rows", "group", "rate", "time", "channels", "stamps")
-_BLOCK_ROWS = 1000
+_BLOCK_ROWS = 1000  # most rows in a block by default
 _BLOCK_S = 0.01  # length of a block if the speed is limited
 _CHUNK_ROWS = 1 << 16  # approximate number of rows read at once, and returned in blocks
-_HEAD_BYTES = 1 << 16
+_HEAD_BYTES = 1 << 16  # bytes at each end of the file that identify it
 AS_FAST_AS_IT_GOES = float("inf")
 
 
@@ -76,7 +76,7 @@ class ReplaySource:
         self._chunks: Iterator[_Rows] = iter(())
         self._rows: _Rows | None = None
         self._index = 0  # of the next row in self._rows
-        self._started: tuple[float, float] | None = None  # time.monotonic(), and the file's time
+        self._started: tuple[float, float] | None = None  # time.monotonic() and the file's time at the first row
         self._fingerprint: dict[str, int | str] = {}
         self.names: tuple[str, ...] = ()
         self.units: tuple[str, ...] = ()

@@ -27,7 +27,7 @@ class SerialSource(LineSource):
     ----------
     address : Address
         `serial:/dev/ttyUSB0?baud=115200&bytes=8&parity=none&stop=1&flow=none`, and the options of `LineSource`.
-        Instead of a port it may have a URL that pyserial can open: `serial:socket://HOST:PORT`.
+        The port may also be a URL that pyserial can open: `serial:socket://HOST:PORT`.
     """
 
     def __init__(self, address: Address) -> None:

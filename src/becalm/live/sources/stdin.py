@@ -13,7 +13,7 @@ from becalm.live.block import Block
 from becalm.live.protocols import EndOfStream
 from becalm.live.sources.lined import LineSource
 
-_PIECE = 1 << 18
+_PIECE = 1 << 18  # most bytes of one read
 
 
 class StdinSource(LineSource):
@@ -41,7 +41,7 @@ class StdinSource(LineSource):
         Raises
         ------
         InputError
-            If standard input is closed, because another file may then have its descriptor.
+            If standard input is closed; its descriptor may then be that of another file.
         """
         if self._descriptor == 0 and sys.__stdin__ is None:
             raise InputError("Standard input is closed; pipe lines of CSV or JSON into becalm live stdin:.")

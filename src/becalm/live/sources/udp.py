@@ -23,9 +23,9 @@ from becalm.live.protocols import AwayError, EndOfStream
 _DATAGRAM = 65_536  # bytes; the longest datagram
 _READ_BYTES = 4_000_000  # most bytes in one read, so that blocks are bounded
 _BUFFER = 8 * 2**20  # size of the kernel's buffer in bytes: a third of a second at 25 MB/s
-_REORDER = 8
+_REORDER = 8  # default of the option `reorder`
 _LONGEST_GATHER_S = 1.0
-_SHORTEST_PAUSE_S = 1e-3
+_SHORTEST_PAUSE_S = 1e-3  # of gathering, however full the kernel's buffer is
 _FILL = 0.25  # fraction of the kernel's buffer that gathering may fill
 
 # Linux's constants SO_RCVBUFFORCE, SO_TIMESTAMPNS and SO_MEMINFO, which the module socket does not have
@@ -55,6 +55,11 @@ class UdpSource:
     ----------
     rate_hz : float or None
         Sample rate in hertz from the option `rate=`.
+
+    Raises
+    ------
+    UsageError
+        If the address has no port, an option is unknown, or its value is not possible.
     """
 
     replays = False
@@ -115,7 +120,9 @@ class UdpSource:
         self._socket = opened
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the rows of all received datagrams; with timeout 0 also those that wait for a delayed datagram.
+        """Return the rows of all received datagrams; None if there are none within `timeout_s`.
+
+        With timeout 0 and no new datagram, rows that wait for a delayed datagram are returned too.
 
         Raises
         ------
@@ -195,7 +202,7 @@ class UdpSource:
         return messages
 
     def _overrun(self, opened: socket.socket) -> tuple[Loss, ...]:
-        """Return the datagrams that the kernel dropped since the last call; shorten the pause if its buffer fills."""
+        """Return a loss for datagrams that the kernel dropped since the last call; adapt the pause to its buffer."""
         if sys.platform != "linux":
             return ()
         words = _MEMORY_WORDS.unpack(opened.getsockopt(socket.SOL_SOCKET, _MEMORY, _MEMORY_WORDS.size))

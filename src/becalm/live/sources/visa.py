@@ -20,16 +20,16 @@ from becalm.live.protocols import AwayError
 
 _OPTIONS = ("query", "interval", "columns", "setup", "backend", "timeout", "end")
 _ENDS = {"lf": "\n", "cr": "\r", "crlf": "\r\n", "none": ""}
-_MOST_SILENCES = 3  # consecutive timeouts after which the instrument is away
+_MOST_SILENCES = 3  # consecutive queries without an answer after which the instrument is away
 _NO_READING = 9.9e37  # SCPI's values for overrange and not-a-number are at least this large
 
 
 class VisaSource:
     """A source that reads an instrument with text answers, such as a voltmeter; the stamp is the arrival time.
 
-    An answer is one row: one number, or several separated by commas. A timeout is counted as a missing row, and an
-    answer that is not a row of numbers as garbled; SCPI's value for overrange becomes a missing reading. After three
-    consecutive timeouts, or an error of the bus, the instrument is away.
+    An answer is one row: one number, or several separated by commas. A query without an answer is counted as a missing
+    row, and an answer that is not a row of numbers as garbled; SCPI's value for overrange becomes a missing reading.
+    After three consecutive queries without an answer, or an error of the bus, the instrument is away.
 
     Parameters
     ----------
@@ -37,7 +37,8 @@ class VisaSource:
         `visa:GPIB0::7::INSTR?query=READ?&interval=100ms&columns=bridge (V)&setup=*RST&backend=@py&timeout=3s&end=lf`.
         `query` is sent for each row, `READ?` by default; `query=` listens to an instrument that sends by itself.
         `interval` is the time between two queries, by default 0; `setup` is sent once at each opening;
-        `backend` is PyVISA's: @ivi is the vendor's library, @py is pyvisa-py, FILE@sim is pyvisa-sim.
+        `backend` is PyVISA's: @ivi is the vendor's library, @py is pyvisa-py, FILE@sim is pyvisa-sim. `timeout` is the
+        longest wait for an answer; `end` is the line end: lf, cr, crlf or none.
 
     Raises
     ------

@@ -19,10 +19,10 @@ from becalm.live.optional_libraries import import_optional
 from becalm.live.watching.scrubber import Scrubber
 
 FILE_BYTES, OLD_FILES = 10_000_000, 5
-"""Size at which a log file is rotated, and number of old files that are kept: at most 60 MB in all."""
+"""Size in bytes at which a log file is rotated, and number of old files that are kept: at most 60 MB in all."""
 
 LOSSES_EVERY_S = 60.0
-"""Interval between log lines for losses of one kind; the first loss is logged at once."""
+"""Least interval between log lines for losses of one kind, in seconds; the first loss is logged at once."""
 
 
 class Log(Closing):

@@ -142,7 +142,7 @@ class Meter:
         self._queue = (blocks, rows)
 
     def turned(self) -> None:
-        """Record one more turn of the main loop."""
+        """Record an iteration of the main loop."""
         self._loop_s = self._clock()
 
     def record(self, output: Output) -> None:
@@ -216,7 +216,7 @@ class Meter:
         return status | {"latency_ms": self._latencies.status(last)}
 
     def _verdict_counts(self, output: Output) -> Integers:
-        """Return the counts of each channel's verdicts, (m, kinds); blocks with all readings used are counted fast."""
+        """Return the counts of verdicts, (m, kinds); (1, kinds) for every channel if all readings were used."""
         if not output.verdicts.any():
             return len(output) * self._all_used
         codes = (output.verdicts + self._first_codes).ravel()

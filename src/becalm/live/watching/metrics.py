@@ -68,7 +68,7 @@ class Counts:
         self._meter = meter
 
     def collect(self) -> Iterator[Metric]:
-        """Return all metrics with their current values."""
+        """Yield all metrics with their current values."""
         status = self._meter.status()
         yield _counter("becalm_rows_taken", "Rows read from the source.", status["rows_taken"])
         yield _counter("becalm_rows", "Rows passed to the sinks.", status["rows"])

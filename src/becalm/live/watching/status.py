@@ -14,6 +14,7 @@ from becalm.live.watching.meter import Meter
 from becalm.live.watching.scrubber import Scrubber
 
 EVERY_S = 1.0
+"""Interval between writes, in seconds."""
 
 
 class StatusFile(Closing):

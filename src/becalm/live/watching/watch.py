@@ -10,7 +10,7 @@ from becalm.live.watching.logs import Log
 from becalm.live.watching.meter import Meter, State
 from becalm.live.watching.watchdog import Silence, Systemd
 
-_LOG_TURN_S = 10.0
+_LOG_TURN_S = 10.0  # interval between calls of `Log.turn`, in seconds
 
 
 class Watch:
@@ -59,7 +59,13 @@ class Watch:
             self._log.error("refused", says=says)
 
     def turned(self, block_came: bool) -> tuple[Loss, ...]:
-        """Record a turn of the main loop; return a loss if the source has just become silent or come back."""
+        """Record an iteration of the main loop, and whether it got a block.
+
+        Returns
+        -------
+        tuple of Loss
+            One loss if the source has just become silent or come back, else none.
+        """
         self.meter.turned()
         self._systemd.alive()
         loss = self._silence.came() if block_came else self._silence.waited()
