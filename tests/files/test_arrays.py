@@ -13,6 +13,7 @@ from scipy.io import savemat
 
 from becalm.errors import InputError
 from becalm.files import ReadOptions, open_source, read
+from becalm.files.named_rates import hertz_of
 from becalm.files.registry import read_tables
 from becalm.files.source import RawTable
 
@@ -248,6 +249,39 @@ def test_what_matlab_keeps_in_version_73_is_read(tmp_path: Path) -> None:
     assert str(found["imu"].type_of("imu.on")) == "bool"
     assert {table.count: table.time.rate_hz for table in found.values() if table.time} == {500: 10.0, 1000: 20.0}
     assert any("timetable" in note and "table2struct" in note for note in found["imu"].notes)
+
+
+def test_the_last_bytes_of_a_file_of_matlab_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        values = file.create_dataset("a", (1, 4000), np.float64, chunks=(1, 1000))
+        values.attrs["MATLAB_class"] = np.bytes_("double")
+        file.flush()
+        values[:] = np.arange(4000.0)
+        last = values.id.get_chunk_info(3)
+    data = bytearray(path.read_bytes())
+    assert last.byte_offset + last.size == len(data)
+    data[:128] = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+    path.write_bytes(data)
+    (table,) = tables_of(path).values()
+    np.testing.assert_array_equal(values_of(table, "a"), np.arange(4000.0))
+    assert table.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "unit", "rate_hz"),
+    [("dt_ms", 10, "ms", 100), ("dt_ms", 10, "", 100), ("dt", 10, "ms", 100), ("dt_ms", 10, "s", None),
+     ("fs (kHz)", 1, "kHz", 1000), ("fs", 1, "kHz", 1000), ("fs", 1, "V", None), ("dt", 0, "s", None)],
+)  # fmt: skip
+def test_a_unit_counts_once(name: str, number: float, unit: str, rate_hz: float | None, tmp_path: Path) -> None:
+    assert hertz_of(name, number, unit) == (None if rate_hz is None else pytest.approx(rate_hz))
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["acc"] = ACC
+        file[name] = number
+        file[name].attrs["units"] = unit
+    (table,) = tables_of(tmp_path / "a.h5").values()
+    found = None if table.time is None else table.time.rate_hz
+    assert found == (None if rate_hz is None else pytest.approx(rate_hz))
 
 
 def test_tables_of_pandas_have_their_own_names_and_times(tmp_path: Path) -> None:

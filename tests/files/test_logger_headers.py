@@ -57,6 +57,13 @@ def counted(tail: str) -> str:
     return "".join(f"{row},{a:.4f},{b:.4f}{tail}\n" for row, (a, b) in enumerate(zip(A, B, strict=True)))
 
 
+@pytest.mark.parametrize("head", ["Sample interval (ms): 10 ms", "Sample interval (ms): 10", "Sample interval: 10 ms"])
+def test_a_step_in_milliseconds_is_one(head: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"{head}\na,b\n" + pair(","), encoding="utf-8")
+    with open_source(tmp_path / "a.csv") as source:
+        assert source.rate_hz == pytest.approx(100.0)
+
+
 HEADS = {
     "LabVIEW, no X": WITHOUT_X + pair("\t"),
     "RaceChrono": RACE

@@ -204,6 +204,23 @@ def test_missing_flags_are_refused_where_they_would_be_false(tmp_path: Path) -> 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("ending", ["tdms", "h5"])
+@pytest.mark.parametrize("parts", [[[255, None, 1]], [[255, 2], [None, 1]], [[None, 1], [255, 2]]])
+def test_a_number_that_would_stand_for_missing_cells_is_refused(
+    ending: str, parts: list[list[int | None]], tmp_path: Path
+) -> None:
+    def write_parts() -> None:
+        with open_output(tmp_path / f"a.{ending}", {}) as out:
+            for part in parts:
+                out.write(pa.table({"n": pa.array(part, pa.uint8())}))
+
+    with pytest.raises(OutputError, match=r"n' has missing cells and the number 255, .*; write \.parquet"):
+        write_parts()
+    assert not list(tmp_path.iterdir())
+    write_table(tmp_path / f"whole.{ending}", pa.table({"n": pa.array([255, 0, 1], pa.uint8())}))
+    write_table(tmp_path / f"holes.{ending}", pa.table({"n": pa.array([254, None, 1], pa.uint8())}))
+
+
 def test_scipy_numpy_and_h5py_see_groups_as_theirs(tmp_path: Path) -> None:
     held = loadmat(write(tmp_path / "a.mat", fast(), slow()), simplify_cells=True)
     assert held["becalm_recipe"] == RECIPE

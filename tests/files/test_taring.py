@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +18,7 @@ from becalm.files.opening import OpenSource, open_source
 from becalm.files.read_options import ReadOptions
 from becalm.files.rows import HeldRows
 from becalm.files.source import RawTable
+from becalm.files.timing.times import RowTimes, rows_between
 
 LOT = (-31.8, 2.77, -6.55e-2, 3.28e-4, -3.26e-7)
 BRIDGE = f"""
@@ -120,6 +122,25 @@ def test_a_missing_temperature_makes_the_strain_missing(tmp_path: Path) -> None:
     with opened(written(tmp_path, "T1 (degC)", degrees), BRIDGE) as source:
         found = source.recording().channel("root")
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(found)), [5, 700])
+
+
+def test_a_missing_stamp_moves_no_interval() -> None:
+    stamps = np.array([0.0, 1.0, np.nan, 3.0, 4.0, np.nan, 5.0])
+    for cut in range(len(stamps)):
+        blocks = [block for block in (stamps[:cut], stamps[cut:]) if len(block)]
+        times = RowTimes(cast(Any, SimpleNamespace(count=7)), cast(Any, None), cast(Any, Blocks(blocks)), None)
+        assert rows_between(times, 3.0, 4.5) == (3, 6)
+        assert rows_between(times, 0.0, 3.0) == (0, 3)
+
+
+class Blocks:
+    """Stamps in blocks."""
+
+    def __init__(self, blocks: list[Floats]) -> None:
+        self._blocks, self.count = blocks, sum(map(len, blocks))
+
+    def blocks(self) -> list[Floats]:
+        return self._blocks
 
 
 def test_a_constant_temperature_is_taken_off(tmp_path: Path) -> None:

@@ -193,14 +193,18 @@ def test_another_programs_database_is_refused(tmp_path: Path) -> None:
         open_journal(tmp_path)
 
 
-def test_a_newer_journal_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("has_mark", [True, False])
+def test_a_newer_journal_is_refused_and_stays(has_mark: bool, tmp_path: Path) -> None:
     with journal_in(tmp_path) as journal:
         fill(journal, 1)
-    (tmp_path / MARK).unlink()
+    if not has_mark:
+        (tmp_path / MARK).unlink()
     with closing(sqlite3.connect(tmp_path / DATABASE)) as connection:
         connection.execute("PRAGMA user_version = 2")
-    with pytest.raises(JournalError, match="written by a newer becalm"):
+    with pytest.raises(JournalError, match="is of a newer becalm; update becalm"):
         Journal(Address.parsed(f"journal:{tmp_path}")).last()
+    assert (tmp_path / DATABASE).exists()
+    assert not list(tmp_path.glob("*damaged*"))
 
 
 @pytest.mark.parametrize("torn", range(0, 400, 40))

@@ -240,6 +240,26 @@ def test_what_was_said_must_fit(told: dict[str, Any], text: bytes, said: str) ->
         _read(text, **told)
 
 
+def test_a_garbled_line_takes_its_time_however_lines_come() -> None:
+    pieces = [b"a\n0\n", b"1\n", b"\xff?\n", b"3\n", b"?,?\n?\n", b"6\n"]
+    for cuts in (pieces, [b"".join(pieces)]):
+        lines = Lines(LineOptions.of(Address.parsed("stdin:?format=csv&rate=10")))
+        found = [block for cut in cuts if (block := lines.feed(cut, 100.0)) is not None]
+        stamps = np.concatenate([block.time_s for block in found])
+        np.testing.assert_allclose(stamps - stamps[0], [0.0, 0.1, 0.3, 0.6])
+
+
+@pytest.mark.parametrize("login", ["u:p@ss", "u:pa/ss", "u", "u:p:q@/"])
+def test_an_address_is_shown_without_its_login(login: str) -> None:
+    assert str(Address.parsed(f"mqtt://{login}@host:1883/topic?qos=1")) == "mqtt://host:1883/topic?qos=1"
+
+
+@pytest.mark.parametrize("number", ["inf", "nan", "-inf"])
+def test_an_option_is_a_finite_number(number: str) -> None:
+    with pytest.raises(UsageError, match=f"rows={number} is not a number"):
+        Address.parsed(f"parquet:out?rows={number}").number("rows", 0.0, least=1)
+
+
 def test_options_of_an_address() -> None:
     told = LineOptions.of(Address.parsed("stdin:?format=csv&columns=time,a&channels=a&time=time"))
     assert told == LineOptions("csv", ("time", "a"), "time", None, ("a",))

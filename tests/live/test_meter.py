@@ -62,6 +62,15 @@ def test_an_output_without_rows_has_no_latency() -> None:
     assert meter.status()["latency_ms"]["p99"] is None
 
 
+def test_rows_that_the_end_of_a_stream_brings_have_no_latency() -> None:
+    clock = Clock()
+    meter = metered(clock=clock)
+    meter.record(used(1, clock.now_s - 0.5))
+    meter.record(used(20, 0.0))
+    assert meter.status()["latency_ms"]["outputs"] == 1
+    assert meter.status()["latency_ms"]["longest_ever"] == pytest.approx(500)
+
+
 def test_the_rate_is_that_of_the_last_ten_seconds() -> None:
     clock = Clock()
     meter = metered(clock=clock)

@@ -32,7 +32,7 @@ from becalm.export.vectors import Vector, extremes, golden_vectors
 from becalm.export.word_length import refuse_coarse
 from becalm.installation import version
 
-_LARGEST_UHZ = (1 << 62) - 1
+_LARGEST_UHZ = (1 << 62) - 1  # largest rate in the C code, in microhertz
 
 
 class ExportOptions(NamedTuple):
@@ -43,13 +43,13 @@ class ExportOptions(NamedTuple):
     precision : {"float32", "float64", "q31"}
         Number type of the filters.
     gain : {"auto", "settled", "full"}
-        "full" carries a covariance, "settled" does not; "auto" carries one where the recipe needs it.
+        "full" carries a covariance, "settled" does not; "auto" carries one where `kind_of` chooses so.
     channels : tuple of str or None
         Names of the channels to export; None for all that are filtered.
     spans : mapping of str to (float, float)
-        Least and greatest reading by channel, in unit; the default are the saturation limits of the recipe, if any.
+        Least and greatest reading by channel, in unit; by default the saturation limits of the recipe, if any.
     recorded : mapping of str to (N,) float array
-        Readings of a real recording by channel, in unit.
+        Readings of a real recording by channel, in unit; they become a golden vector.
     """
 
     precision: Precision = "float32"
@@ -63,13 +63,13 @@ class Exported(NamedTuple):
     """One exported channel."""
 
     name: str
-    prefix: str
+    prefix: str  # of its names in C
     design: Design
     kind: Kind
     written: WrittenChannel
     vectors: list[Vector]
-    opened: Opened
-    thrown: Raw
+    opened: Opened  # returns a new reference
+    thrown: Raw  # (2,) least and greatest reading, between which a check jumps
 
 
 class Bundle(NamedTuple):
@@ -94,7 +94,7 @@ class Bundle(NamedTuple):
 
     @property
     def needs_nan(self) -> bool:
-        """Whether it must not be compiled with -ffast-math, which breaks the test for NaN."""
+        """Return whether the C must not be compiled with -ffast-math, which breaks its test for NaN."""
         return any(isinstance(one.kind, WholeChannel) for one in self.channels)
 
 
@@ -113,9 +113,10 @@ def bundle_of(recipe: Recipe, name: str, asked: ExportOptions) -> Bundle:
     Raises
     ------
     RecipeError
-        If the numbers of the recipe do not give a filter, or this precision cannot represent it.
+        If no channel is filtered, the numbers of the recipe do not give a filter, or this precision or gain does not
+        support it.
     UsageError
-        If a channel is not in the recipe.
+        If a channel is not in the recipe, or the precision or the gain does not exist.
     """
     stem, (filtered, notes) = stem_of(name), chosen(recipe, asked.channels)
     prefixes = identifiers((f"{stem}_{channel.name}" for channel, _ in filtered), stem)
@@ -132,13 +133,13 @@ def bundle_of(recipe: Recipe, name: str, asked: ExportOptions) -> Bundle:
 
 
 def stem_of(name: str) -> str:
-    """Return the prefix of files and names in C, different from the library's own names."""
+    """Return the prefix of files and of names in C; it differs from the names of the library's own C."""
     stem = identifier(name, "filters")
     return f"{stem}_filters" if stem in OWN_NAMES else stem
 
 
 def chosen(recipe: Recipe, channels: Sequence[str] | None) -> tuple[list[tuple[ChannelRecipe, Design]], list[str]]:
-    """Return the channels to write with their filters, and notes about the recipe.
+    """Return the channels to write with their filters, and notes for the user.
 
     Raises
     ------

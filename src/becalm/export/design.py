@@ -1,4 +1,4 @@
-"""Design a channel's filter as plain numbers for another language: all gains are computed beforehand.
+"""Describe a channel's filter in plain numbers for another language: all gains are computed beforehand.
 
 Numbers are in steps and in the channel's unit, covariances in unit^2. A filter with a settled gain, in floating or
 fixed point, carries the *predicted* state p, so that a row in the steady state is y = C p + C K nu and p = F p + F K
@@ -35,10 +35,10 @@ NOT_IN_C = (
     "plausible_low",
     "plausible_high",
 )
-"""Limits of a recipe that settled and fixed filters do not support: gross outliers, fill values, a last sentinel."""
+"""Limits of a recipe that settled and fixed filters do not use: for gross outliers, fill values and runaways."""
 
-_COUNTABLE = (1 << 32) - 1
-_UNMOVED = 1e-8  # of a state: its square is the rest of a covariance, below the resolution of float64
+_COUNTABLE = (1 << 32) - 1  # rows that four bytes can count; it also means "without limit"
+_UNMOVED = 1e-8  # remaining share of the initial state; its square, of a variance, is below the resolution of float64
 _MOST_COASTED = (1 << 16) - 2  # rows that two bytes can count
 
 
@@ -57,13 +57,13 @@ class Design:
     model : Model
         Model of the component and the readings' noise, with one step per reading.
     limits : Limits
-        Limits of the readings.
+        Saturation limits and other limits of the readings, in unit.
     gate : Gate or None
         The innovation gate, if there is one.
     modes : InteractingModels or None
         The IMM, if the recipe has several modes.
     longest_gap : int
-        Longest gap, in steps, that a filter with a covariance is carried across; the largest number for no limit.
+        Longest gap, in steps, that a filter with a covariance is carried across; 2^32 - 1 for no limit.
     """
 
     name: str
@@ -78,48 +78,48 @@ class Design:
 
     @property
     def states(self) -> int:
-        """Number of states, n."""
+        """Return the number of states, n."""
         return self.model.states
 
     @property
     def output(self) -> Floats:
-        """C (n,), which maps the state to the signal: H without disturbances."""
+        """Return C (n,), which maps the state to the signal: H without disturbances."""
         return np.asarray(self.component.signal_output[0], dtype=np.float64)
 
     @property
     def level_direction(self) -> Floats:
-        """Change of the state (n,) for a constant added to the signal; only the first state if the level fades."""
+        """Return the lasting change of the state (n,) that adds 1 to the signal; (1, 0, ...) if none lasts."""
         direction = self.component.level_direction
         return np.eye(self.states)[0] if direction is None else direction
 
     @property
     def unit_after(self) -> str:
-        """The unit as it follows a number: with a leading space, or "" where it is unknown."""
+        """Return the unit as it follows a number: with a leading space, or "" where it is unknown."""
         return f" {self.unit}" if self.unit else ""
 
     @property
     def noise_variance(self) -> float:
-        """R, in unit^2; for an IMM the least of its modes."""
+        """Return R, in unit^2; for an IMM the least R of its modes."""
         return self.modes.least_noise_variance if self.modes else float(self.model.R[0, 0])
 
     @property
     def noise_std(self) -> float:
-        """Standard deviation of a reading's noise, in unit."""
+        """Return the standard deviation of a reading's noise, in unit."""
         return float(np.sqrt(self.noise_variance))
 
     @property
     def largest(self) -> float:
-        """Magnitude beyond which a value is overrange, in unit."""
+        """Return the magnitude beyond which a reading is overrange, in unit."""
         return min(self.limits.largest, largest_magnitude_for_noise(self.noise_variance))
 
     @cached_property
     def opening(self) -> Opening:
-        """The opening: how the first readings determine the state."""
+        """Return how the first readings determine the state."""
         return determine_state(self.model)
 
     @cached_property
     def steady(self) -> SteadyFilter | None:
-        """The steady-state filter; None if there is no steady state, since the effect of the start does not fade."""
+        """Return the steady-state filter; None if the effect of the start does not fade, or a state is unobservable."""
         try:
             filter_ = steady(self.model, self.output)
         except ModelError:
@@ -129,42 +129,42 @@ class Design:
 
     @cached_property
     def response(self) -> Response | None:
-        """The response in the steady state, in an engineer's terms; None if there is none, or for an IMM."""
+        """Return the response of the steady-state filter; None if there is no steady state, or for an IMM."""
         if self.steady is None or self.modes is not None:
             return None
         return describe(self.model, self.step_s, causal=True, output=self.output)
 
     @property
     def settled_std(self) -> float:
-        """Standard deviation of the error in the steady state, where the model holds, in unit; inf without one."""
+        """Return sigma in the steady state, where the model holds, in unit; inf without a steady state."""
         return float(np.sqrt(self.steady.error_variance())) if self.steady else np.inf
 
     @property
     def motion_order(self) -> int:
-        """Number of the first states that are a motion, without the level that it returns to."""
+        """Return the number of states of the motion, without the level that it returns to."""
         return len(self.component.parts[0].state_names) - self.component.returns
 
     @cached_property
     def settled_rows(self) -> int:
-        """Complete rows after which the gain is constant to the last digit; the largest number if it never is."""
+        """Return after how many rows, none missing, the gain is constant to the last digit; 2^32 - 1 if it never is."""
         rows = rows_until_decayed(_UNMOVED, self.model) if self.steady else np.inf
         return int(min(np.ceil(1.1 * rows) + 32, _COUNTABLE)) if np.isfinite(rows) else _COUNTABLE
 
     @property
     def settles(self) -> bool:
-        """Whether its gain is constant after a number of rows that can be counted."""
+        """Return whether the gain becomes constant after a number of rows that four bytes can count."""
         return self.steady is not None and self.settled_rows < _COUNTABLE
 
     @property
     def is_reached(self) -> bool:
-        """Whether it starts anew after some length of gap."""
+        """Return whether the filter starts anew after a long enough gap."""
         return self.longest_gap < _COUNTABLE
 
     @cached_property
     def coasts(self) -> int:
-        """Rows without a reading after which a prediction is worth less than one reading; at least 1.
+        """Return after how many rows without a reading a prediction is worth less than one reading: 1 to 65534.
 
-        A settled gain is that of an undisturbed row; after more such rows it is better to start anew.
+        A settled gain is correct only where no reading is missing; after more missing rows it is better to start anew.
         """
         if self.steady is None:
             return _MOST_COASTED
@@ -180,7 +180,7 @@ class Design:
 
 
 def spread_of(steady: SteadyFilter) -> Floats:
-    """Return the standard deviation (n,) of each predicted state of a settled filter, in its unit."""
+    """Return the standard deviation (n,) of the prior of each state in the steady state, in the state's unit."""
     return np.asarray(np.sqrt(np.maximum(np.diag(steady.predicted_cov), 0.0)), dtype=np.float64)
 
 
@@ -197,7 +197,7 @@ def design_of(recipe: ChannelRecipe, step_s: float) -> Design | None:
     Raises
     ------
     RecipeError
-        If its numbers do not give a filter at this step.
+        If the numbers of the recipe do not give a filter at this step.
     """
     if recipe.motion is None:
         return None

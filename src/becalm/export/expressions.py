@@ -24,7 +24,7 @@ class OperationCount(NamedTuple):
 
 
 def cost_of(lines: Iterable[str]) -> OperationCount:
-    """Count the operations in lines of C without their comments; each line runs once."""
+    """Count the operations in lines of C; comments and indices do not count, and each line runs once."""
     text = re.sub(r"/\*.*?\*/|\[[^]]*\]", "", "\n".join(lines))
     text = re.sub(r"0x[0-9a-fA-F.]+p[+-]\d+f?", "c", text)
     return OperationCount(

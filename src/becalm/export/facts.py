@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.export.design import Design
 from becalm.export.shared_parts import WrittenChannel
 
-_MOST_WRITTEN = 36  # numbers written of a matrix
+_MOST_WRITTEN = 36  # most numbers of a matrix that are written
 
 
 def facts_of(recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> list[str]:
@@ -27,7 +27,7 @@ def facts_of(recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> 
 
 
 def reset_words(design: Design) -> str:
-    """Return a description of a filter's state after a reset to a signal."""
+    """Return a description of a filter's state after a reset to a given signal."""
     if design.modes is not None or design.steady is None:
         return "as after a first reading of that value"
     return "as if it had always had that value"

@@ -1,4 +1,4 @@
-"""Define a kind of exported filter: how it is written, its reference, and its largest error."""
+"""Define a kind of exported filter: how it is written, its reference, and its largest permitted error."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Reference, Vector
 
 Span = tuple[float, float]
+"""Least and greatest reading, in unit."""
 
 Opened = Callable[[], Reference]
 """Function that returns a new reference of a filter."""
@@ -24,12 +25,12 @@ Opened = Callable[[], Reference]
 Raw = NDArray[np.generic]
 """Numbers of the type that the C code takes."""
 
-_SAME, _NEAR = 1e-12, 1e-5  # largest error relative to the largest signal, or to the filter's sigma if larger
-_THROWN_DB = 10.0  # allowance for golden vectors in float32
+_SAME, _NEAR = 1e-12, 1e-5  # permitted error in double and float, relative to the larger of largest signal and sigma
+_THROWN_DB = 10.0  # by which golden vectors in float32 may miss the guaranteed ratio, in dB
 
 
 def apart(span: Span | None) -> float | None:
-    """Return the largest distance of readings from each other, and from 0 on both sides, in unit; None if unknown."""
+    """Return a bound on the distance of readings from each other and from 0, in unit; None if unknown."""
     return None if span is None else 2 * max(map(abs, span))
 
 
@@ -38,32 +39,32 @@ class Kind(Protocol):
 
     @property
     def number(self) -> NumberType:
-        """Number type of its readings and signals."""
+        """Return the number type of its readings and signals."""
         ...
 
     @property
     def words(self) -> str:
-        """Description of the readings in a file."""
+        """Return what a file of its readings contains, in words."""
         ...
 
     @property
     def bits(self) -> str:
-        """C type with as many bits as a reading."""
+        """Return the C type with as many bits as a reading."""
         ...
 
     @property
     def expected_type(self) -> str:
-        """C type of an expected signal."""
+        """Return the C type of an expected signal."""
         ...
 
     @property
     def bridges(self) -> bool:
-        """Whether it continues after missing readings as becalm does, with a covariance."""
+        """Return whether it continues after missing readings as becalm does, with a covariance."""
         ...
 
     @property
     def promised_db(self) -> float:
-        """Guaranteed ratio of the power of the signal over that of the difference from becalm, in dB."""
+        """Return the guaranteed power of the signal over that of the difference from becalm, in dB."""
         ...
 
     def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
@@ -87,11 +88,11 @@ class Kind(Protocol):
         ...
 
     def most_error(self, vector: Vector, design: Design, written: WrittenChannel, opened: Opened) -> float:
-        """Return the largest error of a signal, in the numbers of the C code; `opened` returns a new reference."""
+        """Return the largest permitted error of a signal, in numbers of the C code; `opened` returns a reference."""
         ...
 
     def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
-        """Return the largest power of the difference, relative to that of the signal."""
+        """Return the largest permitted power of the difference, relative to that of the signal."""
         ...
 
 
@@ -109,27 +110,27 @@ class Floating:
 
     @property
     def bridges(self) -> bool:
-        """Whether it continues after missing readings as becalm does, with a covariance."""
+        """Return whether it continues after missing readings as becalm does, with a covariance."""
         return True
 
     @property
     def promised_db(self) -> float:
-        """Guaranteed ratio of the power of the signal over that of the difference from becalm, in dB."""
+        """Return the guaranteed power of the signal over that of the difference from becalm, in dB."""
         return 240.0 if self.number.is_double else 120.0
 
     @property
     def words(self) -> str:
-        """Description of the readings in a file."""
+        """Return what a file of its readings contains, in words."""
         return f"{self.number.name}s"
 
     @property
     def bits(self) -> str:
-        """C type with as many bits as a reading."""
+        """Return the C type with as many bits as a reading."""
         return "uint64_t" if self.number.is_double else "uint32_t"
 
     @property
     def expected_type(self) -> str:
-        """C type of an expected signal."""
+        """Return the C type of an expected signal."""
         return "double"
 
     def raw(self, readings: Floats, written: WrittenChannel) -> Raw:
@@ -146,23 +147,23 @@ class Floating:
         return signal
 
     def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
-        """Return the largest power of the difference, relative to that of the signal.
+        """Return the largest permitted power of the difference, relative to that of the signal.
 
         In float32 it is ten times that for records, because golden vectors drive a filter from end to end and start it
-        anew. A signal smaller than the filter's uncertainty counts as equal to it; a signal of 0 is not replaced.
+        anew. A signal smaller than the filter's sigma counts as large as sigma; this does not apply to a signal of 0.
         """
         allowed = 10 ** (-(self.promised_db - (0.0 if self.number.is_double else _THROWN_DB)) / 10)
         power = float(np.square(vector.signal).mean())
         return float(allowed * max(1.0, _uncertainty(design) ** 2 / power)) if power > 0 else allowed
 
     def most_error(self, vector: Vector, design: Design, written: WrittenChannel, opened: Opened) -> float:
-        """Return the largest error of a signal, in the numbers of the C code."""
+        """Return the largest permitted error of a signal, in the numbers of the C code."""
         largest = float(np.abs(vector.signal).max())
         return (_SAME if self.number.is_double else _NEAR) * max(largest, _uncertainty(design))
 
 
 def _uncertainty(design: Design) -> float:
-    """Return the smallest standard deviation of a filter's estimate, in unit.
+    """Return a filter's sigma in the steady state, in unit; without a steady state, the noise of a reading.
 
     Signals below it are insignificant.
     """

@@ -18,7 +18,7 @@ from becalm.export.word_length import start_of
 
 GAINS = ("auto", "settled", "full")
 
-_STARTED = 1e-3  # of a reading's noise: largest rounding error of the first signals
+_STARTED = 1e-3  # largest rounding error of the first signals, as a share of a reading's noise
 _HIGHEST_IN_FLOAT = 3  # order of a motion; above it, rounding leaves less than 120 dB for a moving signal
 
 
@@ -34,16 +34,16 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
     precision : {"float32", "float64", "q31"}
         Number type of the filter.
     gain : {"auto", "settled", "full"}
-        "full" carries a covariance, as the library's own channel does, "settled" does not. "auto" carries one where the
-        recipe needs it, or looks for gross outliers; in float64 where an exact table of gains would be too long; in
-        float32 from order 4 on, and where the first readings hardly determine the state.
+        "full" carries a covariance, as the library's own channel does; "settled" does not. "auto" carries one if the
+        recipe needs it or looks for gross outliers; also in float64 if an exact table of gains would be too long, and
+        in float32 from order 4 on or if the first readings hardly determine the state.
 
     Raises
     ------
     RecipeError
         If this precision, or this gain, does not support the recipe.
     UsageError
-        If the precision or the gain does not exist.
+        If the precision or the gain does not exist, or q31 is to carry a covariance.
     """
     if precision not in get_args(Precision):
         raise UsageError(f"There is no precision {precision!r}; write float32, float64 or q31.")
@@ -72,10 +72,10 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
 
 
 def _is_better_whole(design: Design, number: NumberType) -> bool:
-    """Return whether the library's channel is better where no covariance is needed.
+    """Return whether the library's channel is better although no covariance is needed.
 
-    It also looks for gross outliers. The table of gains would be thinned in double, and states would lose digits in
-    float.
+    It is if the recipe looks for gross outliers, if the table of gains would be thinned (double), or if states would
+    lose digits (float).
     """
     if design.limits.outliers != NO_OUTLIERS:
         return True
@@ -85,7 +85,7 @@ def _is_better_whole(design: Design, number: NumberType) -> bool:
 
 
 def _is_lost_at_first(design: Design, number: NumberType) -> bool:
-    """Return whether rounding shows in the first signals; a start may amplify it without limit."""
+    """Return whether the first signals have too large rounding errors; a start may amplify them without limit."""
     return start_of(design, number) > _STARTED * design.noise_std
 
 
@@ -99,7 +99,7 @@ def _alternative(design: Design) -> str:
 
 
 def _needs(design: Design) -> str:
-    """Return why a channel needs a covariance; "" if it does not."""
+    """Return the reason why a channel needs a covariance, for a sentence; "" if it needs none."""
     if design.modes is not None:
         return "has several modes, which need"
     if design.gate is not None:

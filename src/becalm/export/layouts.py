@@ -21,9 +21,9 @@ def layouts(context: Mapping[str, Any], native: Mapping[str, str]) -> dict[str, 
     Parameters
     ----------
     context : mapping
-        The values of the bundle's own templates, with `vectors_hash`.
+        The values for the bundle's own templates, with `vectors_hash`.
     native : mapping of str to str
-        Files of the library's channel; empty if no filter is of that kind.
+        Texts of the library's C by path; empty if no filter is of that kind.
     """
     library = library_name(context["stem"])
     within = {**context, "library": library, "library_version": _library_version(context["version"])}

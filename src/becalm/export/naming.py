@@ -13,13 +13,14 @@ _FILES = re.compile(
 )
 """Names that no file of a filter may have: other files of a bundle, and headers of C99, which it would hide."""
 
-_LONGEST = 40
+_LONGEST = 40  # characters of a name
 
 
 def identifier(text: str, otherwise: str) -> str:
-    """Return a valid C name close to a person's; accents are dropped, other characters become `_`.
+    """Return a valid C name close to a text; accents are dropped, other characters become `_`.
 
-    It may be a C keyword, since every use adds an ending. It may name a file.
+    The name may be a C keyword, since every use adds an ending; it may also name a file. `otherwise` replaces an empty
+    name, and precedes one that begins with a digit or is in `_FILES`.
     """
     plain = unicodedata.normalize("NFKD", text.replace("µ", "u")).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_").lower()[:_LONGEST].rstrip("_")
@@ -29,7 +30,7 @@ def identifier(text: str, otherwise: str) -> str:
 
 
 def identifiers(texts: Iterable[str], otherwise: str) -> list[str]:
-    """Return a unique C name for each text."""
+    """Return a unique C name for each text; numbers are appended to equal names, and to `otherwise`."""
     taken: list[str] = []
     for number, text in enumerate(texts):
         wanted = name = identifier(text, f"{otherwise}_{number + 1}")
@@ -41,6 +42,6 @@ def identifiers(texts: Iterable[str], otherwise: str) -> list[str]:
 
 
 def comment(text: str) -> str:
-    """Return text that is safe in a C comment: it cannot end the comment, and holds no trigraph."""
+    """Return text on one line that is safe in a C comment: it cannot end the comment, and has no trigraph."""
     whole = re.sub(r"\?(?=\?)", "? ", text)
     return " ".join(whole.replace("*/", "* /").replace("/*", "/ *").split())

@@ -15,7 +15,7 @@ class NumberType(NamedTuple):
     Attributes
     ----------
     precision : str
-        Name of the precision in the options.
+        Name of the precision in `ExportOptions`.
     name, suffix : str
         Name of the type, and suffix of its literals.
     bits : int
@@ -35,12 +35,12 @@ class NumberType(NamedTuple):
 
     @property
     def is_double(self) -> bool:
-        """Whether the type is double, with eight bytes."""
+        """Return whether the type is double, with eight bytes."""
         return self.bits == 53
 
     @property
     def bytes(self) -> int:
-        """Bytes of one number."""
+        """Return the size of one number in bytes."""
         return 8 if self.is_double else 4
 
     def rounded(self, value: float) -> float:
@@ -57,11 +57,11 @@ class NumberType(NamedTuple):
         return -self.below(-value)
 
     def literal(self, value: float) -> str:
-        """Return a number exactly, as a hexadecimal literal."""
+        """Return the nearest number of this type, exactly, as a hexadecimal literal."""
         return _short(float(self.rounded(value)).hex()) + self.suffix
 
     def commented(self, value: float) -> str:
-        """Return a number exactly, with its decimal value in a comment."""
+        """Return the literal of a number, with its decimal value in a comment."""
         return f"{self.literal(value)} /* {value:.9g} */"
 
 
@@ -70,7 +70,7 @@ DOUBLE = NumberType("float64", "double", "", 53, np.float64, 1e100)
 
 
 def _short(text: str) -> str:
-    """Remove zeros at the end of a hexadecimal significand."""
+    """Remove zeros at the end of the significand of a hexadecimal literal; keep one digit."""
     digits, exponent = text.split("p")
     whole, _, rest = digits.partition(".")
     rest = rest.rstrip("0")

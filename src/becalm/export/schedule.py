@@ -1,4 +1,4 @@
-"""Compute the gains of a filter from its first rows to the steady state; rows of a slow filter share gains."""
+"""Compute the gains of a filter from its first rows to the steady state; in a slow filter, rows share gains."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ MOST_NUMBERS = 1024
 
 _EXACT = 32  # rows with their own gains in any case
 _MOST_ALIKE = (1 << 32) - 1  # rows per gain, which four bytes can count
-_ALIKE = 32  # the gain of row k is used for k / 32 rows
-_NEAR = 2e-3  # of the spread of a state: distance at which a thinned gain counts as settled
-_MOST_ROWS = 1 << 40
+_ALIKE = 32  # from row k on, one gain is used for k / 32 rows
+_NEAR = 2e-3  # distance at which a thinned gain counts as settled, in the measure of `near`
+_MOST_ROWS = 1 << 40  # after which a thinned schedule ends in any case
 
 
 class Schedule(NamedTuple):
@@ -30,7 +30,7 @@ class Schedule(NamedTuple):
     K : (r, n) float array
         Gains, in order.
     counts : (r,) int array
-        Number of rows that use each gain; all later rows use `settled`.
+        Numbers of rows that use each gain; all later rows use `settled`.
     settled : (n,) float array
         The gain in the steady state.
     exact : bool
@@ -44,7 +44,7 @@ class Schedule(NamedTuple):
 
     @property
     def rows(self) -> int:
-        """Number of rows until the gain has settled."""
+        """Return the number of rows from the opening until the gain has settled."""
         return int(self.counts.sum())
 
 
@@ -56,9 +56,11 @@ def schedule_of(design: Design, near: float, most_numbers: int = MOST_NUMBERS) -
     design : Design
         The filter.
     near : float
-        Distance, in a state's spread, at which a gain counts as settled; a *small* one makes a longer table.
+        Distance from `settled` at which a gain counts as settled, as a share of |settled| + s, where s is the spread of
+        the state over that of an innovation; a *small* one makes a longer table.
     most_numbers : int
-        Largest size of the table, in numbers; beyond it, rows share gains, which differ by about 3 % per order.
+        Largest size of the table, in numbers; if it does not suffice, rows share gains, and gains change by about 3 %
+        per order from one to the next.
 
     Raises
     ------
@@ -82,7 +84,7 @@ def schedule_of(design: Design, near: float, most_numbers: int = MOST_NUMBERS) -
 
 
 def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> Schedule:
-    """Return a schedule of gains that several rows share, each that of the middle of its rows."""
+    """Return a schedule in which several rows share a gain, that of their middle row; the rows of `first` do not."""
     K, counts, row = list(first), [1] * len(first), len(first)
     one = covariance_map(design.model)
     P, leaps = _after(design, row), [one]
@@ -99,7 +101,7 @@ def _thinned(design: Design, first: Floats, settled: Floats, spread: Floats) -> 
 
 
 def _after(design: Design, rows: int) -> Floats:
-    """Return the covariance before the reading that is `rows` rows after the opening."""
+    """Return the prior covariance of row `rows` after the opening; the first of these rows is row 0."""
     P, leap = covariance_ahead(design.opening.P, design.model), covariance_map(design.model)
     for _ in range(rows):
         P = leap.over(P)
@@ -107,7 +109,7 @@ def _after(design: Design, rows: int) -> Floats:
 
 
 def _leap(leaps: list[CovarianceMap], P: Floats, steps: int) -> Floats:
-    """Return the covariance a number of steps later."""
+    """Return the prior covariance `steps` later; `leaps` has the maps over 1, 2, 4 ... steps, and is extended."""
     bit = 0
     while steps >> bit:
         if bit == len(leaps):

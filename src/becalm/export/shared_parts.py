@@ -26,7 +26,7 @@ class WrittenChannel(NamedTuple):
     Attributes
     ----------
     header, source : str
-        C text of its state's type, and of its functions.
+        C texts of the type of its state, and of its functions.
     cost : OperationCount or None
         Operations of a row in the steady state; None for the library's channel, whose rows differ.
     state_bytes, table_bytes : int
@@ -38,7 +38,7 @@ class WrittenChannel(NamedTuple):
     exact : bool
         Whether it equals becalm's filter from its first reading on, as long as none is missing.
     start_rows : int
-        Number of rows until its gain has settled.
+        Number of rows, without missing readings, until its gain has settled; 0 if it does not settle.
     scale : (float, float) or None
         Offset and step of a count, in unit; None where readings are not counts.
     """
@@ -56,7 +56,7 @@ class WrittenChannel(NamedTuple):
 
 
 def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
-    """Return the names for the templates."""
+    """Return the names, types and constants that all templates of a channel need."""
     unit = unit_name(design.unit)
     context = {
         "p": prefix,
@@ -72,7 +72,7 @@ def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
 
 
 def look_of(design: Design, prefix: str, number: NumberType, largest: float) -> dict[str, Any]:
-    """Return the values that templates need to check a reading, and the C function that does."""
+    """Return the values that templates need to check a reading, and the C function that checks it."""
     limits = design.limits
     rails = []
     if np.isfinite(limits.low):
@@ -89,12 +89,12 @@ def look_of(design: Design, prefix: str, number: NumberType, largest: float) -> 
 
 
 def also_level(design: Design) -> list[int]:
-    """Return the states, other than the first, that a constant added to the signal is added to."""
+    """Return the numbers of the states, other than the first, to which a constant added to the signal is added."""
     return [int(state) for state in np.flatnonzero(design.level_direction)[1:]]
 
 
 def moved_level(quantum: float | None, number: NumberType, design: Design) -> dict[str, Any]:
-    """Return the values that templates need to move a level by whole quanta, in unit; None values where it stays."""
+    """Return the values that templates need to move a level by whole quanta, in unit; they are None if it stays."""
     if quantum is None:
         return {"quantum": None, "per_quantum": None, "farthest": None}
     return {

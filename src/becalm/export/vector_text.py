@@ -14,7 +14,7 @@ from becalm.export.number_type import DOUBLE
 from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Vector
 
-_NUMBERS, _CODES = 6, 24  # on a line
+_NUMBERS, _CODES = 6, 24  # in a line of C
 
 
 def vector_texts(

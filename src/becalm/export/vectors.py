@@ -12,11 +12,11 @@ from becalm.core.arrays import Codes, Floats, Integers
 from becalm.export.design import Design
 
 STARTING = 32
-"""Code in addition to those of `Verdict`: too few readings so far to know the state; readings are passed on."""
+"""Code in addition to those of `Verdict`: too few readings to determine the state; readings pass unchanged."""
 
 _SEED = 20261124
-_GATED = 0.1  # amplitude of a sine that a gate does not reject, since long predictions have few digits
-_LONGEST_TRIED = 400  # longest hole in rows
+_GATED = 0.1  # share of the sine's amplitude that a gate does not reject: long predictions have few digits
+_LONGEST_TRIED = 400  # longest prediction that a hole tests, in rows
 _BRIDGING = 3  # order of a motion; above it, few digits are left after hundreds of rows without a reading
 
 
@@ -58,7 +58,7 @@ class Vector(NamedTuple):
 
 
 def expected(name: str, readings: Floats, gaps: dict[int, int], reference: Reference) -> Vector:
-    """Run readings through a reference, with gaps before some rows."""
+    """Return the golden vector of readings (N,) and a reference; `gaps` has the length of the gap before a row."""
     cuts, results = [0, *sorted(gaps), len(readings)], []
     for first, stop in pairwise(cuts):
         if first in gaps:
@@ -70,7 +70,7 @@ def expected(name: str, readings: Floats, gaps: dict[int, int], reference: Refer
 
 
 def extremes(design: Design, span: tuple[float, float] | None, largest: float) -> Floats:
-    """Return the least and the greatest reading (2,) of a filter, in unit: just within its limits and its range."""
+    """Return the least and the greatest reading (2,) of a filter, in unit, just within its limits and `span`."""
     low, high = design.limits.rails
     low, high = max(low, -largest), min(high, largest)
     low, high = (low, high) if span is None else (max(low, span[0]), min(high, span[1]))
@@ -88,11 +88,11 @@ def golden_vectors(
     design : Design
         The filter of the channel.
     rounded : callable
-        Function that rounds readings (N,) to numbers of the exported filter.
+        Function that rounds readings (N,), in unit, to those that the C code can take.
     opened : callable
         Function that returns a new reference.
     recorded : (N,) float array or None
-        Readings of a real recording, if there is one.
+        Readings of a real recording, in unit, if there is one.
     """
     made: list[tuple[str, Floats, dict[int, int]]] = [(name, readings, {}) for name, readings in _calm(design).items()]
     rng, centre, size = np.random.default_rng(_SEED), _centre(design), _size(design)
@@ -115,12 +115,13 @@ def _calm(design: Design) -> dict[str, Floats]:
 
 
 def _range(design: Design) -> tuple[float, float]:
-    """Return the range of readings: the saturation and plausibility limits, as far as they are known."""
+    """Return the range of readings, in unit: within the saturation and the plausibility limits; inf if unknown."""
     limits = design.limits
     return max(limits.low, limits.outliers.low), min(limits.high, limits.outliers.high)
 
 
 def _centre(design: Design) -> float:
+    """Return the reading about which the vectors vary, in unit."""
     low, high = _range(design)
     inside = 100 * design.noise_std
     if np.isfinite(low):
@@ -129,13 +130,14 @@ def _centre(design: Design) -> float:
 
 
 def _size(design: Design) -> float:
+    """Return the amplitude of the vectors, in unit."""
     low, high = _range(design)
     noises = 10 if design.modes is not None else 40  # readings far from all modes make their probabilities unstable
     return float(min(noises * design.noise_std, 0.4 * (high - low)))
 
 
 def _holed(readings: Floats, hole: float, design: Design) -> Floats:
-    """Return readings with holes: at the start, single rows, several rows, and as many as a filter predicts across."""
+    """Return readings with holes: at the start, single rows, several rows, and more than a filter predicts across."""
     holed, coasted = readings.copy(), min(design.coasts, _LONGEST_TRIED)
     for first, count in ((0, 3), (4, 1), (7, 1), (20, 1), (22, 1), (300, 7), (400, coasted + 3)):
         holed[first : first + count] = hole
@@ -143,6 +145,7 @@ def _holed(readings: Floats, hole: float, design: Design) -> Floats:
 
 
 def _infinite(readings: Floats, design: Design) -> Floats:
+    """Return readings of which some are infinite, and some overrange."""
     infinite = readings.copy()
     infinite[[0, 150, 151, 600]] = np.inf, -np.inf, np.inf, -np.inf
     infinite[[300, 301, 310, 311]] = 1e305, -1e305, 10 * design.largest, -10 * design.largest
@@ -150,7 +153,7 @@ def _infinite(readings: Floats, design: Design) -> Floats:
 
 
 def _clipped(readings: Floats, design: Design) -> Floats:
-    """Return readings that reach the saturation limits, or, without limits, go beyond the largest reading."""
+    """Return readings that reach the saturation limits; without limits, they are overrange."""
     clipped, (low, high) = readings.copy(), design.limits.rails
     clipped[200:210] = high if np.isfinite(high) else 10 * design.largest
     clipped[500:503] = low if np.isfinite(low) else -10 * design.largest
@@ -158,7 +161,7 @@ def _clipped(readings: Floats, design: Design) -> Floats:
 
 
 def _waiting(readings: Floats, design: Design) -> Floats:
-    """Return readings whose last one before a gap is rejected by a gate, so that it waits for others that agree."""
+    """Return readings with a spike just before a gap: the gate still waits for others that agree with it."""
     waiting = readings.copy()
     if design.gate is not None:
         waiting[299] = _centre(design) - _size(design)
@@ -166,5 +169,6 @@ def _waiting(readings: Floats, design: Design) -> Floats:
 
 
 def _gaps(design: Design) -> dict[int, int]:
+    """Return the number of rows in each gap, by the row after it."""
     begins_anew = design.steady is not None and design.modes is None and design.motion_order <= _BRIDGING
     return {100: 1, 300: 5, 500: 60, 700: 3, 800: design.coasts + 3 if begins_anew else 60}

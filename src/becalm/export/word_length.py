@@ -1,10 +1,9 @@
 """Compute the error that a word length causes in a filter with a steady state, before anything runs.
 
 A level that should move by less than half of its last digit does not move: it *stalls*. With a gain K it stalls while
-|K nu| < ulp / 2, an error of ulp / (2 K). A slope then grows until the level moves, and overshoots: the filter
-oscillates with that amplitude. With a reading's noise neither happens; rounding is then an additional noise, which
-enters at every step and passes through the closed loop. Both errors are compared with a tenth of the filter's
-uncertainty.
+|K nu| < ulp / 2: the error is up to ulp / (2 K). A slope then grows until the level moves, and the level overshoots:
+the filter oscillates with that amplitude. With a reading's noise neither happens; rounding is then an additional noise,
+which enters at every step and passes through the closed loop. Neither error may exceed a tenth of sigma.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from becalm.export.design import Design, spread_of
 from becalm.export.number_type import NumberType
 
 MOST_ERROR = 0.1
-"""Largest error of a word length, as a share of the standard deviation of the signal or of a reading."""
+"""Largest error of a word length, as a share of sigma in the steady state, or of a reading's noise."""
 
 COUNTED = 1 << 23
-"""Number of quanta that a level in float can count exactly."""
+"""Largest distance of a level from 0, in quanta; float can count them exactly."""
 
-_DOUBLINGS = 60
-_AWAY = 64.0  # standard deviations of noise: largest distance of a signal from the level that it returns to
+_DOUBLINGS = 60  # of the number of terms in a sum
+_AWAY = 64.0  # least bound on a level that the signal returns to, in standard deviations of a reading's noise
 
 
 class WordLength(NamedTuple):
@@ -35,13 +34,14 @@ class WordLength(NamedTuple):
     Attributes
     ----------
     stall : float
-        Greatest error at which a filter stalls on a constant signal, or amplitude of its oscillation, in unit.
+        Largest error at which a filter stalls on a constant signal, or amplitude of its oscillation, in unit.
     noise : float
         Standard deviation of the rounding noise, in unit.
     share : float
-        The larger of the two, relative to the signal's own standard deviation.
+        The larger of the two, relative to sigma in the steady state.
     range : float
-        Largest distance of readings from each other, and from 0, in unit; beyond it, they are overrange.
+        Largest distance of readings from each other, in unit, for which these errors are computed. With a quantum,
+        readings farther than this from 0 are overrange.
     quantum : float or None
         Step by which the level moves, in unit; None where it stays at the first reading.
     """
@@ -63,7 +63,7 @@ def stall_of(design: Design, number: NumberType, farthest: float) -> float:
     number : NumberType
         Number type of the C code.
     farthest : float
-        Magnitude of its first state, in unit.
+        Largest magnitude of its first state, in unit.
     """
     assert design.steady is not None
     gain = abs(float((design.model.F @ design.steady.gain)[0, 0]))
@@ -85,7 +85,7 @@ def refuse_coarse(design: Design, number: NumberType, span: tuple[float, float])
     Raises
     ------
     RecipeError
-        If rounding the greatest reading to its last digit adds more than a tenth of the noise.
+        If rounding the greatest reading adds an error of more than a tenth of the noise's standard deviation.
     """
     greatest = max(map(abs, span))
     digit, unit = ulp(number, greatest), design.unit_after
@@ -104,9 +104,9 @@ def ulp(number: NumberType, magnitude: float) -> float:
 def noise_of(design: Design, number: NumberType, farthest: float) -> float:
     """Return the standard deviation of the rounding noise in the signal, in the steady state, in unit.
 
-    Each term of a state's sum is rounded to a last digit of the state, with a uniform error. The largest magnitudes of
-    the states follow from a first state of `farthest`, in proportion to their uncertainties. A level that the signal
-    returns to may be as far from it as signals go.
+    Each term of a state's sum is rounded to the last digit of the state, with a uniform error. The largest magnitudes
+    of the other states are to `farthest` as their standard deviations are to that of the first. That of a level that
+    the signal returns to is `farthest`, or 64 standard deviations of a reading's noise if that is more.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def noise_of(design: Design, number: NumberType, farthest: float) -> float:
     number : NumberType
         Number type of the C code.
     farthest : float
-        Magnitude of its first state, in unit.
+        Largest magnitude of its first state, in unit.
     """
     assert design.steady is not None
     loop, row, scale = design.steady.loop, design.steady.row, spread_of(design.steady)
@@ -129,10 +129,10 @@ def noise_of(design: Design, number: NumberType, farthest: float) -> float:
 
 
 def start_of(design: Design, number: NumberType) -> float:
-    """Return the rounding error of the first signals after the opening, in unit.
+    """Return about how large the rounding error of the first signals after the opening is, in unit.
 
     Where the first readings hardly separate tones from a motion, states are far larger than any reading, and cancel.
-    Their last digit enters the next innovation, and its gain, which may be a hundred, passes it to all states.
+    Their last digit enters the next innovation, and the gain, which may be a hundred, passes it to all states.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def start_of(design: Design, number: NumberType) -> float:
 
 
 def gathered(A: Floats, B: Floats) -> Floats:
-    """Return the sum of A^k B A'^k over all k, by doubling."""
+    """Return the sum of A^k B A'^k over k = 0, 1, 2, ..., by doubling the number of terms."""
     total = B
     for _ in range(_DOUBLINGS):
         total, A = total + A @ total @ A.T, A @ A

@@ -90,6 +90,44 @@ def numbers_of(column: pa.ChunkedArray) -> tuple[NDArray[Any], NDArray[np.bool_]
     return np.asarray(column.to_numpy()), missing
 
 
+class FillValues:
+    """Marks the missing cells of columns of whole numbers by a value, for formats without missing cells."""
+
+    def __init__(self) -> None:
+        self._marked: set[str] = set()  # columns with missing cells
+        self._holding: set[str] = set()  # columns that hold the value themselves
+
+    def filled(self, name: str, values: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
+        """Return whole numbers (N,) with the missing ones replaced by the value of `fill_value`.
+
+        Raises
+        ------
+        OutputError
+            If a column has missing cells and holds the value itself.
+        """
+        fill = fill_value(values.dtype)
+        if missing.any():
+            self._marked.add(name)
+        if (values[~missing] == fill).any():
+            self._holding.add(name)
+        if name in self._marked & self._holding:
+            raise OutputError(
+                f"{name!r} has missing cells and the number {fill}, which would stand for them; write .parquet or .csv"
+                " instead, or cast that column to a wider type."
+            )
+        return np.where(missing, fill, values)
+
+    def of(self, name: str, dtype: np.dtype[Any]) -> Any:
+        """Return the value that marks missing cells of a column so far; None if it has none."""
+        return fill_value(dtype) if name in self._marked else None
+
+
+def fill_value(dtype: np.dtype[Any]) -> Any:
+    """Return the whole number that marks a missing cell: the largest unsigned, or the smallest signed one."""
+    limits = np.iinfo(dtype)
+    return dtype.type(limits.max if dtype.kind == "u" else limits.min)
+
+
 def whole_column(column: pa.ChunkedArray) -> NDArray[Any]:
     """Return a column as one array, (N,): text as "U", whole numbers and flags with missing cells as float64."""
     if is_text(column.type):

@@ -13,7 +13,7 @@ from becalm.errors import BecalmError, UsageError
 
 _TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _TIME = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)\s*(?P<unit>us|ms|s|min|h|d)")
-_SECRET = re.compile(r"(?<=//)[^/@]*@")  # user and password of a URL
+_SECRET = re.compile(r"(?<=//)\S*@")  # user and password of a URL, with any characters
 _ADVICE = re.compile(  # command-line options in messages of errors
     r"--(?P<name>rate|time|group|channels|stamps)( (?P<value>HZ|COLUMN|NAME|as-written|'[^']*'|\d[\w.+]*\b))?"
 )

@@ -21,7 +21,7 @@ from becalm.export.number_type import NumberType
 from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Reference
 
-_LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # limits of a noise's standard deviation, in unit
+_LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # limits of the noise's standard deviation in float, in unit
 
 
 class Sizes(NamedTuple):
@@ -33,7 +33,7 @@ class Sizes(NamedTuple):
 
     @property
     def most_states(self) -> int:
-        """Number of states of the largest filter."""
+        """Return the number of states of the largest filter."""
         return max(self.states | self.mode_states)
 
     @classmethod
@@ -74,7 +74,7 @@ class WholeChannel(Floating):
         Raises
         ------
         RecipeError
-            If float cannot represent its readings.
+            If float cannot represent the noise of its readings.
         """
         if not self.number.is_double and not _LEAST_IN_FLOAT <= design.noise_std <= _MOST_IN_FLOAT:
             raise RecipeError(
@@ -100,7 +100,7 @@ class WholeChannel(Floating):
         return CausalChannel(self._limited_recipe(), design.step_s).settings
 
     def _limited_recipe(self) -> ChannelRecipe:
-        """Return the recipe, with its largest reading limited to what the number type can represent."""
+        """Return the recipe, with its largest reading limited to `greatest` of the number type."""
         limits, greatest = self.recipe.limits or LimitsRecipe(), self.number.greatest
         limits_recipe = limits.model_copy(update={"largest": min(limits.largest or greatest, greatest)})
         return self.recipe.model_copy(update={"limits": limits_recipe})

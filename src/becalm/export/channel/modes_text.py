@@ -1,4 +1,4 @@
-"""Write a channel of the library with an IMM as constants in C."""
+"""Write the constants in C of a library's channel that has an IMM."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def modes_door(
     settings : ChannelSettings
         Settings of the channel from its recipe.
     gap_limit : GapLimit
-        Limit of the gaps that it is carried across.
+        Longest gap that the IMM is carried across.
     prefix : str
         Prefix of its names in C.
     sizes : (int, int)

@@ -1,6 +1,6 @@
-"""Run the references that exported channels are compared with: the library's own channels.
+"""Define the references that exported channels are compared with: the library's own channels.
 
-Where the library returns NaN, a reference returns what the C returns on a controller.
+Where the library returns NaN, a reference returns the number that the C returns on a controller.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ class _ControllerReference(ABC):
 
     @abstractmethod
     def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats, Booleans]:
-        """Process rows.
+        """Process rows (B,) of readings and elapsed steps.
 
-        Returns the signal and its verdicts, the signal that is predicted across any hole, and a mask of readings that
-        were not rejected as spikes.
+        Return the signal with its verdicts, the signal that is predicted across any hole, and a mask of the readings
+        that were not rejected as spikes.
         """
 
     def _across_gap(self, rows: int) -> None:
@@ -54,7 +54,7 @@ class _ControllerReference(ABC):
         self._faults.push(missing, step)
 
     def _last_used(self, readings: Floats, used: Booleans) -> Floats:
-        """Return the last used reading (B,) up to each row; 0 before the first."""
+        """Return, for each row, the last reading (B,) used up to it; 0 before the first one."""
         entered = np.concatenate([[self._last], np.where(used, readings, np.nan)])
         last = np.maximum.accumulate(np.where(np.isnan(entered), 0, np.arange(len(entered))))
         self._last = float(entered[last[-1]])

@@ -13,26 +13,26 @@ from becalm.export.templates import render
 _FILTER, _MODES = ("channel.c", "device.c", "filter.c"), ("device_modes.c", "imm.c")
 _SIZES = "sizes.h"
 OWN_NAMES = frozenset({"channel", "device", "device_modes", "filter", "filter_modes", "imm", "becalm"})
-"""Prefixes of functions and types of the library."""
+"""Prefixes of the functions and types of the library's C, which an export must not use."""
 
-_LINKED = re.compile(r"^(?:void|int|int64_t|real) (\w+)\(", re.M)
+_LINKED = re.compile(r"^(?:void|int|int64_t|real) (\w+)\(", re.M)  # definitions of functions that are not static
 
 
 def own_files() -> set[str]:
-    """Return the names of all C files of the library."""
+    """Return the names of all C sources and headers of the library."""
     return {path.name for path in Path(native.__file__).parent.glob("*.[ch]")}
 
 
 def sources_of(sizes: Sizes, stem: str) -> dict[str, str]:
-    """Return the texts of the sources of filters by their paths in a bundle; none if there are no filters.
+    """Return the texts of the C sources that filters need, by their paths in a bundle; none without filters.
 
     Parameters
     ----------
     sizes : Sizes
         Sizes of the filters.
     stem : str
-        Prefix of names. Functions get it when they are linked, since another export, with arrays of other sizes, may be
-        linked into the same program.
+        Prefix of the names under which functions are linked: another export, with arrays of other sizes, may be linked
+        into the same program.
     """
     wanted = [*(_FILTER if sizes.states else ()), *(_MODES if sizes.mode_states else ())]
     texts = dict[str, str]()

@@ -1,4 +1,4 @@
-"""Write a channel of the library as constants in C, with the few functions that call it."""
+"""Write the constants in C of a library's channel, and the few functions that call the library."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from becalm.native import packed_size
 from becalm.native.library import COEFFICIENTS, MOST_STATES, SETTINGS
 
 NUMBER = 8
-"""Bytes of a double."""
+"""Size of a double, in bytes."""
 
-_GREATEST_FLOAT = 3e38
+_GREATEST_FLOAT = 3e38  # magnitude that a signal in float is limited to
 
 
 class Door(NamedTuple):
@@ -34,7 +34,7 @@ class Door(NamedTuple):
     fields : sequence of (str, str)
         Fields of its struct of constants, with their values as C text.
     state_bytes, table_bytes : int
-        Sizes of its state and of its constants.
+        Sizes of its state and of its constants, in bytes.
     modes : sequence of str
         Names in C of its modes.
     """
@@ -110,7 +110,7 @@ def written_door(door: Door, design: Design, prefix: str, number: NumberType, la
 
 
 def of_struct(struct: NDArray[np.void], sizes: dict[str, int] | None = None) -> str:
-    """Write a struct as C; an array in it that is longer than the filter needs is cut to the given size."""
+    """Write a struct as C; `sizes` has the length to which each of its arrays is cut, by name."""
     lengths = sizes or {}
     values = [
         (name, of_array(struct[name][: lengths[name]]) if name in lengths else of_number(struct[name].item()))
@@ -135,9 +135,9 @@ def of_number(value: float) -> str:
 
 
 def _settled_covariance(design: Design) -> Floats:
-    """Return the covariance after a reading in the steady state, by (7).
+    """Return the posterior covariance in the steady state, by (7).
 
-    A filter without a steady state has its covariance after the first reading.
+    For a filter whose gain does not settle, return the covariance after the opening.
     """
     if design.steady is None or not design.settles:
         return design.opening.P

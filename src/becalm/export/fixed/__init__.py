@@ -1,5 +1,4 @@
 """Export a settled gain in fixed point.
 
-It is the filter of `settled` in integers, and is compared with that one's specification; no other folder here imports
-from another.
+It is the filter of `settled` in integers; its reference is that of `settled`, with the limits of the integers.
 """

@@ -20,16 +20,16 @@ from becalm.export.vectors import Reference, Vector
 COUNT = NumberType("q31", "int32_t", "", 31, np.int32, float(GREATEST))
 """The number type of a reading in fixed point."""
 
-_MISSING = -(1 << 31)
-_GAIN = 2.0**-28  # of a signal: gains have 31 bits, and a prediction without readings grows by their rounding
-_NOISES = 6.0  # standard deviations of the rounding noise that are never exceeded
+_MISSING = -(1 << 31)  # INT32_MIN, the count of a missing reading
+_GAIN = 2.0**-28  # error relative to the largest signal: gains have 31 bits, and predictions accumulate their rounding
+_NOISES = 6.0  # largest rounding noise, in its standard deviations
 
 
 class FixedReference(SettledReference):
     """The specification of a filter in fixed point: it starts anew where a state leaves the range that it has in C.
 
-    The weights of the first readings have 31 bits. Where these readings hardly separate tones from a motion, the
-    weights are large and cancel, and their last digits become counts.
+    The weights of the first readings are rounded to 31 bits, as in C. Where these readings hardly separate tones from a
+    motion, the weights are large and cancel, and their rounding errors amount to whole counts.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class FixedReference(SettledReference):
         return signal, code
 
     def _restart_if_out_of_range(self, signal: float) -> None:
-        """Start anew where a state is out of its range, with the signal as the level."""
+        """Start anew, with the signal as the level, if a state is out of its range."""
         states = self.p + self._design.level_direction * (self.level - self._middle)
         if (np.abs(states) > self._most).any():
             self.row, self.p, self.level = 0, np.zeros_like(self.p), float(np.clip(signal, *self._ends))
@@ -74,40 +74,46 @@ class FixedPointFilter:
 
     @property
     def number(self) -> NumberType:
-        """Number type of a reading."""
+        """Return the number type of a reading."""
         return COUNT
 
     @property
     def words(self) -> str:
-        """Description of the readings in a file."""
+        """Return what a file of its readings contains, in words."""
         return "int32_t counts"
 
     @property
     def bits(self) -> str:
-        """C type with as many bits as a reading."""
+        """Return the C type with as many bits as a reading."""
         return "uint32_t"
 
     @property
     def expected_type(self) -> str:
-        """C type of an expected signal."""
+        """Return the C type of an expected signal."""
         return "double"
 
     @property
     def promised_db(self) -> float:
-        """Guaranteed ratio of the power of the signal over that of the difference from becalm, in dB."""
+        """Return the guaranteed power of the signal over that of the difference from becalm, in dB."""
         return 90.0
 
     def most_power(self, vector: Vector, design: Design, most_error: float) -> float:
-        """Return the largest power of the difference, relative to that of the signal."""
+        """Return the largest permitted power of the difference, relative to that of the signal."""
         return float(10 ** (-self.promised_db / 10))
 
     @property
     def bridges(self) -> bool:
-        """Whether it continues after missing readings as becalm does; False, since it keeps its gain."""
+        """Return whether it continues after missing readings as becalm does: False, without a covariance."""
         return False
 
     def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
-        """Write a filter as C; `span` is the least and the greatest reading, in unit."""
+        """Write a filter as C; `span` is the least and the greatest reading, in unit.
+
+        Raises
+        ------
+        RecipeError
+            If the range of readings is unknown, empty or too narrow, or too wide for the digits of the filter.
+        """
         unit = design.unit or "the unit of its readings"
         if span is None:
             raise RecipeError(
@@ -129,7 +135,7 @@ class FixedPointFilter:
         return FixedReference(design, written.largest, _scale(written))
 
     def raw(self, readings: Floats, written: WrittenChannel) -> Raw:
-        """Return readings (N,) in unit, NaN where missing, as counts: INT32_MIN where missing, saturated beyond."""
+        """Return readings (N,) in unit, NaN where missing, as counts: INT32_MIN where missing, otherwise saturated."""
         missing = np.isnan(readings)
         counts = np.rint(_scale(written).counts(np.where(missing, 0.0, readings)))
         return np.where(missing, _MISSING, counts).astype(np.int32)
@@ -144,7 +150,7 @@ class FixedPointFilter:
         return np.rint(_scale(written).counts(signal))
 
     def most_error(self, vector: Vector, design: Design, written: WrittenChannel, opened: Opened) -> float:
-        """Return the largest error of a signal, in counts: one of different rounding, and the error of the states."""
+        """Return the largest permitted error of a signal, in counts: of rounding, of the gains and of the states."""
         assert written.word is not None, "the cost of fixed point is always computed"
         lsb, largest = _scale(written).lsb, float(np.abs(self.counts(vector.signal, written)).max())
         return 1.0 + _GAIN * largest + (written.word.stall + _NOISES * written.word.noise) / lsb

@@ -19,15 +19,15 @@ from becalm.export.shared_parts import WrittenChannel, unit_name, words_of
 from becalm.export.templates import render
 
 GREATEST = (1 << 31) - 1
-"""Largest counts of a reading and of the signal, where the converter or the filter saturates."""
+"""Largest number of counts, at which a reading or the signal saturates."""
 
-_NEAR = 1e-9  # relative precision of the schedule; a gain has 31 bits
+_NEAR = 1e-9  # distance at which a gain counts as settled, as in `schedule_of`; a gain has 31 bits
 _FARTHEST = 92  # largest shift; beyond it, nothing remains of 62 bits
-_ON_A_LINE = 12  # counts
+_ON_A_LINE = 12  # numbers in a line of C
 
 
 class Scale(NamedTuple):
-    """The scale of counts: reading = offset + lsb * counts, in unit. A 0 within range is a whole count."""
+    """The scale of counts: reading = offset + lsb * counts, in unit. 0, if within range, is a whole count."""
 
     offset: float
     lsb: float
@@ -43,7 +43,7 @@ class Scale(NamedTuple):
 
 
 class Rails(NamedTuple):
-    """The counts from which on readings are clipped, and the least and greatest that are not overrange."""
+    """The limits of readings, in counts: from `low` and `high` on they are clipped, beyond the others overrange."""
 
     low: int
     high: int
@@ -58,7 +58,7 @@ def scale_of(low: float, high: float) -> Scale:
 
 
 def rails_of(design: Design, scale: Scale) -> Rails:
-    """Return the limits of a channel in counts, at most those of saturation."""
+    """Return the limits of a channel's readings in counts, each at most `GREATEST` in magnitude."""
     limits, largest = design.limits, design.largest
     return Rails(
         _at_most(limits.low, scale),
@@ -69,7 +69,7 @@ def rails_of(design: Design, scale: Scale) -> Rails:
 
 
 def _at_most(value: float, scale: Scale) -> int:
-    """Return the greatest counts for a value or less, limited to the range of counts."""
+    """Return the greatest number of counts that is not above a value, limited to `GREATEST` in magnitude."""
     near = round(float(scale.counts(np.array([value]))[0]))
     while near < GREATEST and scale.in_unit(near + 1) <= value:
         near += 1
@@ -80,12 +80,12 @@ def _at_most(value: float, scale: Scale) -> int:
 
 @lru_cache(maxsize=256)
 def schedule_in(design: Design) -> Schedule:
-    """Return the schedule of gains of a filter with the precision of 31 bits."""
+    """Return the schedule of gains of a filter, to the precision of 31 bits."""
     return schedule_of(design, _NEAR)
 
 
 def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[float, float]) -> WrittenChannel:
-    """Write a filter in fixed point.
+    """Write a filter in fixed point as C.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     Raises
     ------
     RecipeError
-        If it has no steady state, or the range of readings is too wide for its digits.
+        If the filter has no steady state, or the range of readings is too wide for its digits.
     """
     schedule, scale = schedule_in(design), scale_of(*span)
     point, word = fit(design, schedule, scale.lsb)
@@ -148,7 +148,7 @@ def _limit_words(design: Design, scale: Scale, rails: Rails) -> dict[str, Any]:
 
 
 def _numbers(design: Design, schedule: Schedule, point: BinaryPoint) -> dict[str, Any]:
-    """Return the coefficients of the filter, and the sums of products in C."""
+    """Return the values that templates need to compute the filter: its coefficients, and sums of products in C."""
     F, H, C, n = design.model.F, design.model.H[0], design.output, design.states
     f, nu, signal = np.array(point.states), point.innovation, point.signal
     p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
@@ -177,7 +177,7 @@ def _numbers(design: Design, schedule: Schedule, point: BinaryPoint) -> dict[str
 
 
 def factor_of(value: float) -> tuple[int, int]:
-    """Return m, of 31 bits, and s with m / 2^s closest to a value; m is 0 where nothing would remain of 62 bits."""
+    """Return (m, s), m of 31 bits, with m / 2^s closest to a value; m is 0 if nothing of 62 bits would remain."""
     fraction, exponent = np.frexp(value)
     mantissa, shift = round(float(fraction) * 2.0**31), 31 - int(exponent)
     if abs(mantissa) > GREATEST:
@@ -192,7 +192,7 @@ def kept_of(values: Floats) -> Floats:
 
 
 def terms(row: Floats | Sequence[float], names: Sequence[str]) -> list[str]:
-    """Write row[j] * names[j] in integers; a factor that is not exact in 31 bits gets a second term."""
+    """Write the terms row[j] * names[j] in integers; a factor that is not exact in 31 bits gets a second term."""
     written = []
     for value, name in zip(row, names, strict=True):
         remainder = float(value)
@@ -221,7 +221,7 @@ def _table(rows: Floats) -> dict[str, list[list[str]]]:
 
 
 def _cost(source: str) -> OperationCount:
-    """Count the operations of a row in the steady state; a product is two of 32 by 32 bits, added and rounded."""
+    """Count the operations of a row in the steady state; a product takes two of 32 by 32 bits, a sum and a rounding."""
     lines = source.splitlines()
     first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("int64_t nu = "))
     row = "\n".join(lines[first : next(i for i in range(first, len(lines)) if "s->p[0] = " in lines[i])])

@@ -1,11 +1,11 @@
 """Choose the binary point of each state of a filter in fixed point, and compute the resulting error beforehand.
 
-A reading is a count of 31 bits, a state an integer of 61 bits whose last digit is 2^-f counts. f is as large as the
+A reading is a count of 31 bits; a state is an integer of 61 bits whose last digit is 2^-f counts. f is as large as the
 range of the state allows. That range covers the worst readings in the steady state (the sum of |h| over the impulse
 response), and, as far as the digits suffice, the worst readings during the start or a prediction without readings; a
 filter that leaves it then starts anew. The ranges are computed, not proved: the response is evaluated row by row at
-first, later at fewer rows of each octave, so that its sum is accurate to about a hundredth. Rounding stalls a state,
-and is noise at every step, as in `export/word_length.py`; readings and signal are rounded to counts.
+first, later at a fixed number of rows in each octave, so that its sum is accurate to about a hundredth. Rounding stalls
+a state, and is noise at every step, as in `export/word_length.py`; readings and signal are rounded to counts.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from becalm.export.word_length import MOST_ERROR, WordLength, gathered
 STATE_BITS = 61
 """Bits of a state without its sign; a sum of terms has one more, and two of them fit into 64 bits."""
 
-_COUNT_BITS = 31
-_INNOVATION_DIGITS = 28  # at most; more would only be digits of a reading's noise
-_QUIET = 0.02  # of a count: negligible against the rounding of the signal
-_PROMISED = 3e-4  # of a reading's noise: gives 90 dB for signals of a dozen noises
-_APART = 128.0  # standard deviations of noise by which readings may at least differ during a start
-_START_ROWS = 512  # rows of a start that are evaluated
-_MARGIN = 1.01  # for rows that are not evaluated
+_COUNT_BITS = 31  # of a reading, without its sign
+_INNOVATION_DIGITS = 28  # most binary digits after the point of nu and of the signal; more would only show noise
+_QUIET = 0.02  # error of the states, in counts, that is negligible against the rounding of the signal
+_PROMISED = 3e-4  # largest error of the states, as a share of the noise std: 90 dB for a signal of 12 noise std
+_APART = 128.0  # by which readings may at least differ during a start, in standard deviations of their noise
+_START_ROWS = 512  # most rows of a start that are evaluated
+_MARGIN = 1.01  # factor on a range, for rows that are not evaluated
 _GRID = 512  # rows of an impulse response that are evaluated at first, and in each octave after them
-_OCTAVES = 60
+_OCTAVES = 60  # most octaves of an impulse response that are evaluated
 
 
 class BinaryPoint(NamedTuple):
-    """The binary points: the numbers of binary digits after them, in counts.
+    """The binary points: the numbers of binary digits after them, for quantities in counts.
 
     Attributes
     ----------
     states : tuple of int
         f of each state.
     innovation, signal : int
-        Digits of nu, and of the sum that becomes the signal.
+        Digits of nu, and of the sum that is rounded to the signal.
     apart : float
         Largest difference of readings during a start or a prediction, as a share of half the range; beyond it, the
         filter starts anew.
@@ -56,10 +56,10 @@ class BinaryPoint(NamedTuple):
 
 
 class StateBounds(NamedTuple):
-    """The largest magnitudes of the states (n,), relative to the greatest reading."""
+    """Bounds on the magnitudes of the states (n,), relative to the greatest reading."""
 
-    settled: Floats
-    starting: Floats
+    settled: Floats  # in the steady state
+    starting: Floats  # also during a start, or a prediction without readings
 
 
 def fit(design: Design, schedule: Schedule, lsb: float) -> tuple[BinaryPoint, WordLength]:
@@ -70,14 +70,14 @@ def fit(design: Design, schedule: Schedule, lsb: float) -> tuple[BinaryPoint, Wo
     design : Design
         A filter with a steady state.
     schedule : Schedule
-        Its gains.
+        The gains of the filter.
     lsb : float
         One count, in unit.
 
     Raises
     ------
     RecipeError
-        If readings, or states, have too few digits for the noise.
+        If counts, or states, are too coarse for the noise.
     """
     unit, span = design.unit_after, lsb * 2.0 ** (_COUNT_BITS + 1)
     if lsb > design.noise_std:
@@ -116,16 +116,17 @@ def _refuse(design: Design, point: BinaryPoint, word: WordLength, lsb: float) ->
 
 
 def _word(design: Design, point: BinaryPoint, lsb: float) -> WordLength:
-    """Return the error of the binary points, in unit."""
+    """Return the errors that the binary points cause, in unit."""
     assert design.steady is not None
     stall = stall_of(design, point)
-    rounded = (1 + design.steady.noise_gain()) / 12  # the signal, and readings
+    rounded = (1 + design.steady.noise_gain()) / 12  # of the signal and of readings, in counts^2
     noise = float(np.sqrt(noise_of(design.steady, point) ** 2 + rounded))
     share = max(stall, noise) * lsb / design.settled_std
     return WordLength(stall * lsb, noise * lsb, share, lsb * 2.0 ** (_COUNT_BITS + 1), lsb)
 
 
 def _states_error(design: Design, point: BinaryPoint) -> float:
+    """Return the larger of the stall and the rounding noise of the states, in counts."""
     assert design.steady is not None
     return max(stall_of(design, point), noise_of(design.steady, point))
 
@@ -133,8 +134,8 @@ def _states_error(design: Design, point: BinaryPoint) -> float:
 def stall_of(design: Design, point: BinaryPoint) -> float:
     """Return the error at which a filter stalls on a constant signal, or about which it oscillates, in counts.
 
-    A state of a motion does not change while |F K nu| is below half its last digit. Where a slope that is not 0 stalls,
-    the level stalls where K nu compensates it. An innovation below half of its own last digit has no effect.
+    A state of the motion does not change while |F K nu| is below half its last digit. If a slope stalls away from 0,
+    the level stalls where K nu compensates the slope. An innovation below half of its own last digit has no effect.
     """
     assert design.steady is not None
     n = design.motion_order
@@ -162,7 +163,7 @@ def noise_of(steady: SteadyFilter, point: BinaryPoint) -> float:
 
 
 def _point(design: Design, schedule: Schedule, reach: StateBounds, apart: float) -> BinaryPoint:
-    """Return the digits of each state that its range, and that of its sums, allow."""
+    """Return the most digits that the ranges of the states, of their sums, of nu and of the signal allow."""
     F, H, C = design.model.F, np.abs(design.model.H[0]), np.abs(design.output)
     K = np.vstack([schedule.K, schedule.settled])
     level = design.level_direction
@@ -185,12 +186,12 @@ def _point(design: Design, schedule: Schedule, reach: StateBounds, apart: float)
 
 
 def _digits(size: float) -> int:
-    """Return the number of digits after the point of a quantity of `size` times the greatest reading."""
+    """Return the number of digits after the point for a quantity of up to `size` times the greatest reading."""
     return STATE_BITS - _COUNT_BITS - int(np.ceil(np.log2(_MARGIN * max(size, 1e-9))))
 
 
 def reach_of(design: Design, schedule: Schedule) -> StateBounds:
-    """Return the largest magnitudes of the states for the worst readings."""
+    """Return bounds on the magnitudes of the states, for the worst readings."""
     assert design.steady is not None
     columns, weights, D = _responses(design.steady)
     settled = D * (np.abs(columns) @ weights)
@@ -203,10 +204,10 @@ def reach_of(design: Design, schedule: Schedule) -> StateBounds:
 
 
 def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:
-    """Return the impulse response (n, k) of the states, the number of rows (k,) of each column, and the spreads (n,).
+    """Return the impulse response (n, k) of the states, the rows (k,) that a column stands for, and the spreads (n,).
 
-    At first there is one column per row, then the same number for each octave. For a decaying oscillation, errors of
-    the sampling about cancel. The states are scaled to equal spread.
+    The first 512 rows have a column each; then each octave has 512 columns. For a decaying oscillation, the errors of
+    this sampling about cancel. The states are scaled to equal spread.
     """
     loop = steady.loop
     grid, power = loop.F @ loop.K, loop.M
@@ -224,13 +225,13 @@ def _responses(steady: SteadyFilter) -> tuple[Floats, Floats, Floats]:
 
 
 def _scale(steady: SteadyFilter) -> Floats:
-    """Return the spreads of the states (n,), which are the units of its `loop`; 1 for a state that is known."""
+    """Return the spreads of the states (n,), the units of the states of `steady.loop`; 1 for a state without spread."""
     spread = spread_of(steady)
     return np.where(spread > 0, spread, 1.0)
 
 
 def _start_magnitudes(design: Design, schedule: Schedule) -> Floats:
-    """Return the largest magnitudes of the states (n,) in the first rows, for readings farthest from the first."""
+    """Return the largest magnitudes of the states (n,) in the first rows, for readings as far as possible apart."""
     F, H, weights = design.model.F, design.model.H, design.opening.weights
     opened = np.abs(weights[1:]).sum(axis=0)
     columns = F @ weights.T

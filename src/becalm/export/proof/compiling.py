@@ -14,15 +14,15 @@ from becalm.export.shared_parts import FOLDER
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror", "-ffp-contract=off")
 """Flags with which the filters compile without a warning."""
 
-OPTIMISED = (("-O0",), ("-O2",), ("-O3",), ("-O3", "-ffast-math"))
+OPTIMISED = (("-O0",), ("-O2",), ("-O3",), ("-O3", "-ffast-math"))  # additional flags of one build each
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
-_LONGEST_S = 600.0
+_LONGEST_S = 600.0  # for one run of a compiler or a program
 _REPORT = "This is a fault in becalm: leave --verify out, and report it with the recipe."
 
 
 class CompileError(BecalmError):
-    """The exported C does not compile, or does not agree with becalm: a fault in becalm."""
+    """The exported C does not compile or run, or does not agree with becalm."""
 
     exit_code = 1
 
@@ -46,7 +46,7 @@ class Build(NamedTuple):
 
 
 def compilers() -> list[str]:
-    """Return the names of the installed C compilers.
+    """Return the names of the installed C compilers: gcc and clang, or else cc.
 
     Raises
     ------
@@ -60,12 +60,12 @@ def compilers() -> list[str]:
 
 
 def version_of(compiler: str) -> str:
-    """Return the name and version that a compiler prints."""
+    """Return the first line that a compiler prints for --version."""
     return _run_checked([compiler, "--version"], "the compiler's version").stdout.splitlines()[0]
 
 
 def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build:
-    """Compile the filters of a bundle with strict flags, and the program that runs them.
+    """Compile the filters of a bundle with the strict flags, and link the program that runs them.
 
     Parameters
     ----------
@@ -82,6 +82,8 @@ def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build
     ------
     CompileError
         If the compiler reports a warning or an error.
+    UsageError
+        If the compiler cannot be run.
     """
     mark = f"{compiler}{''.join(flags)}".replace("=", "").replace(",", "")
     texts = [folder / f"{stem}.c", *sorted(folder.glob(f"{FOLDER}/*.c")), folder / "main.c"]
@@ -95,7 +97,7 @@ def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build
 
 
 def run(build: Build, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run a program; the caller checks its exit code."""
+    """Run the program of a build with arguments; the caller checks its exit code."""
     return _run_limited([str(build.program), *words])
 
 

@@ -21,8 +21,8 @@ from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, CompileEr
 from becalm.export.vectors import STARTING
 
 _LONG = 1_000_000  # simulated readings
-_FIRST = 20_000  # of them, for a comparison where the stream may have fewer digits than C
-_SAME_FILTER_DB = 60.0  # a smaller ratio is not due to rounding
+_FIRST = 20_000  # of them, for a comparison with the specification: the stream may have fewer digits than C
+_SAME_FILTER_DB = 60.0  # signal over difference; a smaller ratio is not due to rounding
 _SEED = 7
 
 
@@ -30,7 +30,7 @@ class GoldenRun(NamedTuple):
     """The result of the golden vectors with one build."""
 
     build: Build
-    says: str
+    says: str  # the first checks that failed, and what was printed to stderr
     passed: bool
 
 
@@ -44,15 +44,15 @@ class Compared(NamedTuple):
     rows : int
         Number of readings.
     beside : str
-        The reference: becalm's stream, or the specification of a filter without a covariance.
+        Name of the reference: becalm's stream, or the specification of the filter.
     error : float
-        The greatest difference, relative to the greatest signal.
+        Greatest difference, relative to the greatest signal.
     error_row, first_row : int
         Row of that difference, and first row with a filtered signal; -1 if there is none.
     snr_db : float
-        Power of the signal over that of the difference; inf if there is no difference.
+        Power of the signal over that of the difference, in dB; inf if there is no difference.
     kept : bool
-        Whether the ratio reaches that of its precision: 240 dB in float64, 120 dB in float32, 90 dB in fixed point.
+        Whether the ratio reaches what the precision guarantees: 240 dB in float64, 120 dB in float32, 90 dB in q31.
     """
 
     channel: str
@@ -67,7 +67,7 @@ class Compared(NamedTuple):
 
 
 Becalm = Callable[[Exported, ChannelRecipe, Floats], tuple[Floats, str]]
-"""Function that returns the signal of becalm for readings (N,), and a name of the reference."""
+"""Function that returns the signal of becalm for readings (N,), in unit, and the name of the reference."""
 
 
 class Verified(NamedTuple):
@@ -85,7 +85,7 @@ def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats], folde
     bundle : Bundle
         The exported bundle.
     recipe : Recipe
-        The recipe it was written from.
+        The recipe that the bundle was written from.
     recorded : mapping of str to (N,) float array
         Complete records by channel, in unit.
     folder : Path
@@ -96,7 +96,7 @@ def verify(bundle: Bundle, recipe: Recipe, recorded: Mapping[str, Floats], folde
     UsageError
         If there is no compiler, or its programs cannot be run.
     CompileError
-        If the C does not compile, a vector fails, or it differs from becalm by more than rounding.
+        If the C does not compile, a golden vector fails, or C and becalm differ by more than rounding.
     """
     unpacked(bundle, folder)
     ways = [flags for flags in (*OPTIMISED, SANITIZED) if not (bundle.needs_nan and "-ffast-math" in flags)]
@@ -147,7 +147,7 @@ def _compare_channels(
 
 
 def drawn(one: Exported, rows: int) -> Floats:
-    """Return simulated readings (N,) of a channel's model, within its saturation limits."""
+    """Return simulated readings (rows,) of a channel's model, in unit, well within its saturation limits."""
     rng, model = np.random.default_rng(_SEED), one.design.model
     low, high = one.design.limits.rails
     centre = (low + high) / 2 if np.isfinite(low + high) else 0.0
@@ -158,8 +158,8 @@ def drawn(one: Exported, rows: int) -> Floats:
         x = model.F @ x + noise[k]
         signal[k] = (model.H @ x)[0]
     half = min((high - low) / 4, 1e4 * one.design.noise_std)
-    if (far := np.abs(signal).max()) > half:  # a motion has no bounds; reflect it at the limits of the sensor
-        signal = half * (2 / np.pi) * np.arcsin(np.sin(signal * (np.pi / 2) / half)) if far > half else signal
+    if np.abs(signal).max() > half:  # a motion has no bounds; reflect it
+        signal = half * (2 / np.pi) * np.arcsin(np.sin(signal * (np.pi / 2) / half))
     return centre + signal + rng.normal(0, one.design.noise_std, rows)
 
 
@@ -181,7 +181,7 @@ def compare(  # noqa: PLR0913
     readings : (N,) float array
         Readings in unit, one step apart; NaN where missing.
     becalm : callable, optional
-        Reference to compare with; by default becalm's stream, where that is the same filter.
+        Reference to compare with; by default becalm's stream, or the specification where the stream differs.
     """
     raw = one.kind.raw(readings, one.written)
     out, codes = streamed(made, one, raw)
@@ -191,7 +191,7 @@ def compare(  # noqa: PLR0913
     known = np.isfinite(want) & (codes != STARTING)  # while starting, readings are passed on unfiltered
     off, power = np.where(known, np.abs(signal - want), 0.0), float(np.square(want[known]).sum())
     wrong, greatest = float(np.square(off).sum()), float(np.abs(want[known]).max(initial=0.0))
-    snr_db = float(10 * np.log10(power / wrong)) if wrong > 0 < power else np.inf
+    snr_db = _ratio_db(power, wrong)
     error_row = int(np.where(known, off, -1.0).argmax()) if known.any() else -1
     first_row = int(known.argmax()) if known.any() else -1
     error = float(off.max(initial=0.0)) / (greatest or 1.0)
@@ -199,11 +199,18 @@ def compare(  # noqa: PLR0913
     return Compared(one.name, record, len(given), reference, error, error_row, first_row, snr_db, kept)
 
 
+def _ratio_db(power: float, error_power: float) -> float:
+    """Return the ratio in dB; inf without an error, -inf for one that is NaN or has no signal beside it."""
+    if error_power == 0:
+        return np.inf
+    return float(10 * np.log10(power / error_power)) if power > 0 and np.isfinite(error_power) else -np.inf
+
+
 def _expected(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Floats, str]:
     """Return the expected signal for readings (N,), and the name of its reference: the stream or a specification.
 
-    A filter without a covariance is compared with its own specification if readings are missing, or its start was
-    thinned.
+    A filter without a covariance is compared with its own specification if readings are missing, or if its table of
+    gains was thinned.
     """
     step_s = one.design.step_s
     recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=1 / step_s), channel=(_as_exported(one, channel),))
@@ -216,7 +223,7 @@ def _expected(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Flo
 def _as_exported(one: Exported, channel: ChannelRecipe) -> ChannelRecipe:
     """Return the recipe of what the C does: it predicts across any hole.
 
-    Except for the library's own channel, it uses gross outliers, and has no last sentinel.
+    Except for the library's own channel, it lacks the limits `NOT_IN_C`.
     """
     limits = channel.limits
     if limits is not None and not isinstance(one.kind, WholeChannel):
@@ -230,12 +237,12 @@ def specified(one: Exported, channel: ChannelRecipe, given: Floats) -> tuple[Flo
 
 
 def streamed(made: Build, one: Exported, raw: Raw) -> tuple[Raw, Codes]:
-    """Run numbers (N,) through a channel in C; return the signal and the code of each.
+    """Run raw readings (N,) through a channel in C; return the raw signal and the code of each.
 
     Raises
     ------
     CompileError
-        If the program does not exit with 0.
+        If the program does not exit with 0, or takes too long.
     """
     with tempfile.TemporaryDirectory(dir=made.program.parent) as place:
         source, out, codes = (Path(place) / name for name in ("in", "out", "codes"))

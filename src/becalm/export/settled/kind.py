@@ -16,11 +16,17 @@ class Settled(Floating):
 
     @property
     def bridges(self) -> bool:
-        """Whether it continues after missing readings as becalm does; False, since it keeps its gain."""
+        """Return whether it continues after missing readings as becalm does: False, without a covariance."""
         return False
 
     def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
-        """Write a filter as C."""
+        """Write a filter as C; `span` is the least and the greatest reading, in unit, if they are known.
+
+        Raises
+        ------
+        RecipeError
+            If the filter has no steady state, or its word length is too short.
+        """
         return written_settled(design, prefix, self.number, apart(span))
 
     def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:

@@ -1,8 +1,8 @@
 """Specify an exported filter with a settled gain: what its C does with each reading, in plain Python.
 
-It equals `becalm.Online` while no reading is missing. For a missing reading it predicts and keeps its gain, since it
-carries no covariance. After so many that the prediction is worth less than a reading, it holds its state, and starts
-anew with the next reading.
+It equals `becalm.Online` while no reading is missing, if the schedule of gains is exact. For a missing reading it
+predicts, and its gain stays the same, since it carries no covariance. After so many missing readings that a prediction
+is worth less than a reading, it holds its state, and starts anew with the next reading.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ class SettledReference:
     Attributes
     ----------
     p : (n,) float array
-        Predicted state for the next row, less the level.
+        Predicted state for the next row, for readings less the level.
     level : float
         Level that is subtracted from readings, in unit.
     row : int
-        Number of usable readings so far, until the gain has settled.
+        Number of usable readings since the last start.
     missed : int
-        Number of rows in a row without a usable reading.
+        Number of consecutive rows without a usable reading, at most `Design.coasts`.
     """
 
     def __init__(self, design: Design, schedule: Schedule, largest: float) -> None:

@@ -16,13 +16,13 @@ from becalm.export.shared_parts import WrittenChannel, look_of, moved_level
 from becalm.export.templates import render
 from becalm.export.word_length import WordLength
 
-_NEAR = {"float64": 1e-13, "float32": 1e-8}  # relative precision of the schedule
-_MOST_NUMBERS = {"float64": 8192, "float32": MOST_NUMBERS}
-_COUNTS = 12  # on a line
+_NEAR = {"float64": 1e-13, "float32": 1e-8}  # distance at which a gain counts as settled, as in `schedule_of`
+_MOST_NUMBERS = {"float64": 8192, "float32": MOST_NUMBERS}  # of a table of gains; a longer one is thinned
+_COUNTS = 12  # in a line of C
 
 
 def written_settled(design: Design, prefix: str, number: NumberType, span: float | None) -> WrittenChannel:
-    """Write a filter with a settled gain.
+    """Write a filter with a settled gain as C.
 
     Parameters
     ----------
@@ -34,19 +34,19 @@ def written_settled(design: Design, prefix: str, number: NumberType, span: float
         Number type of the filter.
     span : float or None
         Largest distance of two readings, in unit; None if unknown. A *small* one leaves more digits, and trusts that
-        readings are never farther apart: beyond it, they are overrange.
+        readings are never farther apart.
 
     Raises
     ------
     RecipeError
-        If it has no steady state, or its word length is too short.
+        If the filter has no steady state, or its word length is too short.
     """
     return with_gains(design, schedule_in(design, number), prefix, number, prove(design, number, span))
 
 
 @lru_cache(maxsize=256)
 def schedule_in(design: Design, number: NumberType) -> Schedule:
-    """Return the schedule of gains of a filter with the precision of its numbers."""
+    """Return the schedule of gains of a filter, to the precision of a number type."""
     return schedule_of(design, _NEAR[number.precision], _MOST_NUMBERS[number.precision])
 
 
@@ -101,7 +101,7 @@ def _literals(rows: Floats, number: NumberType) -> list[list[str]]:
 
 
 def _bytes(design: Design, schedule: Schedule, number: NumberType) -> int:
-    """Return the size of the state in bytes, as a compiler lays it out."""
+    """Return the size of the state in bytes, with the padding that a compiler adds."""
     size = (design.states + 1) * number.bytes + 4 + 4 * (not schedule.exact)
     if design.limits.stuck_readings:
         size = -(-size // number.bytes) * number.bytes + 3 * number.bytes + 4

@@ -18,7 +18,7 @@ _TEMPLATES = Environment(
 
 
 def _grouped(expression: str) -> str:
-    """Put a sum into parentheses."""
+    """Put an expression into parentheses if it is a sum or a product, or begins with a minus sign."""
     return f"({expression})" if " " in expression or expression.startswith("-") else expression
 
 
@@ -26,5 +26,5 @@ _TEMPLATES.filters["grouped"] = _grouped
 
 
 def render(name: str, context: Mapping[str, Any]) -> str:
-    """Return the text of a template with its values."""
+    """Return the text of a template, filled with values."""
     return _TEMPLATES.get_template(name).render(context)

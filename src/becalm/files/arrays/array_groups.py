@@ -22,8 +22,8 @@ from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.unit_spelling import parse_header
 
-_MOST_COLUMNS = 1024  # of one array; an array with more is an image
-_STRAY, _SHORT = 50, 100  # a calibration matrix has this factor fewer rows than a recording, and at most so many
+_MOST_COLUMNS = 1024  # of one array; an array with more columns is an image
+_STRAY, _SHORT = 50, 100  # a calibration has this factor fewer rows than the longest table, and at most so many rows
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS", "units_")
 _NAMES = ("columns", "column_names", "names", "labels", "channels", "channel_names", "axes", "axis", "header")
 _OWN_TIME = re.compile(
@@ -52,7 +52,7 @@ class Grouping:
     joint : str
         Separator between the parts of a path, in names.
     apart : bool
-        Whether each group of the file is a table of its own even if it has no times, and names leave the group out.
+        Whether arrays without times form a table for each group of the file, and names omit the group.
     """
 
     def __init__(self, found: FileArrays, joint: str, apart: bool) -> None:
@@ -71,7 +71,7 @@ class Grouping:
 
     @property
     def notes(self) -> list[str]:
-        """Return the sentences that the user must know."""
+        """Return the notes for the user on the contents of the file."""
         return self._found.notes
 
     def groups(self) -> list[Group]:
@@ -124,13 +124,13 @@ class Grouping:
         return _Home(folder, (), rate[1] if rate else None, _rows(leaf, meant), meant)
 
     def _is_whole(self, leaf: Leaf) -> bool:
-        """Return whether the array's struct holds a single channel that starts at the same time as the others."""
+        """Return whether the array's struct holds a single channel, and has the same start as the group above it."""
         folder = leaf.path[:-1]
         alone = is_alone(leaf.path) and bool(self._found.word((*leaf.path, NAME)))
         return alone and self._rates.start(folder) == self._rates.start(folder[:-1])
 
     def _leave_strays_out(self) -> None:
-        """Drop arrays without times that are far shorter than the rest, such as calibrations and lists of limits."""
+        """Drop tables without times that hold only texts, or are far shorter than the longest, such as calibrations."""
         longest = max((home.rows for home in self._homes), default=0)
         loose = {home: leaves for home, leaves in self._homes.items() if home.folder not in self._written}
         for home, leaves in loose.items():
@@ -145,7 +145,7 @@ class Grouping:
                         )
 
     def _is_unused(self, leaf: Leaf) -> bool:
-        """Return whether no table of the same group and length uses other times than these."""
+        """Return whether no table uses times of the same group and length."""
         return not any(home.time[:-1] == leaf.path[:-1] and home.meant == leaf.meant[0] for home in self._homes)
 
     def _group(self, home: _Home, leaves: Sequence[Leaf], notes: tuple[str, ...]) -> Group:
@@ -167,7 +167,7 @@ class Grouping:
         return Group(self._title(home, leaves), named, home.rows, time, notes)
 
     def _title(self, home: _Home, leaves: Sequence[Leaf]) -> str:
-        """Return the name of a table: that of its group, or, if that has several tables, also of its first array."""
+        """Return the name of a table: that of its group, or of its first array if the group has several tables."""
         if stored := self._found.word((*home.folder, GROUP)):
             return stored
         rivals = [other for other in self._homes if other.folder == home.folder]
@@ -250,7 +250,7 @@ def _is_of(name: str, stem: str) -> bool:
 
 
 def _parts(leaf: Leaf, rows: int, index: tuple[int, ...], unit: str) -> list[Column]:
-    """Return a column of an array, or two columns for complex numbers."""
+    """Return a column of an array, two for complex numbers: `rows` is its axis, `index` its place on the others."""
 
     def read(start: int, stop: int) -> NDArray[np.generic]:
         return leaf.take((*index[:rows], slice(start, stop), *index[rows:]))

@@ -16,7 +16,7 @@ NAME = "becalm.name"
 """Attribute of an array: the name of its column."""
 
 FLAG = "becalm.flag"
-"""Attribute of an array of whole numbers: they mean true and false."""
+"""Attribute of an array of whole numbers that are flags: 0 and 1 mean false and true."""
 
 OF_TABLE = (GROUP, START)
 """Metadata that belong to one table, not to the file."""

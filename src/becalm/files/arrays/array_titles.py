@@ -7,7 +7,7 @@ import re
 from becalm.files.arrays.array_labels import NAME
 from becalm.files.arrays.arrays import FileArrays, Path
 
-_VALUES = ("data", "value", "values", "samples", "signal", "y")
+_VALUES = ("data", "value", "values", "samples", "signal", "y")  # the array in a struct of one channel
 _NAMES = ("name", "label", "signalname", "channelname")
 _UNITS = ("unit", "units", "unitstring")
 _ABOUT_VALUES, _ABOUT_TIMES = "datainfo", "timeinfo"  # parts of MATLAB's timeseries

@@ -43,14 +43,20 @@ class _ArrayRows(ABC):
         The file to write.
     """
 
-    form = ""
+    form = ""  # name of the format, for messages
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
         self._held: dict[str, list[pa.Table]] = {}
 
     def write(self, table: pa.Table) -> None:
-        """Collect rows of a group."""
+        """Collect rows of a group.
+
+        Raises
+        ------
+        OutputError
+            If the format cannot hold a column, or so many rows.
+        """
         group = metadata_of(table.schema).get(GROUP, "")
         if group not in self._held:
             refuse_strange_types(table.schema, self.form)
@@ -112,7 +118,7 @@ class MatRows(_ArrayRows):
     Raises
     ------
     OutputError
-        If a column, or a struct, takes more than 2 GB, the limit of that version.
+        By `write` or `close`, if a column or a struct is larger than 2 GB, the limit of that version.
     """
 
     form = "MAT"

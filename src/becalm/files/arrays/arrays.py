@@ -14,9 +14,10 @@ Path = tuple[str, ...]
 """Names of nested groups (structs, folders), and last the name of the array itself."""
 
 Key = tuple[int | slice, ...]
+"""An index or a slice for each axis of an array."""
 
 _SPECIFIED = re.compile(r"[`'\"](\w+)[`'\"] in ([^\s,;()`'\"]+)")  # "`imu_gyr` in rad/s", in a description
-_MOST_WORDS, _LONG = 4096, 100_000
+_MOST_WORDS, _LONG = 4096, 100_000  # more texts are no names or units; a text of so many letters is no description
 
 
 class Leaf(NamedTuple):
@@ -33,7 +34,7 @@ class Leaf(NamedTuple):
     take : callable
         Returns its values at an index or a slice for each axis.
     claimed : tuple of int
-        The shape in the file's header, if the file is truncated before its end; otherwise ().
+        Shape of the complete array, if only a part of it is in the file; otherwise ().
     """
 
     path: Path
@@ -56,7 +57,7 @@ class Leaf(NamedTuple):
 
     @property
     def meant(self) -> tuple[int, ...]:
-        """Return the shape that it has in a file that is not truncated."""
+        """Return the shape of the complete array."""
         return self.claimed or self.shape
 
     def squeezed(self) -> Leaf:
@@ -86,7 +87,7 @@ class FileArrays:
     numbers : dict
         Single numbers, by path.
     notes : list of str
-        Sentences that the user must know.
+        Sentences for the user on what is not read, and on what is missing.
     """
 
     leaves: list[Leaf] = field(default_factory=list)
@@ -95,7 +96,10 @@ class FileArrays:
     notes: list[str] = field(default_factory=list)
 
     def add(self, leaf: Leaf) -> None:
-        """Add an array. A single value becomes a number or a text; a few texts are kept as possible names and units."""
+        """Add an array, unless it is empty.
+
+        A single number goes to `numbers`. Up to 4096 texts also go to `words`, as possible names or units.
+        """
         if 0 in leaf.shape:
             return
         leaf = leaf.squeezed()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from becalm.files.arrays.array_labels import FLAG
 from becalm.files.arrays.arrays import FileArrays, Key, Leaf, Path
 
-_FILLS = ("_FillValue", "missing_value")
+_FILLS = ("_FillValue", "missing_value")  # attributes: values that stand for missing ones
 _SINCE = re.compile(r"(\w+) since (.+)")
 _STEPS = {
     "ns": ("nanosecond", "nanoseconds", "ns"),
@@ -25,7 +25,7 @@ _STEPS = {
 }
 """NumPy's units of time, and their names in netCDF."""
 
-_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # how the attribute NAME begins
 
 
 def apply_conventions(found: FileArrays) -> None:
@@ -61,7 +61,7 @@ def _scaled(leaf: Leaf, fills: list[float], scale: float, offset: float) -> Leaf
 
 
 def _since(found: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
-    """Convert a count since a date, such as "days since 2000-01-01", to instants."""
+    """Convert a count since a date, such as "days since 2000-01-01", to instants; leave other arrays unchanged."""
     step = next((step for step, words in _STEPS.items() if word.lower() in words), None)
     plain = re.sub(r"(?:\s*UTC|Z|[+-]00:?00|\s*\+0:00)$", "", text.strip()).replace(" ", "T", 1)
     try:
@@ -103,7 +103,7 @@ def _pandas(found: FileArrays, leaf: Leaf) -> Leaf:
 
 
 def _pickled_names(text: str) -> tuple[str, ...]:
-    """Read a pickled list of names, without running code in it."""
+    """Return the names in a pickled list, () for other texts; no code in it runs."""
     if not text.startswith("(lp"):
         return ()
     try:

@@ -1,4 +1,4 @@
-"""Open HDF5 files, complete or truncated, and find the rows of a dataset that are really in the file."""
+"""Open HDF5 files, complete or truncated, and find the rows of a dataset that are in the file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from becalm.files.arrays.hdf5_gaps import WrittenChunks, is_in_file
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_CACHE_BYTES = 8 << 20
+_CACHE_BYTES = 8 << 20  # chunk cache of each dataset
 _END_AT = {0: 40, 1: 44, 2: 28, 3: 28}  # by version of the superblock: offset of the end-of-file address
 
 
@@ -62,36 +62,41 @@ class Hdf5File:
             self._stretched.close()
 
     def whole_rows(self, dataset: Any) -> int:
-        """Return the number of entries on a dataset's first axis that are before the end of the file."""
+        """Return the number of entries on a dataset's first axis that can be read.
+
+        In a complete file, they end with the last chunk that was written; in a truncated one, before the first chunk
+        that is missing. Texts of variable length in a truncated file cannot be read.
+        """
         rows = dataset.shape[0] if dataset.shape else 1
         if self.size is None:
             return self._written_rows(dataset, int(rows))
         if self._h5py.check_string_dtype(dataset.dtype) and dataset.dtype.kind == "O":
-            return 0  # its texts are elsewhere in the file
+            return 0  # its texts are elsewhere in the file, perhaps beyond the end
         if dataset.chunks is None:
             return self._contiguous_rows(dataset, int(rows))
         for number in range(dataset.id.get_num_chunks()):
             chunk = dataset.id.get_chunk_info(number)
-            if not is_in_file(chunk, self._length):
+            if not is_in_file(chunk, self._base + self._length):
                 rows = min(rows, chunk.chunk_offset[0])
         return int(rows)
 
     def written(self, dataset: Any, rows: int) -> WrittenChunks | None:
-        """Return which chunks of the first `rows` rows are in the file, or None if all are."""
+        """Return which chunks of the first `rows` rows are in the file; None if all are, or if there are no chunks."""
         if dataset.chunks is None:
             return None
-        chunks = WrittenChunks(dataset, rows, self._length)
+        chunks = WrittenChunks(dataset, rows, self._base + self._length)
         return chunks if chunks.missing else None
 
     def _contiguous_rows(self, dataset: Any, rows: int) -> int:
-        """Return the number of rows whose bytes are in the file, or in the header of a small dataset."""
+        """Return the number of rows that are in the file, for a dataset without chunks."""
         offset = dataset.id.get_offset()
+        # A dataset has no offset if it is stored in its header, or was never written.
         room = dataset.id.get_storage_size() if offset is None else self._length + self._base - offset
         row_bytes = dataset.id.get_type().get_size() * int(np.prod(dataset.shape[1:], dtype=object))
         return int(max(0, min(rows, room // max(row_bytes, 1))))
 
     def _written_rows(self, dataset: Any, rows: int) -> int:
-        """Return the number of rows that were written, if a logger enlarged the dataset beforehand."""
+        """Return the number of rows up to the last written chunk; a logger may enlarge a dataset beforehand."""
         sizes = dataset.chunks
         if sizes is None:
             return self._contiguous_rows(dataset, rows)
@@ -109,7 +114,7 @@ class Hdf5File:
 
 
 class _Stretched(io.RawIOBase):
-    """A truncated file that claims its full length; beyond its end it returns zeros, which are not readings."""
+    """A truncated file that reads as if it had its full length, with zeros beyond its end."""
 
     def __init__(self, path: Path, length: int) -> None:
         self._file = path.open("rb")
@@ -125,7 +130,7 @@ class _Stretched(io.RawIOBase):
         return self._at
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a buffer from the file, and with zeros beyond its end."""
+        """Fill a buffer from the file, and with zeros beyond its end; return its length in bytes."""
         self._file.seek(self._at)
         count = self._file.readinto(buffer)
         view = memoryview(buffer).cast("B")

@@ -14,15 +14,15 @@ from becalm.files.arrays.hdf5_opening import Hdf5File
 from becalm.files.library_reader import Foreign
 
 DEEPEST = 64
-"""Deepest nesting of groups."""
+"""Deepest nesting of groups that is read."""
 
-_ATTRIBUTE_BYTES = 1 << 20
+_ATTRIBUTE_BYTES = 1 << 20  # larger attributes are ignored
 _HIDDEN = (b"TINDEX", b"INDEX")  # classes of groups for internal use by PyTables
-_FIELD_UNITS = ("units", "unit")
+_FIELD_UNITS = ("units", "unit")  # attributes with a unit for each field of a dataset
 
 
 class _Shapes(NamedTuple):
-    """The shape in the file, the shape that a truncated file claims (else ()), and the chunks if some are missing."""
+    """The shape that can be read; the claimed shape if it differs, else (); and the chunks if some are missing."""
 
     there: tuple[int, ...]
     claimed: tuple[int, ...]
@@ -54,7 +54,7 @@ class Tree:
     """
 
     entries = "rows"
-    """The name, for messages, of the entries of a dataset's first axis."""
+    """What messages call the entries on a dataset's first axis."""
 
     def __init__(self, foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> None:
         self._foreign, self._opened, self.h5py = foreign, opened, h5py

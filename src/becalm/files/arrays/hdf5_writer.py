@@ -13,16 +13,24 @@ from numpy.typing import NDArray
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import FLAG, NAME, OF_TABLE, folder_name, variables
-from becalm.files.column_arrays import is_text, metadata_of, numbers_of, refuse_strange_types, texts_of, unit_of_field
+from becalm.files.column_arrays import (
+    FillValues,
+    is_text,
+    metadata_of,
+    numbers_of,
+    refuse_strange_types,
+    texts_of,
+    unit_of_field,
+)
 from becalm.files.groups import GROUP
 
-_CHUNK_ROWS = 1 << 15
+_CHUNK_ROWS = 1 << 15  # largest number of rows in a chunk
 _FEWEST = 16  # smallest number of rows in a chunk
 _LONGEST = 64  # largest number of letters in a date
 
 
 class _Sheltered:
-    """A file that stores exceptions for later, because HDF5 ends the whole process if a write fails."""
+    """A file that keeps an exception until `raise_failure`, because HDF5 ends the process if a write fails."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -81,7 +89,15 @@ class Hdf5Rows:
         self._tables: dict[str, _Table] = {}
 
     def write(self, table: pa.Table) -> None:
-        """Append rows to a group."""
+        """Append rows to a group.
+
+        Raises
+        ------
+        OutputError
+            If h5py is not installed, HDF5 cannot hold a column, or a text is longer than its column allows.
+        OSError
+            If the file cannot be written.
+        """
         if self._out is None:
             self._out = _h5py().File(self._file, "w", libver="v108", track_order=True)
         metadata = metadata_of(table.schema)
@@ -117,7 +133,7 @@ class _Table:
 
     def __init__(self, folder: Any, table: pa.Table) -> None:
         self._datasets: list[Any] = []
-        self._missing = [False] * table.num_columns
+        self._fills = FillValues()
         self._rows = 0
         chunk = (min(_CHUNK_ROWS, max(_FEWEST, table.num_rows)),)  # small chunks for a short table save space
         for variable, field in zip(variables(table.column_names), table.schema, strict=True):
@@ -134,19 +150,19 @@ class _Table:
 
     def write(self, table: pa.Table) -> None:
         stop = self._rows + table.num_rows
-        for number, (dataset, column) in enumerate(zip(self._datasets, table.columns, strict=True)):
+        for dataset, column in zip(self._datasets, table.columns, strict=True):
             dataset.resize((stop,))
             if table.num_rows:
-                dataset[self._rows :] = self._values(number, dataset, column)
+                dataset[self._rows :] = self._values(dataset, column)
         self._rows = stop
 
     def close(self) -> None:
-        for dataset, missing in zip(self._datasets, self._missing, strict=True):
-            if missing:
-                dataset.attrs["_FillValue"] = _fill(dataset.dtype)
+        for dataset in self._datasets:
+            if dataset.dtype.kind in "iu" and (fill := self._fills.of(dataset.name, dataset.dtype)) is not None:
+                dataset.attrs["_FillValue"] = fill
                 dataset.attrs.pop(FLAG, None)
 
-    def _values(self, number: int, dataset: Any, column: pa.ChunkedArray) -> NDArray[Any]:
+    def _values(self, dataset: Any, column: pa.ChunkedArray) -> NDArray[Any]:
         if is_text(column.type):
             texts = texts_of(column)
             if dataset.dtype.kind != "S":
@@ -159,10 +175,11 @@ class _Table:
                 )
             return encoded
         values, missing = numbers_of(column)
-        if values.dtype.kind != "f" and missing.any():
-            self._missing[number] = True
-            return np.where(missing, _fill(dataset.dtype), values)
-        return values
+        return (
+            values
+            if values.dtype.kind == "f"
+            else self._fills.filled(dataset.name, values.astype(dataset.dtype, copy=False), missing)
+        )
 
 
 def _h5py() -> Any:
@@ -182,8 +199,3 @@ def _stored(field: pa.Field, column: pa.ChunkedArray, h5py: Any) -> np.dtype[Any
         if words:
             return np.dtype(f"S{max(len(str(word).encode()) for word in words)}")
     return np.dtype(f"S{_LONGEST}") if pa.types.is_temporal(field.type) else np.dtype(h5py.string_dtype())
-
-
-def _fill(kind: np.dtype[Any]) -> Any:
-    """Return the whole number that marks a missing value."""
-    return np.iinfo(kind).max if kind.kind == "u" else np.iinfo(kind).min

@@ -23,21 +23,21 @@ from becalm.files.signatures import is_mat5
 from becalm.files.source import RawTable
 
 MOST_ELEMENTS = 1024
-"""Largest number of elements that are read of a cell array or an array of structs."""
+"""Largest number of elements of a cell array, or of an array of structs, that become arrays of their own."""
 
 SAVE_AS = "; save it from MATLAB as plain arrays: S = table2struct(T, 'ToScalar', true)"
 """Advice for objects that only MATLAB can open."""
 
 SPARSE = "it is a sparse matrix; save it from MATLAB as full(A)"
-"""Message: why a sparse matrix is not read, and what to do."""
+"""Message: why a sparse matrix is not read, and what the user can do."""
 
-_HEAD5, _TAG, _COMPRESSED = 128, 8, 15
+_HEAD5, _TAG, _COMPRESSED = 128, 8, 15  # version 5: bytes of the header and of a tag; type of a compressed element
 _NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of a type in version 4
 _CUT = "the file ends in it"
 
 
 class _Variable(NamedTuple):
-    """A file with one variable of the file; and why it is not read, "" if it is."""
+    """The bytes of a MAT file with one variable, and the reason why it is not read, "" if it is."""
 
     file: bytes
     why: str = ""
@@ -114,7 +114,7 @@ def _add(contents: FileArrays, variable: _Variable) -> None:
 
 
 def _loaded(variable: _Variable) -> dict[str, Any]:
-    """Return the values by name, in MATLAB's types; SciPy can give complex ones only in the type that stores them."""
+    """Return the values by name, in MATLAB's types; complex values in the type in which they are stored."""
     from scipy.io import loadmat
 
     with warnings.catch_warnings():
@@ -144,13 +144,13 @@ def _hold(contents: FileArrays, path: tuple[str, ...], value: Any) -> None:
     elif value.dtype.kind == "O":
         _hold_cells(contents, path, value)
     elif value.dtype.kind == "U":
-        contents.add(Leaf.of(path, np.char.rstrip(value, " \0")))  # lines of a char matrix are of one length
+        contents.add(Leaf.of(path, np.char.rstrip(value, " \0")))  # the lines of a char matrix are padded
     else:
         contents.add(Leaf.of(path, value))
 
 
 def _why_not(value: Any) -> str:
-    """Return why a value is not read, "" if it is."""
+    """Return the reason why a value is not read, "" if it is."""
     from scipy.io.matlab import MatlabFunction, MatlabOpaque
     from scipy.sparse import issparse
 

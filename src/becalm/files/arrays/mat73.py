@@ -1,4 +1,4 @@
-"""Read MAT files of version 7.3, which are HDF5: MATLAB's arrays, structs, cells and texts, only when needed."""
+"""Read MAT files of version 7.3, which are HDF5: arrays, structs, cells and texts; numbers only when needed."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from becalm.files.arrays.mat import MOST_ELEMENTS, SAVE_AS, SPARSE
 from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
 
-_USER_BLOCK = 512
-_MOST_REFERENCES = 100_000
-_TEXT_BYTES = 1 << 24
+_USER_BLOCK = 512  # bytes before the HDF5 signature: MATLAB's header
+_MOST_REFERENCES = 100_000  # most elements of all cells and structs in a file, and most letters of a text in one
+_TEXT_BYTES = 1 << 24  # largest char array that is read
 _NUMBERS = {"double", "single", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 
 
@@ -46,7 +46,7 @@ class _MatlabTree(Tree):
     """A walk through a MATLAB file that collects its contents."""
 
     entries = "columns"
-    _left = _MOST_REFERENCES
+    _left = _MOST_REFERENCES  # elements that may still be read
 
     def look(self, group: Any, name: str, path: Where) -> None:
         """Collect an object, except internal data of MATLAB and objects that only MATLAB can open."""
@@ -112,7 +112,7 @@ class _MatlabTree(Tree):
                 self.walk(self.h5py.Group(thing), where)
 
     def _in_records(self, field: Any) -> bool:
-        """Return whether the first struct with this field has only single numbers and texts."""
+        """Return whether all fields of the first struct in the array are single numbers or texts."""
         group, firsts = field.parent, []
         for name in group:
             if not isinstance(group.get(name, getlink=True), self.h5py.HardLink) or self.why_not(group[name]):

@@ -21,7 +21,7 @@ from becalm.files.library_reader import Foreign
 from becalm.files.source import RawTable
 
 _CUT = "The file ends in the middle of {!r}; {} of {} rows are whole and were read."
-_HEADER_LETTERS = 1 << 16
+_HEADER_LETTERS = 1 << 16  # longest header that is read
 _READERS = {1: npy.read_array_header_1_0, 2: npy.read_array_header_2_0, 3: npy.read_array_header_2_0}
 
 
@@ -50,7 +50,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
 
 
 def _take_members(contents: FileArrays, foreign: Foreign) -> None:
-    if not is_zipfile(foreign.path):  # its index is at its end
+    if not is_zipfile(foreign.path):  # its index, at the end of the file, is lost
         foreign.cut = True
         raise foreign.holds_nothing()
     with ZipFile(foreign.path) as archive:

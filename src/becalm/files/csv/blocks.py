@@ -30,8 +30,8 @@ from becalm.files.library_reader import refuse_claim
 WHOLE_BYTES = 64 << 20
 """Text files up to this size, unpacked, are read into memory."""
 
-BLOCK_BYTES = 16 << 20
-_LONGEST_BYTES = 256 << 20
+BLOCK_BYTES = 16 << 20  # unpacked, read at once
+_LONGEST_BYTES = 256 << 20  # of a line
 _GZIP_RATIO = 8  # gzip seldom compresses tables of numbers by more than this factor
 
 
@@ -70,7 +70,7 @@ class TextFile:
     compression : str
         "gzip" or "".
     cut : str
-        A sentence that says that the file is truncated; "" if it is not, and until it was read to its end.
+        A sentence that says that the file is truncated; "" if it is not, or was not read to its end yet.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class TextFile:
                 self._mark, self._codec, self.encoding = mark, codec, name
 
     def take_for_western(self) -> None:
-        """Decode the text as cp1252 from now on, or as latin-1 if cp1252 has failed too."""
+        """Decode the text as cp1252 from now on, or as latin-1 if it already was cp1252."""
         self._codec = "latin-1" if self._codec == "cp1252" else "cp1252"
         self.encoding = "cp1252"
 

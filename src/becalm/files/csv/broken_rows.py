@@ -22,7 +22,7 @@ from becalm.files.text.cells import GONE, WORDS, is_left_open, is_row, kind_of, 
 Body = Callable[[], Iterable[bytes]]
 """A function that returns the rows of data in blocks of whole lines; it can be called several times."""
 
-_LONGEST_CELL = 64 << 20
+_LONGEST_CELL = 64 << 20  # bytes; a longer quoted cell counts as never closed
 _SHOWN = 60  # characters of a line in a message
 _LINE_END = re.compile(rb"\r\n|\n|\r")
 
@@ -187,8 +187,8 @@ def _spanning(data: bytes, separator: str) -> Iterator[_Cell]:
 def _harm(cell: _Cell, dialect: Dialect, may_go_on: bool) -> str:
     """Return what is wrong with a quoted cell of several lines, as the end of a sentence; "" if it is plausible.
 
-    The first or the last line of the cell is not tested: together with the cells before or after, it always looks like
-    a row.
+    The line that the cell shares with other cells of its row is not tested, because it looks like a row: the last line
+    if the cell begins its first line, else the first one.
     """
     own = cell.lines[:-1] if cell.start == cell.line else cell.lines[1:]
     if any(is_row(line.decode("utf-8"), dialect.separator, dialect.kinds) for line in own):
@@ -223,11 +223,11 @@ def _patterns(separator: str) -> _Patterns:
 
 # Detect and leave out an incomplete last line of a text, as it remains when a logger is stopped.
 
-_WINDOW_BYTES = 1 << 20
-_COMPARED_ROWS = 1000
-_ENOUGH_ROWS = 10  # rows needed to judge the length of the last cell; any number of rows shows if it may be empty
-_RARE = 200  # a last cell is too short if no more than one in so many above is as short
-_SIGN = re.compile(r"^[+-]|(?<=[eE])[+-]")
+_WINDOW_BYTES = 1 << 20  # end of the text that is examined
+_COMPARED_ROWS = 1000  # last lines of it that are examined
+_ENOUGH_ROWS = 10  # least rows above to judge the length of a last cell; for an empty cell, any number is enough
+_RARE = 200  # a last cell is too short if at most one in so many above is as short
+_SIGN = re.compile(r"^[+-]|(?<=[eE])[+-]")  # of a number and of its exponent
 
 
 class LastLine:
@@ -244,7 +244,7 @@ class LastLine:
     Attributes
     ----------
     harm : str
-        What is wrong with the last line; "" if it is complete, and until all lines were yielded.
+        What is wrong with the last line; "" if it is complete, or if not all lines were yielded yet.
     """
 
     def __init__(self, dialect: Dialect) -> None:
@@ -306,7 +306,7 @@ class LastLine:
 
 
 def _is_short(cell: str, above: Sequence[str], kind: str) -> bool:
-    """Return whether hardly any cell above is as short as this one, and some continue where it ends."""
+    """Return whether hardly any cell above is as short as this one, and one begins like it and is longer."""
     own, digits = _shape(cell, kind)
     shapes = [_shape(other, kind) for other in above]
     as_short = sum(shape == own and its <= digits for shape, its in shapes)

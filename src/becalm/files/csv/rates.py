@@ -1,4 +1,4 @@
-"""Find the sample rate in the lines above the rows of a CSV file, for tables without a time column."""
+"""Find the sample rate in the lines above the rows of a CSV file, for a table without a time column."""
 
 from __future__ import annotations
 

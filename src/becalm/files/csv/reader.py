@@ -83,7 +83,7 @@ def _parse(path: Path, body: bytes, dialect: Dialect, names: Sequence[str]) -> t
 
 
 def column_types(dialect: Dialect, names: Sequence[str]) -> dict[str, pa.DataType]:
-    """Return the type as which pyarrow reads each column, judged by the first rows of the file."""
+    """Return the type that pyarrow shall give to each column, judged by the first rows of the file."""
     return {
         name: pa.float64() if kind in (NUMBER, GONE) else pa.string()
         for name, kind in zip(names, dialect.kinds, strict=True)
@@ -135,7 +135,9 @@ def is_conversion(cause: pa.ArrowInvalid) -> bool:
 
 
 def refuse_long_numbers(body: bytes, dialect: Dialect) -> None:
-    """Refuse to read whole numbers as float64 that are too long for it, such as epoch nanoseconds.
+    """Refuse to read as float64 whole numbers that are too long for it, such as nanoseconds since 1970.
+
+    Only the first 4096 bytes are searched.
 
     Raises
     ------
@@ -202,7 +204,7 @@ class TextNumbers:
 
     @property
     def type(self) -> pa.DataType | None:
-        """The type of the column: int64 for whole numbers that float64 would round, float64, or None for text."""
+        """Return int64 for whole numbers of which float64 would round some, float64 for others, None for text."""
         if not self.possible or not (self._some or self._kind in (NUMBER, GONE)):
             return None
         return pa.int64() if self._whole and self._largest >= 10.0**_EXACT_DIGITS else pa.float64()

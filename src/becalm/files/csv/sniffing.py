@@ -14,12 +14,12 @@ from becalm.files.text.cells import GONE, NUMBER, TIME, WORDS, decimal_of, is_le
 from becalm.files.text.csv_header import Header, find_header
 
 _SEPARATORS = (";", "\t", ",", "|", "", " ")  # of equal scores the first wins; "" is a file of one column
-_HEAD_BYTES = 65_536
-_HEAD_LINES = 30
-_SCORED_LINES = 40
-_KIND_ROWS = 300  # rows from which the kind of a column is decided
+_HEAD_BYTES = 65_536  # at least this much text is examined
+_HEAD_LINES = 30  # and at least so many lines
+_SCORED_LINES = 40  # lines by which separators are compared
+_KIND_ROWS = 300  # rows that decide the kind of a column
 _LINE = re.compile(rb"([^\r\n]*)(\r\n|\n|\r|$)")
-_COMMENT = ("#", "%", "//")
+_COMMENT = ("#", "%", "//")  # how a comment begins
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class _Line:
 
     @property
     def plain(self) -> bool:
-        """Whether the line can belong to the table: neither blank nor a comment."""
+        """Return whether the line can belong to the table: it is neither blank nor a comment."""
         stripped = self.text.strip()
         return bool(stripped) and not stripped.startswith(_COMMENT)
 
@@ -117,7 +117,7 @@ def _head(data: bytes) -> list[_Line]:
 
 
 def _separator(path: Path, plain: Sequence[str]) -> str:
-    """Return the separator that splits the later lines into the same number of cells, most of them numbers."""
+    """Return the separator that best splits the later lines into equal numbers of cells, most of them numbers."""
     later = plain[len(plain) // 2 :][:_SCORED_LINES]
     scores = {separator: _score(later, separator) for separator in _SEPARATORS}
     best = max(_SEPARATORS, key=lambda separator: scores[separator])

@@ -1,4 +1,4 @@
-"""Read a CSV file larger than memory: parse it block by block into a temporary table, as if it were read whole."""
+"""Read a CSV file larger than memory: parse it block by block into a temporary file, as if it were read whole."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from becalm.files.source import RawTable
 from becalm.files.text.cells import NUMBER, TIME
 from becalm.files.text.csv_header import unique_names
 
-_PARSED_BYTES = 1 << 20
-_HEAD_BYTES = 8 << 20
+_PARSED_BYTES = 1 << 20  # that pyarrow parses at once
+_HEAD_BYTES = 8 << 20  # of the text, from which its layout is detected
 
 
 def spool_csv(path: Path) -> RawTable:

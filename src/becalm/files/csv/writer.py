@@ -14,9 +14,9 @@ import pyarrow.compute as pc
 
 from becalm.errors import OutputError
 
-_ROWS = 1 << 16
-_LONG, _EXACT = 1e10, 2.0**53
-_SPECIAL = '[",\r\n]'
+_ROWS = 1 << 16  # written at once
+_LONG, _EXACT = 1e10, 2.0**53  # whole floats of these magnitudes are written as digits, without an exponent
+_SPECIAL = '[",\r\n]'  # a cell with one of these needs quotes
 
 
 class CsvRows:
@@ -36,7 +36,13 @@ class CsvRows:
         self._has_header = False
 
     def write(self, table: pa.Table) -> None:
-        """Write some rows; the first call writes the names above them."""
+        """Write rows; the first call writes the names above them.
+
+        Raises
+        ------
+        OutputError
+            If CSV cannot hold a column.
+        """
         if not self._has_header:
             self._file.write(_header(table.column_names))
             self._has_header = True
@@ -50,7 +56,7 @@ class CsvRows:
             self._packed.close()
 
     def drop(self) -> None:
-        """Close the compressor, and ignore errors; the output is not used."""
+        """Close the compressor and ignore errors, because the output is not used."""
         with suppress(OSError):
             self.close()
 
@@ -150,7 +156,7 @@ def _as_text(array: pa.Array) -> pa.Array:
 
 
 def _joined(columns: list[pa.Array]) -> bytes:
-    """Join cells into rows, and rows into text."""
+    """Join columns of cells into the text of their rows."""
     how = {"null_handling": "replace", "null_replacement": ""}
     ended = pc.binary_join_element_wise(columns[-1], "", "\n", **how)
     rows = pc.binary_join_element_wise(*columns[:-1], ended, ",", **how)

@@ -9,6 +9,7 @@ from becalm.files.decoding import explain_read_errors
 from becalm.files.lake import delta_log, marks, spark_log
 
 Parts = tuple[str, ...]
+"""The parts of a path: names of nested folders, and last that of the file."""
 
 _READERS: dict[str, Callable[[Path], Collection[Parts]]] = {
     delta_log.NAME: delta_log.live_files,
@@ -58,8 +59,8 @@ class CommitLog:
     def _from_root(self, present: Parts | None) -> set[Parts]:
         """Return the named files by paths from the root.
 
-        If the log has whole paths, `present`, a file that exists, shows where the root was; if it does not, the set is
-        empty.
+        If the log has whole paths, `present`, a file that exists, shows where the root was; the set is empty if it fits
+        no root or several.
         """
         if not self._whole:
             return set(self._named)

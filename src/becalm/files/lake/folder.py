@@ -1,4 +1,4 @@
-"""Read a folder of Parquet files as one table, with the files in the order of time."""
+"""Read a folder of Parquet files as one table, with its files in the order of time."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def _present(column: pa.ChunkedArray, kind: str) -> Booleans:
 
 
 def _times(firsts: Mapping[str, pa.ChunkedArray], kinds: Sequence[str]) -> pa.Array | None:
-    """Return a value for each row that grows with its time, (n,); None if there is no date, or it is ambiguous."""
+    """Return values that sort by time, (n,); None for times of day without a date, and for ambiguous dates."""
     only = next(iter(firsts.values()))
     if kinds in ([NUMBERS], [TEMPORAL]):
         return None if pa.types.is_time(only.type) else only
@@ -82,13 +82,13 @@ def _times(firsts: Mapping[str, pa.ChunkedArray], kinds: Sequence[str]) -> pa.Ar
 
 
 def instants_of(name: str, kind: str, column: pa.ChunkedArray) -> clock.Instants:
-    """Read times from text; a time of day is given in nanoseconds since its own midnight."""
+    """Read times from a column of text of one kind; times of day are in nanoseconds since their own midnight."""
     instants = next(clock.ClockReader(name, kind, lambda: [column]).blocks())
     return replace(instants, ns=instants.ns % clock.DAY_NS) if kind == clock.TIME_OF_DAY else instants
 
 
 def _wraps(tables: Sequence[RawTable], name: str, firsts: Floats) -> bool:
-    """Return whether a counter wraps between the first two tables, in the given order, whose first stamps fall."""
+    """Return whether a counter wraps between the first two neighbours, in the given order, whose first stamps fall."""
     falls = np.flatnonzero(np.diff(firsts) < 0.0)
     if not len(falls):
         return False

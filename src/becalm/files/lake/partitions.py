@@ -15,11 +15,11 @@ _TIME = re.compile(
 )
 """Keys of partitions by time: `date`, `event_date`, `eventDate`."""
 
-_HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")  # between the words of `eventDate`
 
 
 def refuse_several(folder: Path, files: Iterable[Path]) -> None:
-    """Refuse files of several sensors, that is of partitions that differ in more than time.
+    """Refuse files of several sensors: their partitions differ in more than time.
 
     Parameters
     ----------

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from types import ModuleType
 from typing import IO, Any
 
-import numpy as np
 import pyarrow as pa
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import OF_TABLE
-from becalm.files.column_arrays import is_text, metadata_of, numbers_of, refuse_strange_types, texts_of, unit_of_field
+from becalm.files.column_arrays import (
+    FillValues,
+    is_text,
+    metadata_of,
+    numbers_of,
+    refuse_strange_types,
+    texts_of,
+    unit_of_field,
+)
 from becalm.files.groups import GROUP
 
 FILL = "_FillValue"
@@ -37,6 +45,7 @@ class TdmsRows:
         self._library = _nptdms()
         self._out = self._library.TdmsWriter(file)
         self._groups: dict[str, str] = {}
+        self._fills: defaultdict[str, FillValues] = defaultdict(FillValues)  # of each TDMS group
         self._out.open()
 
     def write(self, table: pa.Table) -> None:
@@ -79,21 +88,17 @@ class TdmsRows:
         values, missing = numbers_of(column)
         if values.dtype.kind == "b" and missing.any():
             raise OutputError(f"{field.name!r} has missing flags, which TDMS cannot represent; write .h5 instead.")
-        if values.dtype.kind in "iu" and missing.any():
-            properties[FILL] = _fill(values.dtype)
-            values = np.where(missing, properties[FILL], values)
+        if values.dtype.kind in "iu":
+            fills = self._fills[group]
+            values = fills.filled(field.name, values, missing)
+            if (fill := fills.of(field.name, values.dtype)) is not None:
+                properties[FILL] = fill
         return self._library.ChannelObject(group, field.name, values, properties)
 
 
 def _properties(field: pa.Field) -> Iterator[tuple[str, Any]]:
     if unit := unit_of_field(field):
         yield "unit_string", unit
-
-
-def _fill(kind: np.dtype[Any]) -> Any:
-    """Return the number that marks a missing value: the largest unsigned or the smallest signed one."""
-    limits = np.iinfo(kind)
-    return kind.type(limits.max if kind.kind == "u" else limits.min)
 
 
 def _nptdms() -> ModuleType:

@@ -20,8 +20,8 @@ _NOT_A_NUMBER = ("-nan", "-NaN", "+nan", "-nan(ind)", "nan(ind)", "1.#QNAN", "-1
 MISSING: tuple[str, ...] = ("", *_SPELLED, *_NOT_A_NUMBER)
 """Cells that stand for a missing measurement."""
 
-_TAIL = r"(?:[eE][+-]?[0-9]+)?"
-_ENDLESS = r"[iI][nN][fF](?:[iI][nN][iI][tT][yY])?"
+_TAIL = r"(?:[eE][+-]?[0-9]+)?"  # an exponent
+_ENDLESS = r"[iI][nN][fF](?:[iI][nN][iI][tT][yY])?"  # infinity
 POINT = rf"^\s*[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+){_TAIL}|{_ENDLESS})\s*$"
 COMMA = rf"^\s*[+-]?(?:(?:[0-9]+(?:,[0-9]+)?|,[0-9]+){_TAIL}|{_ENDLESS})\s*$"
 """Patterns of numbers with a decimal point and with a decimal comma; they mean the same to `re` and to RE2."""
@@ -43,6 +43,7 @@ _THOUSANDS = {sign: re.compile(pattern) for sign, pattern in THOUSANDS.items()}
 _MISSING = frozenset(MISSING)
 
 NUMBER, TIME, GONE, WORDS = "number", "time", "missing", "words"
+"""Kinds of cells: a number, a date or time, a missing value, and any other text."""
 
 
 def split(line: str, separator: str) -> list[str]:
@@ -163,7 +164,7 @@ class BadCells(NamedTuple):
 
     @property
     def few(self) -> bool:
-        """Whether there are more numbers than bad cells, so that the column is meant to hold numbers."""
+        """Return whether there are more numbers than bad cells, so that the column is meant to hold numbers."""
         return self.cells < self.numbers
 
 
@@ -173,7 +174,7 @@ def is_text(kind: pa.DataType) -> bool:
 
 
 def find_bad_cells(raw: RawTable, name: str) -> BadCells:
-    """Search a column of text for cells that are not numbers."""
+    """Count the cells of a column of text that are not numbers, and find the first."""
     bad, row = BadCells(), 0
     for column in raw.column(name):
         bad = _added(bad, column, raw.decimal, row)
@@ -182,7 +183,7 @@ def find_bad_cells(raw: RawTable, name: str) -> BadCells:
 
 
 def meant_as_numbers(raw: RawTable, name: str) -> bool:
-    """Return whether a column of text in a text file has numbers and few bad cells, judged by its first rows."""
+    """Return whether a column of text in a CSV file has more numbers than bad cells in its first rows."""
     if raw.format != "csv" or not is_text(raw.type_of(name)):
         return False
     return _added(BadCells(), raw.head.column(name), raw.decimal, 0).few
@@ -210,14 +211,14 @@ def _added(before: BadCells, column: pa.ChunkedArray, decimal: str, row: int) ->
 
 
 def without_blank_end(raw: RawTable, found: list[tuple[str, ...]]) -> int:
-    """Return the number of rows without blank rows at the end; only for text files with a time column.
+    """Return the number of rows without blank rows at the end; all rows if there is no time column, or no CSV file.
 
     Parameters
     ----------
     raw : RawTable
         The file.
     found : list of tuple of str
-        The candidates for the time from `find_time`; if there are none, all rows count.
+        The candidates for the time from `find_time`.
     """
     rows = raw.count
     if raw.format != "csv" or not found:

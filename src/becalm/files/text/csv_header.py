@@ -13,7 +13,7 @@ from becalm.files.unit_spelling import looks_like_unit, tidy_unit
 
 # Read the special headers that some loggers and oscilloscopes write above the rows.
 
-_STATION, _LABVIEW, _X = "TOA5", "LabVIEW Measurement", "X_Value"
+_STATION, _LABVIEW, _X = "TOA5", "LabVIEW Measurement", "X_Value"  # first cells of two headers; LabVIEW's time
 _CAMPBELL_ROWS = 4  # the station, names, units, and how each value was processed
 _NO_UNITS = ("TS", "RN", "Sequence", "unix time")  # texts in the row of units of stamps and record numbers
 _COMMENT_NAME = "Comment"  # a name without a cell in rows that have no comment
@@ -114,7 +114,7 @@ _KINDS: tuple[Callable[[Rows, int], LoggerHeader | None], ...] = (
 )
 
 
-_COMMENT = ("#", "%", "//")
+_COMMENT = ("#", "%", "//")  # how a comment begins
 
 
 @dataclass(frozen=True)

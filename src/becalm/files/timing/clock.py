@@ -20,10 +20,10 @@ from becalm.errors import TimeError
 from becalm.files.rows import Spool
 from becalm.files.source import TimeLayout
 
-DATE_TIME, DATE, TIME_OF_DAY = "date-time", "date", "time of day"
-YEAR_FIRST, DAY_FIRST, MONTH_FIRST, MIXED = "year first", "day first", "month first", "mixed"
+DATE_TIME, DATE, TIME_OF_DAY = "date-time", "date", "time of day"  # kinds of times
+YEAR_FIRST, DAY_FIRST, MONTH_FIRST, MIXED = "year first", "day first", "month first", "mixed"  # orders of dates
 
-_SECOND = 1_000_000_000
+_SECOND = 1_000_000_000  # in ns
 DAY_NS = 86_400 * _SECOND
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
@@ -43,7 +43,7 @@ class Instants:
     kind : str
         "date-time", "date" or "time of day".
     ns : (N,) int64 array
-        Nanoseconds since 1970 (UTC if a zone is given), or since the first midnight.
+        Nanoseconds since 1970 (UTC if a zone is given), or, for times of day, since the first midnight.
     missing : (N,) bool array
         True where a cell is empty.
     zoned : bool
@@ -87,12 +87,12 @@ class ClockReader:
     kind : str
         The kind of its first cells, from `kind_of_text`.
     column : callable
-        Returns the column in blocks; it is called for each pass over the column.
+        Returns the column in blocks; it is called for every pass over the column.
 
     Raises
     ------
     TimeError
-        If a cell is not a time, here or while blocks are read, or if day and month cannot be distinguished.
+        If day and month cannot be distinguished; by `blocks`, if a cell is not a time.
     """
 
     def __init__(self, name: str, kind: str, column: Callable[[], Iterable[pa.ChunkedArray]]) -> None:
@@ -211,7 +211,7 @@ class _Dates:
 
 
 def _days(parts: pa.Array, present: Booleans, order: str) -> tuple[Integers, Booleans]:
-    """Return days since 1970, and a mask of dates that do not exist."""
+    """Return days since 1970, and a mask of dates that do not exist; in mixed order, of those with the year first."""
     first, last = _field(parts, "a"), _field(parts, "c")
     if not present.any():
         return np.zeros(len(first), np.int64), ~present
@@ -225,6 +225,7 @@ def _days(parts: pa.Array, present: Booleans, order: str) -> tuple[Integers, Boo
 
 
 def _month_numbers(middle: pa.Array) -> tuple[pa.Array, bool]:
+    """Return months as digits, 0 for an unknown name, and whether there are names."""
     lower = pc.utf8_lower(middle)
     if not pc.any(pc.match_substring_regex(lower, "[a-z]")).as_py():
         return middle, False
@@ -328,7 +329,7 @@ def without_wraps(name: str, spool: Spool) -> tuple[Spool, tuple[str, ...]]:
 
 
 def on_one_clock(times: Times, layout: TimeLayout) -> tuple[Spool | None, TimeLayout]:
-    """Undo shifts of local time by an hour; return None instead of times if there are none.
+    """Undo shifts of local time by an hour; return None instead of times if there is no shift.
 
     Parameters
     ----------
@@ -366,7 +367,7 @@ def clock_of(times: Times, layout: TimeLayout, as_written: bool = False) -> tupl
     layout : TimeLayout
         How they were read.
     as_written : bool
-        Use the stamps as they are.
+        Whether to use the stamps as they are.
 
     Returns
     -------
@@ -392,7 +393,7 @@ def clock_of(times: Times, layout: TimeLayout, as_written: bool = False) -> tupl
 
 
 def _burst_notes(times: Times, layout: TimeLayout) -> list[str]:
-    """Return a note with the rate of stamps in equal bursts, which come from a driver or from the sampling itself."""
+    """Return a note with the rate of stamps in equal bursts, [] for others; a driver or the sampling makes bursts."""
     bursts = equal_bursts(times.count, times.blocks)
     return (
         []

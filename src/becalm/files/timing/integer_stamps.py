@@ -8,7 +8,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats, Integers
 
-_FIRST, _LAST = 946_684_800 * 10**9, 4_102_444_800 * 10**9  # the years 2000 to 2100: a date, not a time since the start
+_FIRST, _LAST = 946_684_800 * 10**9, 4_102_444_800 * 10**9  # ns since 1970: stamps from 2000 to 2100 count as dates
 
 
 class Ordered(NamedTuple):

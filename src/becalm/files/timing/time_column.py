@@ -25,14 +25,15 @@ _NAMES = re.compile(
     r"fechahora|tiempo|tijd|tid|tijdstip|czas"
 )
 _LIKE = re.compile(r"^(?:time|timestamp|elapsed|zeit)(?:since|stamp|from|utc|local|abs|rel|seit|\d)\w*$")
-_UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", "h", "-", "1")
-_NEARLY_EVEN = 0.5
+_UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", "h", "-", "1")  # "-" and "1" stand for no unit
+_NEARLY_EVEN = 0.5  # largest distance of a nearly even step from the median step, as a share of it
 COUNT = "or give --rate HZ to count rows at a known rate"
 """The end of every message about a time that cannot be used."""
 
 TIME_OPTION = RequestOrigin("--time")
 
 NUMBERS, TEMPORAL, NO_TIME = "numbers", "temporal", ""
+"""Kinds of columns: numbers, one of pyarrow's types of time, and neither; kinds of text are those of `clock`."""
 
 
 def kind_of_column(column: pa.ChunkedArray) -> str:
@@ -48,7 +49,7 @@ def kind_of_column(column: pa.ChunkedArray) -> str:
 
 
 def is_time_name(header: str) -> bool:
-    """Return whether a header is a name for time, in one of the usual languages."""
+    """Return whether a header is a name for time, in one of several languages."""
     bare, unit = parse_header(header)
     if unit and unit not in _UNITS_OF_TIME:
         return False
@@ -91,7 +92,7 @@ def _is_empty(raw: RawTable, name: str) -> bool:
 
 
 def _namesakes(raw: RawTable, candidates: list[tuple[str, ...]], kinds: dict[str, str]) -> list[str]:
-    """Return columns with the same name as the only candidate but other values, such as `X [s]` for each sensor."""
+    """Return columns with the name of the only candidate and other values, such as an `X [s]` for each sensor."""
     if len(candidates) != 1 or kinds[candidates[0][0]] != NUMBERS:
         return []
     first = candidates[0][0]
@@ -105,7 +106,7 @@ def _same(raw: RawTable, one: str, other: str) -> bool:
 
 
 def times_with_bad_cells(raw: RawTable) -> list[str]:
-    """Return columns whose names mean time but that have a few cells that are not numbers."""
+    """Return the columns with a name for time that hold numbers and fewer bad cells."""
     return [name for name in raw.names if is_time_name(name) and _is_spoilt(raw, name)]
 
 

@@ -35,13 +35,16 @@ from becalm.files.timing.time_column import (
 )
 from becalm.files.unit_spelling import parse_header
 
-PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
-SECONDS = {"min": 60.0, "h": 3600.0}
+PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # number of each unit in a second
+SECONDS = {"min": 60.0, "h": 3600.0}  # length of each unit in seconds
 
 _DAY_COUNTS = ((2.5e4, 7.5e4), (6.9e5, 7.7e5))  # Excel, MATLAB: years 1968 to 2105, 1889 to 2108
-_TEN_SECONDS = 10.0 / 86_400.0
+_TEN_SECONDS = 10.0 / 86_400.0  # in days
 IMPLIED = {"millis": "ms", "micros": "us", "sec": "s", "secs": "s", "second": "s", "seconds": "s"}
+"""Units that the name of a column implies."""
+
 EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
+"""Units of counts since 1970, each with the counts of the years 1999 and 2103."""
 
 
 class Stamps:
@@ -70,9 +73,10 @@ class Stamps:
 
 
 def read_time(raw: RawTable, columns: tuple[str, ...], as_written: bool = False) -> tuple[Stamps, TimeLayout]:
-    """Read the time in seconds: as in the file, or, for dates, since the first row.
+    """Read the time in seconds from a column, or from a date and a time of day.
 
-    Wraps of counters are undone. Shifts by summer time are undone too, unless `as_written`.
+    Numbers with a unit, and durations, count from their own zero; dates, times of day and counts since 1970 count from
+    the first stamp. Wraps of counters are undone. Shifts by summer time are undone too, unless `as_written`.
 
     Raises
     ------
@@ -119,7 +123,7 @@ def _date_and_time(raw: RawTable, date: str, time: str) -> Iterator[clock.Instan
 def _aligned_blocks(
     first: Iterator[clock.Instants], second: Iterator[clock.Instants]
 ) -> Iterator[tuple[clock.Instants, clock.Instants]]:
-    """Yield pairs of blocks of two columns with equal numbers of rows."""
+    """Yield pairs of blocks, one of each column, with equal numbers of rows."""
     one, other = next(first, None), next(second, None)
     while one is not None and other is not None:
         count = min(len(one.ns), len(other.ns))
@@ -300,9 +304,9 @@ class RowTimes(NamedTuple):
     layout : TimeLayout
         How the time was read.
     stamps : Stamps or None
-        The time of each row, to be closed after use; None if rows are counted.
+        The time of each row, which the caller closes; None if rows are counted.
     rate_hz : float or None
-        The rate at which rows are counted.
+        The rate at which rows are counted; None if there are stamps.
     candidates : tuple of str
         Columns that look like a time.
     """
@@ -363,13 +367,18 @@ def rows_between(times: RowTimes, start_s: float, stop_s: float) -> tuple[int, i
 
 
 def _rows_before(stamps: Stamps, start_s: float, stop_s: float) -> tuple[int, int, float]:
-    """Return the numbers of rows before two times in seconds, and the duration of all rows with one step at the end."""
-    begin, last_s, before = np.nan, 0.0, [0, 0]
+    """Return the first rows that are not before two times, and the duration of all rows with a step at the end, in s.
+
+    A row without a stamp is before a time if the next stamp is.
+    """
+    begin, last_s, first_rows, count = np.nan, 0.0, [stamps.count] * 2, 0
     for block in stamps.blocks():
         finite = block[np.isfinite(block)]
-        if not len(finite):
-            continue
-        begin = finite[0] if np.isnan(begin) else begin
-        last_s = float(finite[-1] - begin)
-        before = [rows + int((block - begin < at).sum()) for rows, at in zip(before, (start_s, stop_s), strict=True)]
-    return before[0], before[1], last_s * stamps.count / max(1, stamps.count - 1)
+        if len(finite):
+            begin = finite[0] if np.isnan(begin) else begin
+            last_s = float(finite[-1] - begin)
+            for which, at in enumerate((start_s, stop_s)):
+                later = np.flatnonzero(block - begin >= at)
+                first_rows[which] = min(first_rows[which], count + int(later[0])) if len(later) else first_rows[which]
+        count += len(block)
+    return first_rows[0], first_rows[1], last_s * stamps.count / max(1, stamps.count - 1)

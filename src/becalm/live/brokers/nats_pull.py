@@ -141,6 +141,8 @@ class NatsPull:
 
     def _request(self) -> None:
         """Request more messages once half of the limit is free."""
+        from nats.errors import Error
+
         with self._link.changed:
             limit = max(2, min(_MOST_REQUESTED, _BUFFERED_BYTES // self._largest))
             more = limit - self._requested - len(self._came)
@@ -153,7 +155,7 @@ class NatsPull:
         subject = f"$JS.API.CONSUMER.MSG.NEXT.{self._stream}.{self._consumer}"
         try:
             self._link.call(self._link.client.publish(subject, json.dumps(request).encode(), reply=self._inbox))
-        except OSError as cause:
+        except (Error, OSError) as cause:
             self._link.end(self._remote.away(cause))
 
     async def _on_message(self, message: Msg) -> None:

@@ -41,6 +41,10 @@ class JournalError(InputError):
     """A journal cannot be read, or its stream cannot continue."""
 
 
+class NewerJournalError(JournalError):
+    """A journal that a newer becalm wrote."""
+
+
 class BrokenSealError(Exception):
     """A database row differs from what was written."""
 
@@ -131,7 +135,7 @@ def writing(folder: Path) -> Iterator[None]:
             f"The journal in {folder} cannot be written ({cause}); nothing was half-written. Free disk space or check"
             " the permissions there."
         ) from cause
-    except sqlite3.DatabaseError as cause:
+    except (sqlite3.DatabaseError, BrokenSealError) as cause:
         raise JournalError(
             f"{folder / NAME} is damaged ({cause}); start the stream again, which recovers the rows that can be read."
         ) from cause
@@ -215,4 +219,4 @@ def _refuse_others(connection: sqlite3.Connection, path: Path) -> None:
     if tables and application != _APPLICATION:
         raise JournalError(f"{path} is a database of another program; give the journal another folder.")
     if version > VERSION:
-        raise JournalError(f"{path} was written by a newer becalm; update becalm, or give the journal another folder.")
+        raise NewerJournalError(f"{path} is of a newer becalm; update becalm, or give the journal another folder.")

@@ -65,7 +65,7 @@ class MarkFile:
         body = json.dumps({"head": head_fields, "checkpoint": fields}).encode() + b"\n" + last.snapshot
         content = _MAGIC + sha256(body).digest() + body
         with suppress(OSError):
-            handle = os.open(self.path, os.O_WRONLY | os.O_CREAT, 0o666)
+            handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
             try:
                 os.write(handle, content)
                 os.ftruncate(handle, len(content))

@@ -93,4 +93,5 @@ class Roller:
                 begun = time.monotonic()
                 self._done.append(roll(connection, self._folder, piece, self._stop))
                 self._after = piece.last_block
-                _log.info("Rolled rows %d to %d in %.1f s", piece.first_row, piece.end_row, time.monotonic() - begun)
+                took_s = time.monotonic() - begun
+                _log.info("Rolled rows %d to %d in %.1f s", piece.first_row, piece.end_row - 1, took_s)

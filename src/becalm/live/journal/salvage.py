@@ -9,7 +9,16 @@ from pathlib import Path
 from becalm.files.atomic_file import sync_folder
 from becalm.live.block import Loss, LossKind
 from becalm.live.journal.checking import Span, database_faults, rows_text
-from becalm.live.journal.database import NAME, JournalError, connect, connect_reading, put, transaction, writing
+from becalm.live.journal.database import (
+    NAME,
+    JournalError,
+    NewerJournalError,
+    connect,
+    connect_reading,
+    put,
+    transaction,
+    writing,
+)
 from becalm.live.journal.mark import Mark
 from becalm.live.journal.records import LossRow
 from becalm.live.journal.remains import HEADED, Plan, connect_damaged, moved, planned, remains_of
@@ -39,8 +48,8 @@ def mend(folder: Path, mark: Mark | None) -> tuple[Loss, ...]:
     Raises
     ------
     JournalError
-        If no checkpoint is left from which the stream could continue, or the database is of another program or a newer
-        becalm and there is no mark; all files are left as they are.
+        If no checkpoint is left from which the stream could continue, the database is of a newer becalm, or it is of
+        another program and there is no mark; all files are left as they are.
     StorageFullError
         If the disk has no room for the new database.
     """
@@ -64,7 +73,7 @@ def _damage(path: Path, mark: Mark | None) -> str | None:
             if connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
                 return next(database_faults(connection), None)
     except JournalError as cause:
-        if mark is None:
+        if mark is None or isinstance(cause, NewerJournalError):
             raise
         return str(cause)
     except sqlite3.Error as cause:

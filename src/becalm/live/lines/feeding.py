@@ -171,7 +171,7 @@ class Lines:
 
     def _times(self, taken: Taken, count: int, came_s: float) -> Floats:
         stamps = np.concatenate(taken.stamps) if taken.stamps else np.empty(0)
-        if len(stamps) or not count:
+        if len(stamps):
             return stamps
         if self._options.rate_hz is not None:
             if not self._counted:
@@ -180,6 +180,8 @@ class Lines:
             self._counted += taken.lines
             computed: Floats = self._began_s + numbers / self._options.rate_hz
             return computed
+        if not count:
+            return stamps
         start_s = came_s - _SPREAD_S
         if start_s < self._came_s < came_s:
             start_s = self._came_s

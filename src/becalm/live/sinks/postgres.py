@@ -152,7 +152,9 @@ class PostgresSink:
         try:
             locked = self._locked(connection)
         except driver().Error as cause:
-            raise self._error_of(connection, cause) from cause
+            error = self._error_of(connection, cause)
+            self.close()  # it has no lock
+            raise error from cause
         if not locked:
             self.close()
             message = f"Another process writes to {self._place.table!r} at {self._place.shown}"

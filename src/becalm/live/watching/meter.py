@@ -155,7 +155,8 @@ class Meter:
                 return
             self._rows += len(output)
             self._verdicts += counts
-            self._latencies.add(now_s - output.arrived_s)
+            if output.arrived_s:  # the end of a stream makes rows ready that arrived at several times
+                self._latencies.add(now_s - output.arrived_s)
             second = int(now_s)
             if self._seconds and self._seconds[-1][0] == second:
                 self._seconds[-1] = (second, self._seconds[-1][1] + len(output))
