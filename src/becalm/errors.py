@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 NOT_DESCRIBED = 4
-"""Exit code when all output was written, but a model does not describe its channel; this is not an error."""
+"""Exit code if all output was written, but a model does not describe its channel; this is not an error."""
 
 
 class BecalmError(Exception):

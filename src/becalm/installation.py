@@ -11,7 +11,7 @@ from pathlib import Path
 MODULE = (sys.executable, "-P", "-m")
 """Command that runs a module in a subprocess; -P keeps the current folder out of the import path."""
 
-_SOURCES = Path(__file__).parents[1]
+_SOURCES = Path(__file__).parents[1]  # the folder with the package becalm
 
 
 @cache

@@ -17,17 +17,17 @@ TAPS = 16
 FORGETTING = 0.999
 """Forgetting factor per sample; a *small* one follows changes faster, with more noise."""
 
-_ROUNDING = 1e-9
+_ROUNDING = 1e-9  # share of the primary signal; a smaller reference at the start is rounding
 _START = 100.0  # initial inverse correlation, times the square of the first reference value
 
 
 def cancel(z: Floats, cutoff: float, taps: int = TAPS, forgetting: float = FORGETTING) -> Floats:
-    """Return readings (N,) minus their prediction from the reference.
+    """Return readings (N,) minus their prediction from the high-pass filtered reference.
 
     Parameters
     ----------
     z : (N,) float array
-        The primary signal.
+        The primary signal: readings without gaps.
     cutoff : float
         -3 dB frequency of the high-pass that makes the reference, in cycles per sample; a *small* one removes more.
     taps : int

@@ -1,8 +1,9 @@
 """Causal classic filters: Butterworth, averages, median, fading memory, notch.
 
-All take readings (N,) without gaps and a cut-off in cycles per sample, 0 to 0.5; a *small* cut-off smooths more and
-lags more. They start as if all earlier readings were equal to the first. Linear filters work on the differences from
-the first reading, so that a large offset costs no digits.
+All take readings (N,) without gaps. A cut-off is in cycles per sample, 0 to 0.5; a *small* cut-off or a *long* window
+smooths more and lags more. Except for the moving average, whose window grows at the start, they start as if all earlier
+readings were equal to the first. Linear filters work on the differences from the first reading, so that a large offset
+costs no digits.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def moving_average(z: Floats, length: int) -> Floats:
 
 
 def moving_median(z: Floats, length: int) -> Floats:
-    """Return the median of each reading of z (N,) and the `length` - 1 (even) before; a *small* length trusts z."""
+    """Return the median of each reading of z (N,) and the `length` - 1 before it; `length` is odd, *small* trusts z."""
     padded = np.concatenate([np.full(length - 1, z[0]), z])
     filtered: Floats = median_filter(padded, length, origin=(length - 1) // 2, mode="nearest")[length - 1 :]
     return filtered
@@ -61,7 +62,7 @@ def fading_memory(z: Floats, cutoff: float, order: int) -> Floats:
         Cut-off of the poles, in cycles per sample: theta = exp(-2 pi cutoff); a *small* one smooths more and lags
         more.
     order : int
-        1 to 3; a polynomial of lower degree is followed without error.
+        1 to 3; the filter follows a polynomial of lower degree without error.
 
     Notes
     -----
@@ -83,6 +84,6 @@ def notch(z: Floats, frequency: float, quality: float = 30.0) -> Floats:
 
 
 def length_of(cutoff: float, odd: bool = False) -> int:
-    """Return the length of a moving average with a cut-off in cycles per sample, in readings, at least 1."""
+    """Return the length of a moving average with a cut-off in cycles per sample: readings, at least 1, odd if asked."""
     length = HALF_POWER / cutoff
     return 2 * round((length - 1) / 2) + 1 if odd else max(1, round(length))

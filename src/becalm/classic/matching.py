@@ -16,12 +16,12 @@ from becalm.metrics.truth import rms_error
 _LONG = 12.0  # settling time of the slowest filter in samples, times the cut-off
 _MOST = 1 << 21  # samples
 _DRAWS = 40  # random samples for a nonlinear filter, over its settling time
-_PRECISION = 1e-4  # of the logarithm of a cut-off
+_PRECISION = 1e-4  # tolerance of the logarithm of a cut-off
 _SHORTEST = 0.005  # cut-off in periods per record, below which a filter does not change any more
 _NEAR = 0.02  # tolerance of the logarithm of the best cut-off
 _STRIDE = 0.7  # step of the logarithm of the cut-off in the search for a bracket
 _GRID, _FEW = 120, 12  # cut-offs of the first search; the smaller number for filters without `calms`
-_SEED = 7
+_SEED = 7  # of the random samples
 
 
 def noise_gain(classic: Classic, cutoff: float) -> float:
@@ -56,12 +56,12 @@ def overshoot(classic: Classic, cutoff: float) -> float:
 
 
 def equal_noise(classic: Classic, gain: float) -> float:
-    """Return the cut-off, in cycles per sample, at which the noise gain (a ratio of variances) is `gain`."""
+    """Return the cut-off, in cycles per sample, at which the noise gain, a ratio of variances, is `gain`."""
     return _where(lambda cutoff: noise_gain(classic, cutoff) / gain)
 
 
 def equal_lag(classic: Classic, samples: float) -> float:
-    """Return the cut-off, in cycles per sample, at which a causal filter has a lag in samples."""
+    """Return the cut-off, in cycles per sample, at which the lag of a causal filter is `samples`."""
     return _where(lambda cutoff: samples / max(lag(classic, cutoff), 1e-12))
 
 
@@ -87,7 +87,7 @@ def best_of(classics: Iterable[Classic], z: Floats, truth: Floats) -> Best:
 def best_with_truth(classic: Classic, z: Floats, truth: Floats) -> float:
     """Return the cut-off, in cycles per sample, at which a filter of z (N,) has the least error against a truth (N,).
 
-    Of several cut-offs with the same error, e.g. because a window cannot grow any more, the highest is returned.
+    If several cut-offs have the same error, e.g. because a window cannot grow any more, the result is the highest.
     """
 
     def error(log_cutoff: float) -> float:

@@ -35,7 +35,7 @@ class Classic(NamedTuple):
     causal : bool
         True if the filter uses no later readings.
     apply : callable
-        Function of readings (N,) without gaps and a cut-off; returns the filtered readings (N,).
+        Function of readings (N,) without gaps and a cut-off in cycles per sample; returns the filtered readings (N,).
     calms : bool
         True if a lower cut-off leaves less white noise. Hampel's filter only removes spikes, and the canceller is
         adaptive.
@@ -79,9 +79,9 @@ def _of_length(average: Callable[[Floats, int], Floats], *, odd: bool) -> Callab
 
 
 def _savitzky_golay(z: Floats, cutoff: float, degree: int) -> Floats:
-    """Apply a Savitzky-Golay filter with a cut-off.
+    """Apply a Savitzky-Golay filter with a cut-off in cycles per sample.
 
-    Its length follows Schafer, IEEE Signal Processing Magazine 28(4) (2011) 111.
+    The length follows Schafer, IEEE Signal Processing Magazine 28(4) (2011) 111.
     """
     half = max(degree // 2 + 1, round(((degree + 1) / (2 * cutoff) + 4.6) / 3.2))
     length = min(2 * half + 1, len(z) - 1 + len(z) % 2)

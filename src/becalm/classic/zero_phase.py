@@ -36,7 +36,7 @@ def butterworth_both_ways(z: Floats, cutoff: float, order: int) -> Floats:
 
 
 def savitzky_golay(z: Floats, length: int, degree: int) -> Floats:
-    """Fit a polynomial to the window around each reading of z (N,); near the ends, one polynomial for half a window.
+    """Fit a polynomial to the window around each reading of z (N,); at each end one fit serves half a window.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Choose the alarm thresholds for drift and death of a channel from the innovations of its tuning record."""
+"""Choose the thresholds of the drift and dead-sensor alarms of a channel from the innovations on its tuning record."""
 
 from __future__ import annotations
 
@@ -16,24 +16,23 @@ from becalm.identification.trust.tuning_spread import excess_error
 from becalm.native.scans import MOST_SIGMA
 
 MARGIN = 2.0
-"""Least ratio of the threshold to the highest cumulative sum of the record itself."""
+"""Least ratio of the drift threshold to the highest cumulative sum of the tuning record."""
 
 COLOURED = 4.0
-"""Largest threshold, as a multiple of that for white noise: innovations that need more are too coloured to find a
-drift."""
+"""Largest drift threshold, as a multiple of that for white innovations; if they need more, there is no drift alarm."""
 
 
 def with_alarms(
     limits: LimitsRecipe | None, tuning: Tuning, normalised: Floats, *, causal: bool, step_s: float
 ) -> LimitsRecipe | None:
-    """Add the alarm thresholds for drift and death to the limits of a channel, where its innovations determine them.
+    """Return the limits of a channel with the thresholds of its alarms, if its innovations determine them.
 
     Parameters
     ----------
     limits : LimitsRecipe or None
         Limits of the channel; None stays None.
     tuning : Tuning
-        Its filter, in steps.
+        Filter of the channel, in steps.
     normalised : (N,) float array
         Innovations of the filter on its tuning record, divided by their standard deviations; NaN where no reading was
         used.
@@ -45,12 +44,12 @@ def with_alarms(
     Returns
     -------
     LimitsRecipe or None
-        Unchanged where the innovations do not determine thresholds.
+        Unchanged if the innovations do not determine thresholds.
 
     Notes
     -----
-    No row of the record itself raises an alarm; only later rows that exceed it by a margin do. Where the model does
-    not describe the record, the innovations show the error of the model, not the state of the sensor.
+    No row of the tuning record raises an alarm; only later rows that exceed it by a margin do. If the model does not
+    describe the record, the innovations show the error of the model and determine no thresholds.
     """
     if limits is None:
         return None
@@ -70,7 +69,7 @@ def with_alarms(
 
 
 def highest_sum(normalised: Floats) -> float:
-    """Return the highest value of the two-sided cumulative sum of innovations (N,), in sigma, without alarms."""
+    """Return the highest two-sided cumulative sum of normalised innovations (N,), in sigma, without restarts."""
     finite = normalised[np.isfinite(normalised)]
     highest = 0.0
     for sign in (1.0, -1.0):

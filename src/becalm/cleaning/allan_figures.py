@@ -14,7 +14,7 @@ from becalm.identification.at_rest.datasheet import convert, random_walk_in, whi
 
 
 class _Sheet(NamedTuple):
-    """The units in which data sheets of one kind of sensor give noise."""
+    """The units of noise in the data sheets of one kind of sensor."""
 
     bias: str
     white: tuple[str, ...]
@@ -35,7 +35,7 @@ class Quoted:
     Attributes
     ----------
     unit : str
-        A density per root of hertz is one-sided, per root of time two-sided.
+        Unit of the figures. A density per root of hertz is one-sided, one per root of time two-sided.
     value, standard_error, limit : float or None
         As in `Coefficient`, in this unit.
     """
@@ -55,13 +55,13 @@ class Coefficient:
     unit : str
         Unit of the figures.
     value, standard_error : float or None
-        None where the rest does not determine it.
+        The coefficient and its standard error; None if the rest does not determine it.
     limit : float or None
-        Upper limit, 95 % one-sided, with or without a value.
+        One-sided upper limit at 95 % confidence, with or without a value; None if unknown.
     reason : str
         A sentence on why there is no value; "" where there is one.
     quoted : tuple of Quoted
-        The same in units of data sheets; empty if there is no other unit than `unit`.
+        The same coefficient in units of data sheets other than `unit`.
     """
 
     unit: str
@@ -87,7 +87,7 @@ class AllanNoise:
     random_walk : Coefficient
         K, in unit / s^(1/2).
     misfit : float
-        About 1 where the terms describe the sensor.
+        Misfit of the three terms to the Allan deviation; about 1 if they describe the sensor.
     noise_variance : float or None
         R = N^2 rate, in unit^2.
     random_walk_density : float or None
@@ -115,12 +115,12 @@ def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], ra
     stretch_s : (float, float)
         The rest, from and to, in seconds after the first sample.
     rate_hz : float
-        Rate of the readings, for R.
+        Rate of the readings, in Hz.
 
     Returns
     -------
     AllanNoise
-        If no data sheet uses `unit`, only white noise is quoted, per sqrt(Hz).
+        The figures. If no data sheet uses `unit`, only white noise has another unit: per sqrt(Hz).
     """
     white, bias, walk = _quotes(unit)
     return AllanNoise(
@@ -135,7 +135,7 @@ def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], ra
 
 
 def _quotes(unit: str) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Return the factors from N, B and K to each unit of data sheets."""
+    """Return the factors from N, B and K in `unit` to each unit of data sheets."""
     sheet = _sheet_of(unit)
     if sheet is None:
         return {f"{unit or 1}/sqrt(Hz)": float(np.sqrt(2))}, {}, {}
@@ -147,7 +147,7 @@ def _quotes(unit: str) -> tuple[dict[str, float], dict[str, float], dict[str, fl
 
 
 def _sheet_of(unit: str) -> _Sheet | None:
-    """Return the kind of data sheet that uses the unit, or None."""
+    """Return the units of the data sheets that `unit` can be converted to, or None."""
     for sheet in _SHEETS:
         with suppress(UsageError):
             convert(1.0, unit, sheet.bias)

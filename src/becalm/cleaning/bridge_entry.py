@@ -19,17 +19,17 @@ class BridgeEntry(OneChannel):
     gauge_factor, gauge_factor_uncertainty : float
         Gauge factor and its expanded (k = 2) uncertainty.
     initial_mv_per_v : float
-        Output of the unstrained bridge.
+        Output of the unstrained bridge, in mV/V.
     shunt_ohm, shunt_reading : float or None
-        A resistor across a gauge in tension, and the reading with it, in raw_unit, at the load of the zero; they
-        replace `gain_adjustment`. This corrects the loss in cables and amplifier, but does not calibrate a gauge.
+        Resistor across a gauge in tension, and the reading with it, in raw_unit, at the same load as for the zero. They
+        replace `gain_adjustment`. They correct the loss in cables and amplifier, but do not calibrate a gauge.
     thermal_output_um : tuple of up to 5 floats
-        For a quarter bridge without dummy: um/m per degC to the power of 0, 1, 2, 3, 4, at a gauge factor of 2.0, as
-        the data sheet of the lot gives them for the material.
+        Coefficients of the thermal output for the powers 0 to 4 of the temperature in degC, in um/m, at a gauge factor
+        of 2.0, from the data sheet of the lot; only for a quarter bridge without dummy.
     gauge_factor_percent_per_100_k, gauge_factor_reference_degc : float
-        Growth of the gauge factor, and the temperature at which the sheet gives it.
+        Increase of the gauge factor, and the temperature at which the data sheet gives it.
     temperature_degc, temperature_channel : float, str or None
-        Temperature of the gauge: constant, or another channel of the same time.
+        Temperature of the gauge: constant, or the name of another channel with the same time axis, in degC.
     """
 
     kind: Literal["bridge"]

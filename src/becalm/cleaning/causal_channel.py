@@ -18,7 +18,7 @@ from becalm.core.health.faults import TimeFaults, possible_steps
 
 
 def is_causal(recipe: ChannelRecipe, lag: int | None) -> bool:
-    """Return whether a channel has one causal filter, as most channels of a stream have."""
+    """Return whether a channel has one causal filter; `lag` in rows, None for a smoother."""
     return recipe.motion is not None and recipe.switching is None and lag == 0
 
 
@@ -28,7 +28,7 @@ class CausalChannel:
     Parameters
     ----------
     recipe : ChannelRecipe
-        Its filter, in seconds and units.
+        Recipe of the channel, in seconds and units.
     step_s : float
         One step, in seconds.
 
@@ -37,7 +37,7 @@ class CausalChannel:
     filter : Channel
         The filter.
     settings : ChannelSettings
-        Its settings.
+        Settings of the filter.
 
     Raises
     ------
@@ -60,7 +60,7 @@ class CausalChannel:
         elapsed : (B,) float array
             Steps since the previous row; ignored for the very first row.
         states : bool
-            Whether to return the filtered states, too.
+            Whether to return the filtered states too.
         """
         z, elapsed = input_of(z), input_of(elapsed)
         even = bool((elapsed[0 if self._has_begun else 1 :] == 1.0).all())
@@ -80,7 +80,7 @@ class CausalChannel:
         self._has_begun = before.rows > 0
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return only what later rows depend on, for comparison; see `Channel.comparable_state`."""
+        """Return only the state that later rows depend on, for comparison; see `Channel.comparable_state`."""
         offsets = self._rhythm.offsets
         return self.filter.comparable_state() | {"rhythm": offsets - offsets[-1]}
 

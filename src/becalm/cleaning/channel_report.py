@@ -1,4 +1,4 @@
-"""Build the report of a channel: the figures of its filter, the judgement, and the faults that it met."""
+"""Build the report of a channel: the figures of its filter, the judgement, and the faults of its sensor."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Filtered(NamedTuple):
     counts: Counter[Verdict]
     findings: Findings
     judged: InnovationJudge
-    shares: dict[str, float]  # share of the rows in which each mode was in force
+    shares: dict[str, float]  # mean probability of each mode, by its name
     calibration_std: float | None
     timing_share: float | None
     log_likelihood: float
@@ -79,7 +79,7 @@ def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filt
 
 
 def _doubted(judged: Judgement, recipe: ChannelRecipe, counts: Counter[Verdict]) -> Judgement:
-    """Return a negative judgement if more readings were left out than outliers can be."""
+    """Return the judgement; "does not fit" if more readings were left out than can be outliers."""
     left_out, readings = counts[Verdict.OUTLIER] + counts[Verdict.CLIPPED], counts.total() - counts[Verdict.MISSING]
     fills_in = recipe.limits is not None and recipe.limits.blank is not None
     if fills_in or not judged.describes or left_out <= MOST_OUTLIERS * readings:
@@ -105,11 +105,11 @@ def named(counts: Counter[Verdict]) -> dict[str, int]:
 
 
 def advice_on(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
-    """Return what to do about the verdicts of a filter; `Findings` has the advice on faults of the sensor."""
+    """Return what to do about a filter's verdicts, except `but`; `Findings` has the advice on faults of the sensor."""
     met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
     return tuple(ADVICE[verdict] for verdict in met if verdict != but and counts[verdict])
 
 
 def with_advice(says: str, counts: Counter[Verdict], faults: list[str], but: Verdict | None = None) -> str:
-    """Return the judgement of a filter, with the advice on its verdicts and the faults of its sensor."""
+    """Return the sentences of a judgement, followed by the advice on verdicts and by the faults of the sensor."""
     return " ".join([says, *advice_on(counts, but), *faults])

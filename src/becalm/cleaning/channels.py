@@ -28,7 +28,7 @@ from becalm.core.rows import EstimatedRows, Judge
 from becalm.identification.choose import FEWEST_READINGS
 from becalm.metrics.whiteness import Running
 
-_PIECE = 1 << 16  # rows whose innovations are judged at once; in smaller pieces the calls cost as much as the sums
+_PIECE = 1 << 16  # rows whose innovations are judged at once; with fewer, the calls cost as much as the sums
 
 
 class ChannelCleaner(Protocol):
@@ -43,7 +43,7 @@ class ChannelCleaner(Protocol):
         ...
 
     def report(self) -> ChannelReport:
-        """Return the report, once finished."""
+        """Return the report, after `finish`."""
         ...
 
     def set_history(self, before: History) -> None:
@@ -59,7 +59,7 @@ class ChannelCleaner(Protocol):
         ...
 
     def comparable_state(self) -> dict[str, Floats] | None:
-        """Return only what later rows depend on, for comparison; None where `saved` returns None."""
+        """Return only the state that later rows depend on, for comparison; None if `saved` returns None."""
         ...
 
     @property
@@ -71,18 +71,18 @@ class ChannelCleaner(Protocol):
 def open_channel(
     recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False, look: Judge | None = None
 ) -> ChannelCleaner:
-    """Return the cleaner for the recipe of a channel.
+    """Return the cleaner of a channel with this recipe.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        Its filter, in seconds and units.
+        Recipe of the channel, in seconds and units.
     step_s : float
         One step, in seconds.
     lag : int or None
         Lag in rows: 0 for a causal filter, None for a smoother.
     split : bool
-        Whether to estimate the parts of the signal as well.
+        Whether to estimate the parts of the signal too.
     look : callable, optional
         Called with the innovations (B,) and their standard deviations (B,), one value for each row.
 
@@ -153,7 +153,7 @@ class MotionChannel(FilteredChannel):
             self._timing.restore(arrays)
 
     def comparable_state(self) -> dict[str, Floats] | None:
-        """Return only what later rows depend on, for comparison; None where `saved` returns None."""
+        """Return only the state that later rows depend on, for comparison; None if `saved` returns None."""
         state = self.saved()
         if state is None:
             return None
@@ -177,7 +177,7 @@ class MotionChannel(FilteredChannel):
             self._look_also(innovations, innovation_sigma)
 
     def report(self) -> ChannelReport:
-        """Return the report, once finished."""
+        """Return the report, after `finish`."""
         results = Filtered(
             self._runs,
             self.counts,
@@ -241,7 +241,7 @@ class CausalMotion:
         self._monitor.restore(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return only what later rows depend on, for comparison."""
+        """Return only the state that later rows depend on, for comparison."""
         return self._channel.comparable_state()
 
     @property
@@ -250,7 +250,7 @@ class CausalMotion:
         return self._monitor.aliveness.sure
 
     def report(self) -> ChannelReport:
-        """Return the report, once finished."""
+        """Return the report, after `finish`."""
         causal = self._channel.filter
         findings = Findings(self._channel.settings.limits, self._step_s, self._rows, causal.faults, self._monitor)
         results = Filtered(
@@ -275,7 +275,7 @@ class CausalMotion:
 
 
 class UnchangedChannel:
-    """A channel that passes unchanged; its sigma is NaN, as in a constant or nearly empty channel."""
+    """A channel that passes unchanged, such as a constant or nearly empty one; its sigma is NaN."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, split: bool) -> None:
         self._recipe, self._step_s, self._split, self._counts = recipe, step_s, split, Counter[Verdict]()
@@ -285,7 +285,7 @@ class UnchangedChannel:
         self._varies = False
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and return them."""
+        """Take readings (B,) and return them; faulty ones become NaN, with a verdict."""
         readings, _ = self._sensor.push(z, elapsed)
         seen = readings[np.isfinite(readings)]
         self._seen += len(seen)
@@ -307,7 +307,7 @@ class UnchangedChannel:
         self._sensor.set_history(before)
 
     def saved(self) -> dict[str, Any]:
-        """Return what the verdicts of later rows depend on, as arrays."""
+        """Return the state that later verdicts depend on, as arrays."""
         return self._sensor.saved()
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
@@ -315,11 +315,11 @@ class UnchangedChannel:
         self._sensor.restore(arrays)
 
     def comparable_state(self) -> dict[str, Floats]:
-        """Return only what the verdicts of later rows depend on, for comparison."""
+        """Return only the state that later verdicts depend on, for comparison."""
         return self._sensor.comparable_state()
 
     surely_alive = True
-    """The channel has no filter, so that no window has a phase."""
+    """The channel has no innovations, so that no window of them can be that of a dead sensor."""
 
     def report(self) -> ChannelReport:
         """Report whether the channel is constant, nearly empty, or should have been filtered."""

@@ -29,13 +29,13 @@ class Cleaner:
     Parameters
     ----------
     recipe : Recipe
-        The recipe; each push has its channels, in this order.
+        The recipe; each push has its channels in this order.
     step_s : float
         Length of one step, in seconds; elapsed time is counted in steps.
     split : bool
         Whether to estimate the parts of each channel as well, in the order of `ChannelRecipe.parts`.
     looks : sequence of callable, optional
-        One for each channel. It is called with the innovations (B,) and their standard deviations (B,), one value for
+        One function for each channel. It gets the innovations (B,) and their standard deviations (B,), one value for
         each row. It is not called for a channel that passes unchanged.
 
     Raises
@@ -64,14 +64,14 @@ class Cleaner:
         Parameters
         ----------
         columns : sequence of (B,) float arrays
-            One for each channel, NaN where missing.
+            Readings of each channel, in its unit; NaN where missing.
         elapsed : (B,) float array
             Steps since the previous row.
 
         Returns
         -------
         list of list of EstimatedRows
-            One for each push whose estimates are complete now, in order: the estimates of each channel.
+            For each push whose estimates are complete now, in order: the estimates of each channel.
         """
         self._sizes.append(len(elapsed))
         estimates = self._pool.map(lambda channel, z: channel.push(z, elapsed), self._channels, columns)
@@ -82,12 +82,12 @@ class Cleaner:
         return self._complete_pushes(list(self._pool.map(lambda channel: channel.finish(), self._channels)))
 
     def set_history(self, before: Sequence[History]) -> None:
-        """Set the history of each channel, for rows that begin in the middle of a recording."""
+        """Set the history of each channel, if the first row comes from the middle of a recording."""
         for channel, own in zip(self._channels, before, strict=True):
             channel.set_history(own)
 
     def saved(self) -> list[dict[str, Any]] | None:
-        """Return the state of each channel as arrays; None where a channel is not causal, or holds rows back."""
+        """Return the state of each channel as arrays; None if any channel is not causal, or holds rows back."""
         return _all_or_none([channel.saved() for channel in self._channels])
 
     def restore(self, arrays: Sequence[Mapping[str, Any]]) -> None:
@@ -96,15 +96,15 @@ class Cleaner:
             channel.restore(own)
 
     def comparable_state(self) -> list[dict[str, Floats]] | None:
-        """Return only what later rows depend on, for each channel; None where `saved` returns None."""
+        """Return only the state that later rows depend on, for each channel; None if `saved` returns None."""
         return _all_or_none([channel.comparable_state() for channel in self._channels])
 
     def surely_alive(self) -> list[bool]:
-        """Return for each channel whether the phase of its dead-sensor window can be ignored: see `Aliveness`."""
+        """Return for each channel whether the phase of its dead-sensor windows can be ignored; see `Aliveness`."""
         return [channel.surely_alive for channel in self._channels]
 
     def reports(self) -> tuple[ChannelReport, ...]:
-        """Return the report of each channel, once finished."""
+        """Return the report of each channel, after `finish`."""
         return tuple(self._pool.map(lambda channel: channel.report(), self._channels))
 
     def _complete_pushes(self, estimates: list[list[EstimatedRows]]) -> list[list[EstimatedRows]]:
@@ -133,7 +133,7 @@ def _all_or_none(states: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]
 
 
 class ReadyRows:
-    """A queue of estimated rows of one channel."""
+    """A queue of estimated rows of one channel; `count` is their number."""
 
     def __init__(self) -> None:
         self.count = 0

@@ -1,4 +1,4 @@
-"""Compare becalm with classic filters on the same recording: at equal noise, at equal lag, and best with truth."""
+"""Compare becalm with classic filters on the same recording: at equal noise, at equal lag, and tuned with the truth."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from becalm.metrics.truth import rms_error
 BECALM = "becalm"
 RULES = ("equal noise", "equal lag", "best with truth")
 
-_LOOKED_AT = 50_000  # rows of a longer record in which the best setting is searched
-_SAME_DB = 1.0  # largest difference for a match: windows have few lengths
+_LOOKED_AT = 50_000  # most rows on which the best setting is searched
+_SAME_DB = 1.0  # largest difference of "equal" noise, in dB: a window has only whole lengths
 
 
 class Contender(NamedTuple):
-    """One filter of one channel.
+    """One filter of one channel, with its results.
 
     Attributes
     ----------
@@ -37,19 +37,18 @@ class Contender(NamedTuple):
     rule : str
         Rule for its setting: "" for becalm, or one of `RULES`.
     cutoff_hz : float or None
-        The setting of a classic filter.
+        Setting of a classic filter.
     noise_removed_db : float or None
-        Reduction of white noise: 10 log10 of the variance before, divided by the variance after. A filter with several
-        modes has this, lag and overshoot for the mode that was in force most. None where a filter adapts, or has no
-        steady state.
+        Reduction of white noise: 10 log10(variance before / variance after). For a filter with several modes, this, lag
+        and overshoot are those of the most probable mode. None for a filter that adapts or has no steady state.
     lag_s : float or None
-        Delay of a slow signal or of a step at half height, whichever is longer.
+        Delay of a slow signal, or of a step at half height, whichever is longer.
     overshoot_percent : float or None
-        Overshoot after a step.
+        Overshoot after a step, in percent of its height.
     rms_error : float or None
-        Error against the truth, in unit, where that is known.
+        Root mean square difference from the truth, in unit; None without a truth.
     measured_lag_s : float or None
-        Delay of the output behind the truth, where that is known, see `becalm.metrics.delay.lag_of`.
+        Delay of the output behind the truth, see `becalm.metrics.delay.lag_of`; None if undetermined.
     """
 
     name: str
@@ -63,7 +62,7 @@ class Contender(NamedTuple):
 
 
 class ChannelComparison(NamedTuple):
-    """All filters of one channel; becalm is the first."""
+    """The results of all filters of one channel; becalm is the first."""
 
     name: str
     unit: str
@@ -72,7 +71,7 @@ class ChannelComparison(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """The results of all filters."""
+    """The results of all filters on all channels."""
 
     causal: bool
     channels: tuple[ChannelComparison, ...]
@@ -100,14 +99,14 @@ def compare(
     Parameters
     ----------
     recording : Recording
-        Samples (N, m), NaN where missing; classic filters ignore the time and assume an even rate. Impossible readings
-        are missing for all filters.
+        Samples (N, m), NaN where missing. Classic filters ignore the times and assume an even rate. Impossible readings
+        count as missing for all filters.
     recipe : Recipe, optional
         As in `clean`.
     truth : Recording, optional
-        The true signal, (N, .): channels of the same names and units, at the same times, counted from the first row;
-        not finite where it is unknown. Then each classic filter also gets the setting with the least rms error
-        *knowing the truth*, over the first 50 000 rows from where it is known.
+        True signal with N rows: channels of the same names and units, at the same times since the first row; not finite
+        where it is unknown. With it, each classic filter also gets the setting with the least rms error over up to
+        50 000 rows from the first known one.
     causal : bool, optional
         As in `clean`: a causal filter is compared with causal filters, a smoother with zero-phase filters.
     channels : sequence of str, optional
@@ -118,7 +117,9 @@ def compare(
     UsageError
         If the recipe has a lag, because no classic filter waits for one.
     RecordingError
-        If the truth has other rows, times or units, or lacks a channel.
+        If the truth has other rows, times or units, or lacks a channel; or as in `clean`.
+    RecipeError
+        As in `clean`.
     """
     if recipe is not None and in_mode(recipe, causal).mode == "lagged":
         raise UsageError("No classic filter waits for a lag; compare a causal filter (--causal) or a smoother.")
@@ -158,7 +159,7 @@ def _true_channels(truth: Recording, recording: Recording, cleaned: Cleaned) -> 
 
 
 def _refuse_other_times(truth: Recording, recording: Recording) -> None:
-    """Refuse a truth whose times differ from the recording, counted from the first row of each."""
+    """Raise a RecordingError if the times since the first row differ between truth and recording."""
     apart_s = np.abs(_since_first_s(truth) - _since_first_s(recording))
     if not apart_s.max() <= recording.timebase.step_s / 2:
         row = int(np.argmax(apart_s > recording.timebase.step_s / 2))
@@ -195,7 +196,7 @@ def _becalm(signal: Floats, readings: _Readings, own: Response | None) -> Conten
 
 
 def _classics(readings: _Readings, own: Response, causal: bool) -> Iterator[Contender]:
-    """Apply each classic filter, in each fair setting that its range allows."""
+    """Yield the results of each classic filter, for each rule that its settings can meet."""
     for classic in CAUSAL if causal else ZERO_PHASE:
         if classic.calms:
             twin = _classic(classic, readings, "equal noise", equal_noise(classic, own.noise_gain))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from becalm.cleaning.comparison import Contender
 
 _HEADINGS = ("filter", "setting", "at", "noise removed", "lag", "overshoot", "rms error", "lag found")
-_WITHOUT_TRUTH = 6  # columns
-_ROUNDING = 1e-9  # in any unit: smaller values are rounding
+_WITHOUT_TRUTH = 6  # number of columns that need no truth
+_ROUNDING = 1e-9  # in any unit: smaller magnitudes are rounding errors and shown as 0
 
 
 def headings(with_truth: bool) -> tuple[str, ...]:

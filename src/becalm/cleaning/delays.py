@@ -21,13 +21,19 @@ def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:
     Parameters
     ----------
     recipe : Recipe
-        Recipe with noise and motions; its mode is ignored.
+        Recipe whose noise and motions are used; its mode is ignored.
 
     Returns
     -------
     dict of str to tuple of Delay
-        Shortest delay first, the limit last; no curve for a channel that passes unchanged or has no steady state. A
-        channel with several modes has a curve for each mode in steady state, "channel, mode".
+        Shortest delay first; the last one is within 0.1 dB of the smoother. A channel that passes unchanged, or has no
+        steady state, has no curve. A channel with several modes has a curve for each mode that has a steady state, by
+        the name "channel, mode".
+
+    Raises
+    ------
+    RecipeError
+        If the parameters of a channel do not make a valid filter at this rate.
     """
     step_s, curves = 1 / recipe.tuned_on.rate_hz, dict[str, tuple[Delay, ...]]()
     for channel in recipe.channel:
@@ -38,7 +44,7 @@ def delays(recipe: Recipe) -> dict[str, tuple[Delay, ...]]:
 
 
 def _judged(delay: Delay, channel: ChannelRecipe, step_s: float) -> Delay:
-    """Return a delay that includes the wait for the outlier test."""
+    """Return the delay with the rows added for which the outlier test waits."""
     return replace(delay, wait_s=delay_to_smooth(channel.limits, delay.wait_s, step_s))
 
 
@@ -50,6 +56,6 @@ def _curves(channel: ChannelRecipe, step_s: float) -> Iterator[tuple[str, Callab
         yield channel.name, partial(delay_curve, tuning, step_s)
         return
     for mode in modes_in_steps(channel.switching, tuning, step_s).modes:
-        if mode.lasts > 1:  # otherwise it has no steady state
+        if mode.lasts > 1:  # step; a shorter mode has no steady state
             r = mode.noise_variance
             yield f"{channel.name}, {mode.name}", partial(delays_of, mode.component, r, r, step_s)

@@ -1,4 +1,4 @@
-"""Compute the positions of the dial between quick and calm, and the summary of the filter that is set."""
+"""Compute the filters at the positions of a dial, from fast to smooth, and summarise the present filter."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from becalm.errors import ModelError
 from becalm.identification.likelihood import Tuning
 
 POSITIONS = 81
-"""Number of positions of a dial; the cut-offs of neighbours have the same ratio everywhere."""
+"""Number of positions of a dial; the ratio of the cut-offs of neighbouring positions is constant."""
 
-_FASTEST = 4.0  # radians a step: higher cut-offs pass everything
-_SLOWEST = {1: 3e-6, 2: 3e-6, 3: 1e-5, 4: 3e-4, 5: 3e-4}  # by order: float64 finds no steady state for lower ones
-_CYCLES = 0.2  # cycles in the record: with a lower cut-off the filter only fits a polynomial
+_FASTEST = 4.0  # highest cut-off, in radians per step: a higher one passes everything
+_SLOWEST = {1: 3e-6, 2: 3e-6, 3: 1e-5, 4: 3e-4, 5: 3e-4}  # lowest cut-offs, by order, with a steady state in float64
+_CYCLES = 0.2  # lowest cut-off, in cycles per record: with a lower one the filter only fits a polynomial
 
 
 class Positions(NamedTuple):
-    """The filter of each position, quick to calm, in steps and for noise of 1."""
+    """The filters at the k positions, from fast to smooth, in steps and for readings with a noise variance of 1."""
 
     ratios: Floats  # (k,) q/r
-    bandwidth: Floats  # (k,) cycles a step; NaN where it is unknown
+    bandwidth: Floats  # (k,) cycles per step; NaN where it is unknown, as in the following
     lag: Floats  # (k,) steps
     left: Floats  # (k,) standard deviation of the noise that passes
 
@@ -40,11 +40,11 @@ class FilterSummary(NamedTuple):
 
     bandwidth_hz: float | None = None
     lag_s: float | None = None
-    noise_std: float | None = None
-    noise_left: float | None = None
+    noise_std: float | None = None  # of a reading, in unit
+    noise_left: float | None = None  # standard deviation of the noise that passes, in unit
     noise_gain_db: float | None = None
     order: int | None = None
-    says: str = ""
+    says: str = ""  # the figures in words, or why they are unknown
 
 
 def density_unit(unit: str, order: int) -> str:
@@ -54,12 +54,12 @@ def density_unit(unit: str, order: int) -> str:
 
 
 def dial(channel: ChannelRecipe, step_s: float, lag: int | None, rows: int) -> dict[str, Floats]:
-    """Return the filters of a channel's dial, one for each position; empty if the channel passes unchanged.
+    """Return the figures of the filter at each position of a channel's dial; empty if the channel passes unchanged.
 
     Parameters
     ----------
     channel : ChannelRecipe
-        Present recipe, of which order and noise are used.
+        Present recipe, of which order, noise and limits are used.
     step_s : float
         One step, in seconds.
     lag : int or None
@@ -94,7 +94,7 @@ def _positions(order: int, lag: int | None, slowest: float) -> Positions:
 
 
 def _figures_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, float]:
-    """Return bandwidth, lag and remaining noise of a motion with noise of 1; NaN where they are unknown."""
+    """Return bandwidth, lag and remaining noise of a motion, as in `Positions`; NaN where they are unknown."""
     if lag:
         gain = _gain_of_lagged(tuning, lag)
         return np.nan, np.nan, np.nan if gain is None else float(np.sqrt(gain))
@@ -105,7 +105,7 @@ def _figures_in_steps(tuning: Tuning, lag: int | None) -> tuple[float, float, fl
 
 
 def summary_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> FilterSummary:
-    """Return a summary of the filter of a channel.
+    """Return a summary of a channel's filter.
 
     Parameters
     ----------
@@ -115,6 +115,11 @@ def summary_of(channel: ChannelRecipe, step_s: float, lag: int | None) -> Filter
         One step, in seconds.
     lag : int or None
         Lag in rows: 0 for a causal filter, None for a smoother.
+
+    Raises
+    ------
+    RecipeError
+        If the parameters do not make a valid filter at this step.
     """
     if channel.motion is None:
         return FilterSummary(says="passes unchanged")

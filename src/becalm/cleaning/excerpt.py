@@ -1,4 +1,7 @@
-"""Filter only some rows of a channel, with the same results as a run over all of them."""
+"""Filter only some rows of a channel, with the same results as for filtering all of them.
+
+Unlike in a cleaned file, estimates in holes are neither corrected nor removed, and runaways stay.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ _PUSHED = 1 << 19
 
 _IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.OUTLIER))
 
-_GATED = 1024  # additional rows before: a gate also depends on the readings that it rejected in a row
+_GATED = 1024  # additional rows of run-up for a gate, which also depends on the readings that it rejected in a row
 
 
 class UsableReadings(NamedTuple):
@@ -31,7 +34,7 @@ class UsableReadings(NamedTuple):
 
     readings: Floats  # (N,) NaN where none may enter a filter
     verdicts: Codes  # (N,)
-    longest_gap: float  # between two usable readings, in steps
+    longest_gap: float  # longest time between two usable readings, in steps
 
 
 class ChannelRows:
@@ -46,7 +49,7 @@ class ChannelRows:
     step_s : float
         One step, in seconds.
     limits : LimitsRecipe or None
-        Limits that were found for the sensor.
+        Limits of the sensor, for `possible`.
     """
 
     def __init__(self, z: Floats, elapsed: Floats, step_s: float, limits: LimitsRecipe | None = None) -> None:
@@ -58,7 +61,7 @@ class ChannelRows:
         return len(self.z)
 
     def healthy(self, limits: LimitsRecipe | None, lag: int | None = 0) -> UsableReadings:
-        """Return the readings that may enter a filter with a lag in rows (None: a smoother); the result is cached."""
+        """Return the readings that may enter a filter with a lag in rows (None: a smoother); they are cached."""
         plain = _reading_limits(limits), rows_that_judge(limits, lag)
         usable = self._healthy.get(plain)
         if usable is None:
@@ -73,7 +76,7 @@ class ChannelRows:
         return usable
 
     def without(self, spikes: Integers, limits: LimitsRecipe | None, lag: int | None = 0) -> ChannelRows:
-        """Return the rows with these readings missing, as for a filter whose gate rejects them."""
+        """Return the channel without the readings in rows `spikes`, as if a gate rejected them."""
         healthy, other = self.healthy(limits, lag), ChannelRows(self.z, self.elapsed, self.step_s, self._limits)
         readings, verdicts = healthy.readings.copy(), healthy.verdicts.copy()
         readings[spikes], verdicts[spikes] = np.nan, Verdict.SPIKE
@@ -82,7 +85,7 @@ class ChannelRows:
         return other
 
     def possible(self, part: slice) -> Floats:
-        """Return some readings to plot, without impossible ones, which would compress the scale."""
+        """Return some readings to plot; impossible ones and outliers, which would compress the scale, are NaN."""
         verdicts = self.healthy(self._limits).verdicts[part]
         return np.where(_IMPOSSIBLE[verdicts], np.nan, self.z[part]) if verdicts.any() else self.z[part]
 
@@ -98,7 +101,7 @@ class ChannelRows:
         return longest if not len(bounds) else max(longest, float(self._between(bounds).max()))
 
     def _between(self, bounds: Integers) -> Floats:
-        """Return the steps between the row before the first and the second row of each pair."""
+        """Return for each pair of rows (bounds) the steps from the row before the first one to the second one."""
         sums = np.add.reduceat(self.elapsed, bounds)[::2]
         return sums + self.elapsed[bounds[1::2]]
 
@@ -135,7 +138,7 @@ class ChannelRun:
 
     @property
     def reach(self) -> int:
-        """Return how many rows before the wanted ones are filtered, at least; the whole record if all are needed."""
+        """Return the least number of rows before the wanted ones that are filtered too; all rows if necessary."""
         return min(self._margin if self._bridges_all() else len(self._rows), len(self._rows))
 
     def estimates_of(self, first: int, stop: int) -> Iterator[EstimatedRows]:
@@ -165,7 +168,7 @@ class ChannelRun:
         return uncertainty.widened([estimates._replace(verdicts=merged_verdicts(estimates.verdicts, before))])
 
     def _start_row(self, first: int) -> int:
-        """Return the row to start with, enough readings and enough time before `first`."""
+        """Return the row to start with, so that enough readings and enough time come before `first`."""
         if not self._bridges_all():
             return 0
         rows = self._margin + self._margin // 4
@@ -177,7 +180,7 @@ class ChannelRun:
         return 0
 
     def _stop_row(self, stop: int) -> int:
-        """Return the row to stop before."""
+        """Return the row to stop before, so that enough rows come after `stop`."""
         last = len(self._rows)
         if self._lag is not None:
             return min(stop + self._lag, last)

@@ -1,4 +1,4 @@
-"""Find faults of a sensor: faulty readings do not enter the filter, and the report has a verdict and a sentence."""
+"""Find faults of a sensor: keep faulty readings out of the filter, give verdicts, and describe the faults."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from becalm.core.rows import EstimatedRows
 from becalm.native.scans import EVERY_REPEAT
 
 FALSE_ALARMS_PER_HOUR = 1.0
-"""Healthy stretches that may be called stuck, per hour; a *small* number trusts the sensor."""
+"""False alarms per hour of a healthy sensor: as stuck, or as drifting or dead; a *small* number trusts the sensor."""
 
 MOST_LOST = 0.5
-"""Share of clipped or stuck rows above which the report calls the signal a guess."""
+"""Share of clipped or stuck rows; above it the report calls the signal a guess."""
 
 _PIECE = 1 << 16  # rows whose arrays stay in the cache
-_HARDLY_MEASURES = (Verdict.CLIPPED, Verdict.STUCK)
+_HARDLY_MEASURES = (Verdict.CLIPPED, Verdict.STUCK)  # verdicts that `MOST_LOST` counts
 _FROM_FILTER = np.isin(list(Verdict), [Verdict.OVERRANGE, Verdict.SPIKE, Verdict.STEP])
 
 
@@ -41,13 +41,14 @@ class Fault:
     what : str
         Name of the verdict.
     readings : int
-        Number of readings with it.
+        Number of readings with this verdict.
     first_row : int
-        First row with it, counted from 1.
+        First row with this verdict, counted from 1.
     first_s : float
         Time of that row, in seconds after the first row.
     found_within_s : float
-        Longest time until such a fault is detected; 0: its first reading shows it.
+        Longest time until such a fault is detected; for a drift of one sigma, the mean time. 0 if the first reading
+        shows it.
     """
 
     what: str
@@ -62,13 +63,13 @@ class Findings(NamedTuple):
 
     limits: Limits  # the limits that its readings were checked against
     step_s: float
-    rows: int  # so far
-    of_readings: dict[Verdict, FaultCount]  # faults of readings, or of their times
-    monitor: InnovationMonitor  # faults that the innovations show
+    rows: int  # number of rows so far
+    of_readings: dict[Verdict, FaultCount]  # faults of readings and of their times
+    monitor: InnovationMonitor  # has the faults that the innovations show
 
     @property
     def found(self) -> dict[Verdict, FaultCount]:
-        """Return the faults of readings, of their times and of innovations; a missing reading is not a fault."""
+        """Return all faults; a missing reading, or a repeat in a channel that repeats its readings, is not a fault."""
         excluded = (Verdict.MISSING, Verdict.STUCK) if self._repeats_readings else (Verdict.MISSING,)
         found = {verdict: one for verdict, one in self.of_readings.items() if verdict not in excluded}
         return found | self.monitor.found
@@ -78,7 +79,7 @@ class Findings(NamedTuple):
         return self.limits.stuck_readings == EVERY_REPEAT
 
     def _repeats(self) -> list[str]:
-        """Return a sentence on readings that only repeat the previous one, if the sensor is slower than its log."""
+        """Return a sentence on readings that only repeat the previous one, if the channel repeats its readings."""
         found = self.of_readings.get(Verdict.STUCK)
         if not self._repeats_readings or found is None:
             return []
@@ -104,14 +105,14 @@ class Findings(NamedTuple):
         )
 
     def _delay(self, verdict: Verdict) -> float:
-        """Return how many readings it takes to detect a fault."""
+        """Return how many readings it takes at most, or for a drift on average, to detect a fault."""
         alarms = self.monitor.alarms
         if verdict in (Verdict.DRIFT, Verdict.DEAD):
             return alarms.drift_delay if verdict == Verdict.DRIFT else alarms.dead_delay
         return float(self.limits.stuck_readings or 0) if verdict == Verdict.STUCK else 0.0
 
     def says(self) -> list[str]:
-        """Return sentences: which faults were found, when each came first, and what to do."""
+        """Return sentences on the faults: what they are, when each came first, and what to do."""
         lost = sum(found.readings for verdict, found in self.found.items() if verdict in _HARDLY_MEASURES)
         lines = fault_messages(self.found, self.limits, self.step_s)
         if lost > MOST_LOST * self.rows:
@@ -119,7 +120,7 @@ class Findings(NamedTuple):
         return [*self._repeats(), *lines, *self.changes()]
 
     def changes(self) -> list[str]:
-        """Return a sentence on when the noise changed, if it did."""
+        """Return a sentence on the change of the noise; empty without a change."""
         return noise_change_message(self.monitor.history.change(), self.step_s)
 
     def advice(self) -> tuple[str, ...]:
@@ -136,7 +137,7 @@ class Healthy(NamedTuple):
 
 
 def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = False) -> Healthy:
-    """Find the limits of a channel, and leave out the readings outside them.
+    """Find the limits of a channel, and leave out its faulty readings.
 
     Parameters
     ----------
@@ -147,12 +148,12 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = Fa
     step_s : float
         One step, in seconds.
     causal : bool
-        Whether to find gross outliers from earlier readings only, as a causal filter does; it misses more of them.
+        Whether to find gross outliers from earlier readings only, as a causal filter does; this misses more of them.
 
     Returns
     -------
     Healthy
-        The readings (unchanged if all are usable), the outliers and the limits.
+        The readings (the same array if all are usable), the outliers and the limits.
     """
     limits = find_limits(z, elapsed, FALSE_ALARMS_PER_HOUR, step_s)
     codes = Faults(limits if causal else limits._replace(outliers=limits.outliers.without_neighbours)).push(z, elapsed)
@@ -170,8 +171,8 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = Fa
 class SensorWatch:
     """Checks the readings of one channel before its filter: only usable readings enter, the others get a verdict.
 
-    With the filter's innovations it also detects drift and a dead sensor, if the recipe has thresholds, and a change of
-    noise.
+    From the filter's innovations it also detects drift and a dead sensor, if the recipe has thresholds, and a change of
+    the noise.
 
     Parameters
     ----------
@@ -180,16 +181,16 @@ class SensorWatch:
     step_s : float
         One step, in seconds.
     shown : bool
-        Whether it will get innovations.
+        Whether `look` will be called with the innovations.
     ahead : int
-        Later rows that are used to find gross outliers, from readings on both sides; 0: from earlier readings only.
+        Number of later rows that the outlier test uses; 0 finds gross outliers from earlier readings only.
 
     Attributes
     ----------
     rows : int
         Number of rows so far.
     monitor : InnovationMonitor
-        Detects faults from the innovations.
+        Monitor that detects faults from the innovations.
     """
 
     def __init__(self, entry: LimitsRecipe | None, step_s: float, *, shown: bool = True, ahead: int = 0) -> None:
@@ -198,9 +199,9 @@ class SensorWatch:
         if ahead:
             limits = limits._replace(outliers=limits.outliers.without_neighbours)
         self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(entry)), shown
-        self._verdicts: Codes = np.empty(0, np.int8)  # of rows that the filter still holds
+        self._verdicts: Codes = np.empty(0, np.int8)  # of rows whose estimates have not come yet
         self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations came before their estimates
-        self._elapsed = np.empty(0)  # before rows without innovations yet
+        self._elapsed = np.empty(0)  # steps before rows whose innovations have not come yet
         self._step_s, self.rows = step_s, 0
 
     def push(self, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
@@ -209,7 +210,8 @@ class SensorWatch:
         Returns
         -------
         (float array, float array)
-            The next readings, NaN where none may enter the filter, and the steps before each; fewer while rows wait.
+            The next readings, NaN where none may enter the filter, and the steps before each; rows that wait for later
+            ones come with a later call.
         """
         if self._ahead is None:
             return self._usable(z, elapsed, None), elapsed
@@ -249,7 +251,7 @@ class SensorWatch:
         self._alarms = np.concatenate(alarms)
 
     def named(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
-        """Return the estimates of the next rows with the verdicts of this check."""
+        """Return the estimates of the next rows with the verdicts of this check merged into those of the filter."""
         return [part._replace(verdicts=self._all_verdicts(part.verdicts)) for part in rows]
 
     def saved(self) -> dict[str, Any]:
@@ -268,7 +270,7 @@ class SensorWatch:
             self._ahead.restore(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return only what later verdicts depend on, for comparison."""
+        """Return only the state that later verdicts depend on, for comparison."""
         return self._faults.comparable_state() | (self.monitor.comparable_state() if self._shown else {})
 
     def _all_verdicts(self, verdicts: Codes) -> Codes:
@@ -285,5 +287,5 @@ class SensorWatch:
 
 
 def merged_verdicts(verdicts: Codes, before: Codes) -> Codes:
-    """Return the verdicts (B,): those of the filter, if it rejected or found a step, else those from before it."""
+    """Return the verdicts (B,) of the filter on rejected readings and steps; elsewhere those from before the filter."""
     return np.where(_FROM_FILTER[verdicts], verdicts, before) if verdicts.any() else before

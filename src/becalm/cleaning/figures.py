@@ -20,12 +20,12 @@ from becalm.identification.trust.tuning_spread import independence_steps
 
 # Convert the modes of an IMM between seconds (recipes) and steps (filters).
 
-_LEAST, _GREATEST = 1e-250, 1e250  # of variances, unit^2: outside, their products overflow float64
-_GREATEST_RATIO = 1e30  # of q/r: above, rounding destroys the state
+_LEAST, _GREATEST = 1e-250, 1e250  # limits of variances, unit^2: beyond them products of variances leave float64
+_GREATEST_RATIO = 1e30  # limit of q/r: above it rounding destroys the state
 
 
 def modes_in_seconds(kind: Kind, bank: InteractingModels, step_s: float) -> SwitchingRecipe:
-    """Convert the modes of a channel from steps of `step_s` seconds to seconds, as a recipe has them."""
+    """Return the modes of an IMM as a recipe, converted from steps of `step_s` seconds to seconds."""
     return SwitchingRecipe(
         kind=kind,
         wild_std=float(np.sqrt(bank.wild_variance)),
@@ -40,7 +40,7 @@ def modes_in_steps(entry: SwitchingRecipe, tuning: Tuning, step_s: float) -> Int
     Parameters
     ----------
     entry : SwitchingRecipe
-        Modes of the recipe.
+        Modes in seconds.
     tuning : Tuning
         Fixed filter of the channel; modes with `with_tones` get its tones and coloured noise.
     step_s : float
@@ -79,7 +79,7 @@ def _mode_in_seconds(mode: Mode, step_s: float) -> ModeRecipe:
 
 
 def _level_noise(component: Component) -> float:
-    """Return the density of the level's own random walk, which is the last noise input; 0 without one."""
+    """Return the density, in unit^2/step, of the level's own random walk (the last noise input); 0 without one."""
     walks = len(component.noise_density) > 1 and component.noise_input[0, -1] == 1.0
     return float(component.noise_density[-1, -1]) if walks else 0.0
 
@@ -129,7 +129,7 @@ class Figures(NamedTuple):
 
 
 def fixed_figures(tuning: Tuning, step_s: float, lag: int | None) -> Figures:
-    """Return the figures of a fixed filter; `lag` as in `open_channel`."""
+    """Return the figures of a fixed filter; `lag` in rows: 0 for a causal filter, None for a smoother."""
     response = _response(tuning.component, tuning.noise_variance, step_s, causal=lag is not None)
     gain = None if response is None else response.noise_gain
     if lag:
@@ -142,7 +142,7 @@ def fixed_figures(tuning: Tuning, step_s: float, lag: int | None) -> Figures:
 
 
 def mode_figures(switching: InteractingModels, shares: dict[str, float], step_s: float, lag: int | None) -> Figures:
-    """Return the figures of each mode of an IMM; `shares` are the shares of rows in which each was in force."""
+    """Return the figures of each mode of an IMM; `shares` are the mean probabilities of the modes, by name."""
     modes = {}
     for mode in switching.modes:
         response = _response(mode.component, mode.noise_variance, step_s, causal=lag is not None)
@@ -156,7 +156,7 @@ def mode_figures(switching: InteractingModels, shares: dict[str, float], step_s:
 
 
 def response_of(channel: ChannelRecipe, report: ChannelReport, step_s: float, causal: bool) -> Response | None:
-    """Return the response of a channel's filter; with several modes, of the one that was in force most.
+    """Return the response of a channel's filter; with several modes, of the most probable one.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def fixed_response(tuning: Tuning, step_s: float, causal: bool) -> Response | No
 
 
 def _response(component: Component, noise_variance: float, step_s: float, *, causal: bool) -> Response | None:
-    """Return the response of a filter; None if it never forgets its start, so that it has no steady state."""
+    """Return the response of a filter; None if it never forgets its start and so has no steady state."""
     try:
         return describe(component.to_model(1.0, noise_variance), step_s, causal, component.signal_output[0])
     except ModelError:

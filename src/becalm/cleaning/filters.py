@@ -31,7 +31,7 @@ from becalm.identification.likelihood import Tuning
 
 
 class Filter:
-    """The filter of a channel in steps; `opened` starts a new run of it.
+    """The filter of a channel, with time in steps; `opened` starts a run of it.
 
     Parameters
     ----------
@@ -45,17 +45,20 @@ class Filter:
     Attributes
     ----------
     tuning : Tuning
-        Its parameters in steps.
+        Parameters of the filter, in steps.
     modes : InteractingModels or None
-        Its modes, if it has several.
+        Modes of the filter, if it has several.
     lag : int or None
-        Later rows that it smooths with; the other rows of the lag are used to find outliers before the filter.
+        Number of later rows that it smooths with, None for all; the outlier test before the filter uses the other rows
+        of the lag.
     gate : Gate or None
         The gate that rejects spikes.
+    noise_variance : float
+        Noise variance of a reading, in unit^2; with several modes, the least one.
     noise_std : float
-        Standard deviation of the noise of a reading, in unit; with several modes, in the calmest one.
+        Standard deviation of a reading's noise, in unit; with several modes, in the first one.
     gap_limit : GapLimit
-        Longest gaps that it bridges; after longer ones it starts anew.
+        Longest gaps that it bridges; after longer ones it restarts.
     largest : float
         Largest magnitude of a valid reading, in unit.
 
@@ -82,9 +85,9 @@ class Filter:
     def opened(
         self, judge: Judge | None = None, *, split: bool = False
     ) -> RestartingFlow | SmoothedFlow | FixedLagFlow:
-        """Start a run at the beginning of a record; `judge` gets its innovations, `split` estimates its parts too.
+        """Start a run at the beginning of a record; `judge` gets the innovations, `split` estimates the parts too.
 
-        A causal filter without modes is a `CausalChannel` or a `CausalFlow` instead.
+        Not for a causal filter without modes, which is a `CausalChannel` or a `CausalFlow`.
         """
         if self.modes is not None:
             return RestartingFlow(partial(self._part, self.modes, judge, split), self.gap_limit, self.largest)
@@ -95,19 +98,19 @@ class Filter:
         return FixedLagFlow(part, variance, lag=self.lag, judge=judge, split=split, gate=self.gate)
 
     def alone(self) -> RestartingFlow | SmoothedFlow | FixedLagFlow | CausalFlow:
-        """Start a run at the beginning of a record that estimates only signal and sigma."""
+        """Start a run that estimates only signal and sigma, at the beginning of a record."""
         if self.lag == 0 and self.modes is None:
             return CausalFlow(self.tuning.component, self.noise_variance, self.gate)
         return self.opened()
 
     @property
     def aligned(self) -> int:
-        """Return the number of rows of which the first row of a partial run must be a multiple."""
+        """Return the number of rows of which the first row of a run over a part of a record must be a multiple."""
         return rows_between(self.lag) if self.lag and self.modes is not None else BLOCK
 
     @cached_property
     def forgotten_after(self) -> float:
-        """Return after how many readings estimates forget the start (of a smoother: also the end) of a run; or inf."""
+        """Return after how many readings the start of a run (of a smoother: also its end) is negligible; or inf."""
         if self.modes is None:
             return rows_until_decayed(NEGLIGIBLE_SHARE, self.tuning.component.to_model(1.0, self.noise_variance))
         models = [mode.component.to_model(1.0, mode.noise_variance) for mode in self.modes.modes]
@@ -120,20 +123,20 @@ class Filter:
 
 
 def _gap_limit_of_modes(modes: InteractingModels) -> GapLimit:
-    """Return which gaps an IMM may bridge."""
+    """Return the gaps that an IMM may bridge: those that each of its modes may."""
     return least_gap_limit([gap_limit_of(mode.component, mode.noise_variance) for mode in modes.modes])
 
 
-# The common base of filtered channels in files and in streams: all but the filter itself.
+# Check readings before the filter of a channel, and widen sigma after it, in files and in streams.
 
 
 class FilteredChannel:
-    """Checks readings before a filter, and widens sigma and counts verdicts after it.
+    """The base of a filtered channel: it checks readings before the filter, widens sigma and counts verdicts after it.
 
     Parameters
     ----------
     recipe : ChannelRecipe
-        Its filter, in seconds and units.
+        Recipe of the channel, in seconds and units.
     step_s : float
         One step, in seconds.
     lag : int or None
@@ -144,7 +147,7 @@ class FilteredChannel:
     counts : Counter of Verdict
         How often each verdict was given.
     sensor : SensorWatch
-        Finds faults of the readings.
+        Check of the readings for faults.
 
     Raises
     ------
@@ -163,7 +166,7 @@ class FilteredChannel:
         self._timing = None if timing is None else TimingNoise(timing, self._runs.noise_std, step_s)
 
     def _counted(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
-        """Return the rows of a filter with all verdicts, and with sigma widened by the other uncertainties."""
+        """Return the filter's rows with all verdicts, and with sigma widened for tuning, calibration and time."""
         rows = [self._sentinel.mark_implausible(part) for part in self.sensor.named(rows)]
         for part in rows:
             self.counts.update(counted(part.verdicts))

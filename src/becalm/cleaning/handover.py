@@ -21,22 +21,22 @@ from becalm.core.arrays import Floats
 from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.errors import ModelError, RecipeError
 
-_TIMES_INDEPENDENT = 3.0
-_FEWEST, _MOST = 32, 1 << 16  # rows
+_TIMES_INDEPENDENT = 3.0  # a filter has forgotten its start after this many times its `independence_s`
+_FEWEST, _MOST = 32, 1 << 16  # limits of `rows_to_forget`
 _DAMAGED = "These bytes are not a snapshot of a change between two filters."
 
 
 class Handover:
-    """Runs two stream filters while the later one replaces the former one.
+    """Runs two stream filters while the new one replaces the old one.
 
     Parameters
     ----------
     former : StreamCleaner
         The old filter, which continues for a while.
     later : StreamCleaner
-        The new filter, which has had no row yet.
+        The new filter, which has taken no row yet.
     rows : int
-        Rows until the new filter has forgotten its start; the change then takes as many rows again.
+        Number of rows until the new filter has forgotten its start; then the change takes as many rows again.
 
     Raises
     ------
@@ -59,18 +59,18 @@ class Handover:
 
     @property
     def has_begun(self) -> bool:
-        """Return whether the next estimates contain a share of the later filter."""
+        """Return whether the next estimates contain a share of the new filter."""
         return self._rows_done >= self._rows
 
     @property
     def is_over(self) -> bool:
-        """Return whether the estimates are only those of the later filter."""
+        """Return whether the next estimates are only those of the new filter."""
         return self._rows_done >= 2 * self._rows
 
     def push(self, values: Floats, elapsed: Floats) -> Streamed:
         """Take the next rows; see `StreamCleaner.push`.
 
-        With a lag, the first estimates are of rows pushed before the later filter started; the former gives them.
+        With a lag, the first estimates are of rows from before the new filter started; the old filter gives them.
         """
         before, after = self.former.push(values, elapsed), self.later.push(values, elapsed)
         return self._joined(before, after)
@@ -83,11 +83,11 @@ class Handover:
         return estimates
 
     def health(self) -> tuple[ChannelHealth, ...]:
-        """Return the health of each channel of the later filter."""
+        """Return the health of each channel of the new filter."""
         return self.later.health()
 
     def _joined(self, before: Streamed, after: Streamed) -> Streamed:
-        alone = len(before.signal) - len(after.signal)  # rows from before the later filter started
+        alone = len(before.signal) - len(after.signal)  # rows from before the new filter started
         share = (np.arange(self._rows_done, self._rows_done + len(after.signal)) + 1 - self._rows) / self._rows
         self._rows_done += len(after.signal)
         w = np.concatenate([np.zeros(alone), np.clip(share, 0.0, 1.0)])[:, None]
@@ -140,7 +140,10 @@ def _mixed(w: Floats, old: Floats, new: Floats) -> Floats:
 
 
 def rows_to_forget(recipe: Recipe, step_s: float) -> int:
-    """Return after how many rows each filter of a recipe has forgotten its start; at most 65 536."""
+    """Return after how many rows all filters of a recipe have forgotten their start, from 32 to 65 536.
+
+    Of a channel with several modes only the fixed filter counts.
+    """
     longest_s = 0.0
     for channel in recipe.channel:
         if channel.motion is not None:

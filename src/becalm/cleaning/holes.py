@@ -1,8 +1,8 @@
 """Correct a smoother's estimates where readings are missing.
 
-A motion that predicts single readings well may predict badly where many are missing. How well is measured by hiding
-readings in blocks (`errors_in_holes`). In a hole, the departure of the estimate from a straight line is reduced, and
-sigma is increased. Both corrections are powers of sigma divided by sigma at the edge of the hole.
+A motion that predicts single readings well may predict badly where many are missing. `errors_in_holes` hides blocks of
+readings to measure how badly. In a hole the correction reduces the departure of the estimate from a straight line, and
+increases sigma. Both factors are powers of the ratio of sigma to sigma at the edge of the hole.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from becalm.core.rows import EstimatedRows
 
 
 class HoleLines(NamedTuple):
-    """The lines across the holes of a record; only valid in rows without a reading."""
+    """The lines across the holes of a record; they are only valid in rows without a reading."""
 
     line: Floats  # (N,) from the estimate before the hole to the one after it, in unit; NaN where one is missing
     edge: Floats  # (N,) the smaller of the sigmas of these two, in unit
-    missing: Floats  # (N,) how many readings are missing in the hole
+    missing: Floats  # (N,) number of readings that are missing in the hole
 
 
 class ReadingRow(NamedTuple):
@@ -49,11 +49,11 @@ def lines_across_holes(
     estimates : EstimatedRows
         Estimates of the same rows.
     used : (N,) bool array
-        Which rows have a reading that the filter used.
+        Rows that have a reading that the filter used.
     own_steps : float
         Steps from one reading to the next if none is missing.
     before : ReadingRow
-        The last row with a reading before these.
+        Last row with a reading before these rows.
     """
     ends = [
         np.concatenate([[head], of[used], [np.nan]]) for head, of in zip(before, (times, *estimates[:2]), strict=True)
@@ -69,13 +69,13 @@ def lines_across_holes(
 
 
 class Holes:
-    """Corrects the estimates of rows without a reading; rows wait until a hole has ended.
+    """Corrects the estimates of rows without a reading; the rows of a hole wait until it has ended.
 
     Parameters
     ----------
     shown : sequence of HoleRecipe
-        Corrections for holes of some lengths, at least one. Between these lengths they are interpolated by the
-        logarithm of the length; longer holes are corrected like the longest. One missing reading is not corrected.
+        Corrections for holes of one length or more. Between these lengths they are interpolated by the logarithm of the
+        length; longer holes have the correction of the longest. A single missing reading is not corrected.
     own_steps : float
         Steps from one reading to the next if none is missing.
     """
@@ -97,7 +97,7 @@ class Holes:
         self._time = float(times[-1]) if len(times) else self._time
 
     def bridged(self, estimates: Sequence[EstimatedRows]) -> list[EstimatedRows]:
-        """Take the estimates of the next rows; return corrected rows, without those of a hole that has not ended."""
+        """Take the estimates of the next rows; return corrected rows up to the last one with a reading."""
         self._waiting += estimates
         rows = EstimatedRows.joined(self._waiting)
         ends = np.flatnonzero(has_reading(rows))

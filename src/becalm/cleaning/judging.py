@@ -1,4 +1,4 @@
-"""Judge from the innovations whether the model describes the signal, by the size of the effect."""
+"""Judge from the innovations, by the size of the effects, whether the model describes the signal."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from becalm.metrics.whiteness import (
 )
 
 PREDICTABLE = 0.10
-"""Share of the innovation power that may still be predictable: 10 % costs 5 % in rms prediction."""
+"""Share of the innovation power that may be predictable: 10 % adds 5 % to the rms error of the prediction."""
 
 DESCRIBED = "The model describes the signal."
 
 COSTLY = 0.10
-"""Excess of a smoother's rms error over the least possible one, above which predictable innovations matter."""
+"""Excess of a smoother's rms error over the least possible one, as a share; below it predictability does not matter."""
 
 MOST_EXCEPTED = 0.5
-"""Excess of the rms error, above which even a narrow band is more than an exception."""
+"""The same; above it even a narrow band is more than an exception."""
 
 FEWEST_INNOVATIONS = 8
-"""With fewer innovations there is no judgement."""
+"""Least number of innovations for a judgement."""
 
 UNEVEN = 0.10
-"""Share of the record in which sigma may be wrong by more than a factor of two."""
+"""Largest share of the record in which sigma may be wrong by more than a factor of two."""
 
 MISPLACED = 0.15
-"""Share of the probability of scores that may be misplaced: 0.16 is that of a sigma 1.4 times too small."""
+"""Largest share of the scores' probability that may be misplaced; it is 0.16 if sigma is 1.4 times too small."""
 
-_FAR_OFF = 8.0  # mean square of a record that is too short for blocks
-_NARROW = 1 / 32  # cycles a reading, on each side of the loudest frequency: the resolution of 32 lags
+_FAR_OFF = 8.0  # factor by which the NIS of a record that is too short for blocks may differ from 1
+_NARROW = 1 / 32  # cycles per reading: half width of a narrow band, the resolution of 32 lags
 _CHANCE = 0.01  # p-value above which a predictable share counts as chance
 _LEAST = 1e-12  # least share that is not predictable
 
@@ -62,16 +62,16 @@ class Judgement:
     whiteness_p : float or None
         p-value of the Ljung-Box test, 20 lags.
     first_correlation : float or None
-        Correlation of neighbouring innovations; positive: sluggish, negative: nervous.
+        Correlation of neighbouring innovations; positive: the filter is too slow, negative: too fast.
     predictable_share : float or None
-        Share of the innovation power that is still predictable.
+        Share of the innovation power that is predictable from earlier innovations.
     excess_error : float or None
-        Cost of that share: the share by which the rms error exceeds the least possible one; for a smoother of the
-        signal, for a causal filter of the prediction.
+        Cost of predictable innovations: the share by which an rms error exceeds the least possible one. It is the error
+        of the signal for a smoother, and of the prediction for a causal filter.
     loudest_hz : float or None
         Frequency at which the spectrum of the innovations is highest.
     uneven_share : float or None
-        Share of the record whose innovations are half or twice as large as expected, or worse.
+        Share of blocks of 50 innovations that are, as an rms, under half or over twice as large as expected.
     nis_mean : float or None
         Mean squared normalised innovation; 1 is expected.
     lagged : LaggedSums or None
@@ -112,14 +112,14 @@ class _Sums(NamedTuple):
 
 
 class InnovationJudge:
-    """Judges one channel by its innovations, which come in blocks of any length; its memory is constant.
+    """Judges one channel by its innovations, which come in blocks of any length, in constant memory.
 
     Parameters
     ----------
     step_s : float
-        Step between them, in seconds.
+        Time between two innovations, in seconds.
     scores : bool
-        Whether they are normal scores times their sigma, as a filter with several modes returns: then their
+        Whether the innovations are normal scores times sigma, as those of a filter with several modes; then their
         whole distribution must be normal.
 
     Examples
@@ -136,14 +136,14 @@ class InnovationJudge:
         self._step_s = step_s
 
     def add(self, innovations: Floats, innovation_sigma: Floats | float) -> None:
-        """Add a block.
+        """Add a block of innovations.
 
         Parameters
         ----------
         innovations : (B,) float array
-            Reading minus prediction, in order of time; NaN where there is none.
+            Readings minus predictions, in unit, in order of time; NaN where there is none.
         innovation_sigma : (B,) float array or float
-            Expected standard deviation, same unit; one number for a filter in steady state.
+            Expected standard deviations, in unit; one number for a filter in steady state.
         """
         sigma = np.broadcast_to(innovation_sigma, innovations.shape)
         for start in range(0, len(innovations), PIECE):
@@ -156,9 +156,9 @@ class InnovationJudge:
         Parameters
         ----------
         excess_of : callable, optional
-            Takes the colour of the innovations and returns the excess of the rms error, as
-            `excess_error` of `identification/trust/tuning_spread.py` does for a smoother; by default the excess of the
-            prediction is used.
+            Takes the colour of the innovations, and returns the excess of the rms error, as `excess_error` in
+            `becalm.identification.trust.tuning_spread` does for a smoother. The default is the excess of the
+            prediction.
         """
         sums = self._running.sums()
         if sums.power.seen < FEWEST_INNOVATIONS:
@@ -189,7 +189,7 @@ class InnovationJudge:
 
 
 def _predictable(found: Whiteness, excess: float, loudest_hz: float | None, *, limited: bool) -> str:
-    """Return a clause on what is predictable, if the share is large and, for a smoother, costly; else ""."""
+    """Return a clause on the predictable share if it is large and, for a smoother (`limited`), costly; else ""."""
     much = found.predictable_share > PREDICTABLE and found.p_value < _CHANCE
     if not much or (limited and excess <= COSTLY):
         return ""
@@ -202,7 +202,7 @@ def _predictable(found: Whiteness, excess: float, loudest_hz: float | None, *, l
 
 
 def _is_narrow(found: Whiteness) -> bool:
-    """Return whether the innovations are predictable only in a band about the loudest frequency."""
+    """Return whether the innovations are predictable only in a narrow band about the loudest frequency."""
     middle = found.loudest or 0.0
     width = max(_NARROW, middle / 10)
     inside = width < middle < 0.5 - width
@@ -225,7 +225,7 @@ def _misplaced(share: float) -> list[str]:
 
 
 def _reserve(found: Whiteness, excess: float, at_fault: bool) -> str:
-    """Return a sentence on what is predictable, if it costs a smoother next to nothing; else ""."""
+    """Return a sentence on the predictable share if it is large but costs a smoother next to nothing; else ""."""
     if at_fault or found.predictable_share <= PREDICTABLE or found.p_value >= _CHANCE:
         return ""
     return (
@@ -248,12 +248,12 @@ def _sentence(faults: list[str], exception: str, loudest_hz: float | None) -> st
 #
 #     u(x)^2 = ((1 + spread) sigma)^2 + (x relative_std)^2 + offset_std^2 + rounding_std^2
 #
-# The first term is random and shrinks with averaging. The others are one error for all samples and do not shrink (JCGM
-# 100:2008, 3.3 and 5.1).
+# Averaging reduces the first term, which is random. It does not reduce the others: they are one error for all samples
+# (JCGM 100:2008, 3.3 and 5.1).
 
 
 class Uncertainty:
-    """Widens sigma by tuning, calibration and quantisation, and sums up the magnitude of the signal.
+    """Widens sigma for tuning, calibration and quantisation, and sums up the magnitude of the signal.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ class Uncertainty:
     calibration : CalibrationRecipe or None
         Uncertainty of the sensor's calibration.
     limits : LimitsRecipe or None
-        Limits with the quantisation error that averaging does not remove.
+        Limits of the channel, with the quantisation error that averaging does not remove.
     """
 
     def __init__(
@@ -273,14 +273,14 @@ class Uncertainty:
         self._magnitudes, self._rows = 0.0, 0
 
     def widened(self, estimates: Sequence[EstimatedRows]) -> list[EstimatedRows]:
-        """Return rows with their full uncertainty as sigma."""
+        """Return the rows with their full uncertainty as sigma."""
         if self._factor == 1.0 and self._systematic is None:
             return list(estimates)
         return [self._widened(rows) for rows in estimates]
 
     @property
     def calibration_std(self) -> float | None:
-        """Return the calibration's uncertainty at the mean magnitude so far, in unit; None if there is none."""
+        """Return the standard uncertainty of the calibration at the mean magnitude so far, in unit, or None."""
         if self._calibration is None or not self._rows:
             return None
         mean = self._magnitudes / self._rows
@@ -303,7 +303,7 @@ class Uncertainty:
 
 
 def lasting_std(calibration: CalibrationRecipe | None, limits: LimitsRecipe | None) -> tuple[float, float] | None:
-    """Return the errors that averaging does not reduce: of the signal, as a share, and of the zero, in unit."""
+    """Return the errors that averaging does not reduce, as a share of the signal and in unit; None without any."""
     rounding_std = None if limits is None else limits.rounding_std
     if calibration is None:
         return None if rounding_std is None else (0.0, rounding_std)

@@ -16,12 +16,12 @@ from becalm.core.time.clock import GAP_STEPS
 from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.tuning_spread import independence_steps
 
-_PARTS = 36  # of the plausible range: a channel that comes closer to 0 may rest there
+_PARTS = 36  # a channel that comes closer to 0 than this fraction of its plausible range may rest there
 _LEAST_ROUNDING = 1e-3  # of the resolution; a smaller error is left out
 
 
 def limits_recipe(limits: Limits) -> LimitsRecipe | None:
-    """Return limits in the form of a recipe; None if there are only limits of the time."""
+    """Return limits in the form of a recipe; None if there are only limits of the time, or a resolution."""
     rails = [float(rail) if np.isfinite(rail) else None for rail in limits.rails]
     largest = limits.largest if limits.largest < BEYOND_ANY_SENSOR else None
     jumps = limits.outliers
@@ -55,7 +55,7 @@ def _value_or(number: float | None, otherwise: float) -> float:
 
 
 def limits_of(entry: LimitsRecipe | None) -> Limits:
-    """Return the limits of a recipe; without any, no reading is clipped or stuck, and no row is late."""
+    """Return the limits of a recipe; if it has none, no reading is clipped or stuck, and no row is late."""
     if entry is None:
         return Limits(even=False)
     return Limits(
@@ -79,9 +79,9 @@ def limits_of(entry: LimitsRecipe | None) -> Limits:
 
 
 def _far_from_0(limits: LimitsRecipe) -> float:
-    """Return the distance of its neighbours from which a 0 counts as missing; 0.0 if every 0 is a reading.
+    """Return the distance from 0, in unit: a 0 whose neighbours are all farther away is missing; 0.0 if none is.
 
-    Recipes without this value get it from the plausible range, if equal readings in a row count as one and gross
+    For recipes without this value, it comes from the plausible range if equal readings in a row count as one and gross
     outliers are found.
     """
     if limits.far_from_0 is not None or limits.plausible_low is None or limits.plausible_high is None:
@@ -91,17 +91,17 @@ def _far_from_0(limits: LimitsRecipe) -> float:
 
 
 def rows_that_judge(entry: LimitsRecipe | None, lag: int | None) -> int:
-    """Return how many later rows are used to find outliers, for a lag in rows (None: a smoother); 0 for none."""
+    """Return how many later rows the outlier test uses, for a lag in rows (None: a smoother)."""
     return rows_ahead(lag) if lag is None or np.isfinite(limits_of(entry).outliers.distance) else 0
 
 
 def rows_that_smooth(entry: LimitsRecipe | None, lag: int | None) -> int | None:
-    """Return how many rows of a lag are left to smooth with after the outlier test; None for a smoother."""
+    """Return how many rows of a lag the outlier test leaves to smooth with; None for a smoother."""
     return None if lag is None else lag - rows_that_judge(entry, lag)
 
 
 def delay_to_smooth(entry: LimitsRecipe | None, wait_s: float, step_s: float) -> float:
-    """Return the least lag, in seconds, that leaves `wait_s` to smooth with; inf for a smoother."""
+    """Return the least lag, in seconds, that leaves `wait_s` to smooth with after the outlier test; inf for inf."""
     if not np.isfinite(wait_s):
         return wait_s
     wanted = lag = round(wait_s / step_s)
@@ -111,7 +111,7 @@ def delay_to_smooth(entry: LimitsRecipe | None, wait_s: float, step_s: float) ->
 
 
 def alarms_of(entry: LimitsRecipe | None) -> Alarms:
-    """Return the alarm thresholds for drift and death; without them in the recipe there are no alarms."""
+    """Return the thresholds of the drift and dead-sensor alarms; an alarm without a threshold is off."""
     drift = None if entry is None else entry.drift_threshold
     dead = None if entry is None else entry.dead_variance
     return Alarms(NEVER if drift is None else drift, dead or 0.0)
@@ -120,16 +120,16 @@ def alarms_of(entry: LimitsRecipe | None) -> Alarms:
 def with_rounding(
     limits: LimitsRecipe | None, tuning: Tuning, readings: Floats, *, causal: bool
 ) -> LimitsRecipe | None:
-    """Add the quantisation error that remains in the signal to the limits of a channel, if it is noticeable.
+    """Return the limits of a channel with the quantisation error that remains in the signal, if it is noticeable.
 
     Parameters
     ----------
     limits : LimitsRecipe or None
         Limits of the channel; None stays None.
     tuning : Tuning
-        Its filter, in steps.
+        Filter of the channel, in steps.
     readings : (N,) float array
-        Readings that it was tuned on, in unit; NaN where missing.
+        Readings that the filter was tuned on, in unit; NaN where missing.
     causal : bool
         Whether the filter runs causally.
     """

@@ -19,15 +19,15 @@ from becalm.identification.at_rest.detection import Stretch, detect_rests, named
 from becalm.identification.at_rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
 
 MOST_SLOW = 1.5
-"""Ratio of the variance over half a second to R, above which the report calls the noise slower than the readings."""
+"""Ratio of the variance within half a second to R; above it the report calls the noise slower than the readings."""
 
 MOST_REPEATED = 0.4
-"""Share of readings equal to the previous one, above which a sensor is slower than the rows of its record."""
+"""Share of readings equal to the previous one; above it the sensor is slower than the rows of its record."""
 
 MOST_MISFIT = 2.0
-"""Misfit above which the report says that the terms do not describe the Allan deviation."""
+"""Misfit (about 1 is expected); above it the report says that the terms do not describe the Allan deviation."""
 
-_JITTER = 4.0  # standard deviations
+_JITTER = 4.0  # standard deviations of the jitter by which a step may be longer without a gap
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class ChannelNoise:
     noise_std, noise_std_error : float or None
         Square root of R, from differences of neighbours, and its standard error if the noise is white, in unit.
     slowness : float or None
-        Variance over half a second, divided by R; see `becalm.identification.at_rest.rest_noise.RestNoise`.
+        Variance within half a second, divided by R; see `becalm.identification.at_rest.rest_noise.RestNoise`.
     spikes : int
         Number of jumps beyond six standard deviations; they do not count in `noise_std`.
     cutoff_hz : float
@@ -73,7 +73,7 @@ class ChannelNoise:
     says: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, object]:
-        """Return the figures for JSON; what is unknown is None."""
+        """Return the figures for JSON; unknown ones are None."""
         return asdict(self)
 
 
@@ -93,8 +93,8 @@ def report_noise(
     still : iterable of (float, float), optional
         Rests, each from and to, in seconds after the first sample; detected by default.
     cutoff_hz : float
-        Noise above it counts as measurement noise, noise below it as variation of the signal; with a *small* one
-        more of it is measurement noise.
+        Cut-off, in Hz: noise above it counts as measurement noise, noise below it as variation of the signal. With a
+        *small* one more of the noise is measurement noise.
     progress : callable, optional
         Called with the name of each channel when it is done.
 
@@ -106,7 +106,7 @@ def report_noise(
     Raises
     ------
     RecordingError
-        If a span of `still` runs backwards, or has fewer than 32 samples.
+        If `still` has no span, or one that is reversed, starts before the recording or has fewer than 32 samples.
     UsageError
         If the cut-off is not positive.
 
@@ -128,7 +128,7 @@ def report_noise(
 
 
 def _measured(channel: ChannelNoise, recording: Recording, stretches: Sequence[Stretch]) -> ChannelNoise:
-    """Add the figures of one channel over its rests."""
+    """Return the channel with its figures over the rests added."""
     (noise,) = noise_at_rest(recording, stretches)
     parts = [_in_a_row(recording, rest) for rest in stretches]
     step = quantum(recording.samples[:, 0])
@@ -151,13 +151,13 @@ def _measured(channel: ChannelNoise, recording: Recording, stretches: Sequence[S
 
 
 def _repeated(parts: Sequence[Floats]) -> float:
-    """Return the share of readings, among those that follow another, that are equal to it."""
+    """Return the share of readings that equal the previous one, among those that directly follow another."""
     steps = np.concatenate([np.diff(part) for part in parts])
     return float(np.mean(steps[np.isfinite(steps)] == 0)) if np.isfinite(steps).any() else 0.0
 
 
 def _hidden(noise: RestNoise, step: float, repeated: float) -> str:
-    """Return why the readings do not show the noise, or "" if they do; `step` as in `_doubts`."""
+    """Return a sentence on why the readings do not show the noise, or "" if they do; `step` as in `_doubts`."""
     if not np.isfinite(noise.variance):
         return f"At rest {noise.differences} readings follow another without a gap; 32 are needed to measure the noise."
     if not noise.variance > 0:
@@ -187,7 +187,7 @@ def _doubts(noise: RestNoise, step: float) -> list[str]:
 
 
 def _split(parts: Sequence[Floats], rate_hz: float, cutoff_hz: float) -> tuple[float | None, float | None, list[str]]:
-    """Return the standard deviations above and below the cut-off, or why there are none."""
+    """Return the standard deviations above and below the cut-off, and sentences on why there are none."""
     if cutoff_hz >= rate_hz / 2:
         return None, None, [f"A rate of {rate_hz:.4g} Hz does not show the noise above {cutoff_hz:g} Hz."]
     longest = max(map(_longest_complete, parts), key=len)
@@ -226,7 +226,7 @@ def _in_a_row(recording: Recording, rest: Stretch) -> Floats:
 
 
 def _longest_complete(readings: Floats) -> Floats:
-    """Return the longest part of the readings without a missing one."""
+    """Return the longest run of readings without a missing one."""
     runs = runs_of(np.isfinite(readings))
     first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
     return readings[first : last + 1]
@@ -241,6 +241,6 @@ def _span_s(recording: Recording, rest: Stretch) -> tuple[float, float]:
 
 
 def _without_impossible(recording: Recording) -> Recording:
-    """Return the recording with impossible readings as missing."""
+    """Return the recording with NaN in place of impossible readings."""
     beyond = np.abs(recording.samples) > BEYOND_ANY_SENSOR
     return recording.with_samples(np.where(beyond, np.nan, recording.samples)) if beyond.any() else recording

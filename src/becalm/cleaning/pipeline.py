@@ -28,13 +28,13 @@ class Cleaned:
     sigma : Recording
         Standard uncertainty (k = 1) of each sample, same units; NaN where it is unknown.
     recipe : Recipe
-        The recipe that was used; it is enough to repeat the cleaning.
+        Recipe that was used; with it the cleaning can be repeated.
     reports : tuple of ChannelReport
-        The results for each channel, and whether to trust them.
+        Results for each channel, and whether to trust them.
     parts : Recording or None
-        Parts of each channel, (N, p), if `split` was set: "ax_motion", "ax_tone_50Hz".
+        Parts of all channels, (N, p), such as "ax_motion" and "ax_tone_50Hz"; None without `split`.
     verdicts : dict of str to (N,) int8 array
-        The verdict on each reading of each channel: values of `becalm.core.reading_verdicts.Verdict`.
+        Verdict on each reading, by the name of the channel: values of `becalm.core.reading_verdicts.Verdict`.
     """
 
     signal: Recording
@@ -59,12 +59,12 @@ def clean(  # noqa: PLR0913  (keyword options of the main function)
     channels: Sequence[str] | None = None,
     split: bool = False,
 ) -> Cleaned:
-    """Clean a recording with a recipe, or with one that is identified from it.
+    """Clean a recording with a recipe, or with one that is tuned on it.
 
     Parameters
     ----------
     recording : Recording
-        Samples (N, m), NaN where missing. Never modified.
+        Samples (N, m), NaN where missing. It is not modified.
     recipe : Recipe, optional
         The recipe; `tune(recording)` by default.
     causal : bool, optional
@@ -72,7 +72,7 @@ def clean(  # noqa: PLR0913  (keyword options of the main function)
         for the other mode keeps its parameters; `tune(..., causal=...)` might choose different ones.
     lag_s : float, optional
         How long each estimate may wait for later readings, in seconds; by default it uses none (causal) or all
-        (smoothed). With a *small* lag a live filter returns its estimates sooner, but noisier.
+        (smoothed). With a *small* lag a live filter returns its estimates sooner, but they are noisier.
     channels : sequence of str, optional
         Names of the channels to clean; by default all, or all channels of the recipe.
     split : bool
@@ -124,7 +124,7 @@ def _parts(recording: Recording, recipe: Recipe, estimates: Sequence[EstimatedRo
 
 
 def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = None) -> Recipe:
-    """Return a recipe that filters causally, with a lag, or smooths; unchanged if no option is given.
+    """Return a recipe in another mode: causal, lagged or smoothed; unchanged if no option is given.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = No
     causal : bool, optional
         Whether estimates use only the past (True), or the whole record (False).
     lag_s : float, optional
-        How long each estimate waits for later readings, in seconds; a *small* lag returns it sooner, but noisier.
+        How long each estimate waits for later readings, in seconds; with a *small* lag it comes sooner, but is noisier.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def fitted(
     names, units : sequence of str
         Channel names and units of the recording.
     channels : sequence of str, optional
-        Which of the recipe's channels to clean; all by default.
+        Names of the recipe's channels to clean; all by default.
 
     Raises
     ------

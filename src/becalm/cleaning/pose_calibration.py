@@ -1,4 +1,4 @@
-"""Find the rests of an accelerometer in many poses, for its calibration."""
+"""Find the rests of an accelerometer in its poses, for a calibration."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from becalm.identification.at_rest.detection import SHORTEST_S, detect_rests
 from becalm.sensors.poses import FEWEST_POSES, Rests
 
 _AXES = 3
-_BLOCKS = 8  # parts of a rest, whose means give the uncertainty of its mean, even with coloured noise
+_BLOCKS = 8  # parts of a rest: their means give the uncertainty of its mean, even with coloured noise
 
 
 def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
-    """Find the rests of a triaxial sensor, and their means.
+    """Find the rests of a triaxial sensor, with the mean reading of each axis.
 
     Parameters
     ----------
     recording : Recording
-        Its three channels, as readings.
+        Readings of the three axes.
     shortest_s : float
         Shortest rest that counts, in seconds; a *small* one also uses short rests.
 
     Returns
     -------
     Rests
-        The rests in which each axis has eight readings or more, and its readings vary.
+        The rests that have eight rows or more with readings of all axes, and in which every axis varies.
 
     Raises
     ------

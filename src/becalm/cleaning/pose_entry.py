@@ -25,7 +25,7 @@ from becalm.sensors.poses import (
 from becalm.sensors.record import COVERAGE
 
 ACCELERATIONS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY}
-"""Units that an accelerometer can be calibrated in, in m/s^2."""
+"""Units that an accelerometer can be calibrated in, with their size in m/s^2."""
 
 LEAST_GRAVITY, MOST_GRAVITY = 9.780, 9.832
 """Gravity at sea level on the equator and at the poles, in m/s^2."""
@@ -45,11 +45,11 @@ class PoseReport(NamedTuple):
     calibration : PoseCalibration
         Calibration from these rests.
     before : float
-        Standard deviation of |a| over the rests before calibration, in unit: of the readings, if these are
-        accelerations; else with one factor for all axes, and the best zero for it.
+        Standard deviation of |a| over the rests without this calibration, in unit: of the readings themselves if they
+        are accelerations, otherwise with the best zero and one factor for all axes.
     after, held_out : float
-        The same after calibration; and the root mean square difference from gravity of each rest with a calibration
-        from the others, NaN if there are only ten rests.
+        The same after calibration; and the root mean square difference of |a| from gravity, for each rest with a
+        calibration from the others. The latter is NaN for ten rests, or if the others are too similar without one.
     gravity_relative_std : float
         Standard uncertainty (k = 1) of gravity, as a share.
     """
@@ -82,7 +82,7 @@ class PoseReport(NamedTuple):
         return float(COVERAGE * of_axes.max())
 
     def entry(self, calibrated: date) -> TriaxialEntry:
-        """Return the entry for the sensor file; `calibrated` is the day of calibration."""
+        """Return the entry for the sensor file; `calibrated` is the date of the calibration."""
         found: Any = self.calibration
         return TriaxialEntry(
             kind="triaxial",
@@ -123,7 +123,7 @@ def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | Non
     Parameters
     ----------
     recording : Recording
-        Its three channels, all in V, mV, mV/V, counts, g or m/s^2; readings without a unit are taken as counts.
+        Three channels, all in V, mV, mV/V, counts, g or m/s^2; readings without a unit count as counts.
     unit : str
         Unit of the result: m/s^2 or g.
     gravity : float, optional
@@ -133,7 +133,7 @@ def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | Non
     Raises
     ------
     SensorError
-        If there are not three channels, too few or too similar rests, or a unit or gravity is impossible.
+        If there are not three channels, the rests are too few or too similar, or a unit or gravity is impossible.
     """
     if unit not in ACCELERATIONS:
         raise SensorError(f"--unit {unit} is not a unit for a calibration; write --unit m/s^2 or --unit g.")
@@ -167,7 +167,7 @@ def _raw_unit(units: tuple[str, ...]) -> RawUnit:
 
 
 def _before(means: Floats, raw_unit: str, unit: str, gravity: float) -> float:
-    """Return the spread of |a| without this calibration."""
+    """Return the standard deviation of |a| over the rests without this calibration, in `unit`."""
     if raw_unit in ACCELERATIONS:
         as_read = np.linalg.norm(means, axis=1) * ACCELERATIONS[raw_unit] / ACCELERATIONS[unit]
         return float(as_read.std())

@@ -24,13 +24,13 @@ from becalm.cleaning.recipe_parts import (
 )
 from becalm.errors import RecipeError, SensorError
 
-# Read TOML that a person wrote into settings; errors are reported in a sentence.
+# Parse TOML that a person wrote; the message of an error is one sentence.
 
 Document = TypeVar("Document", bound=FrozenSettings)
 
 
 class TomlKind(NamedTuple):
-    """The name of a kind of file, and the error for a file that cannot be read."""
+    """The name of a kind of TOML file, and the error for a file that is not valid."""
 
     name: str
     error: type[RecipeError | SensorError]
@@ -50,7 +50,7 @@ class TomlKind(NamedTuple):
             raise self.error(f"The {self.name} {path} cannot be read: {reason}. {way_out}") from cause
 
     def parsed(self, model: type[Document], text: str, source: str, way_out: str) -> Document:
-        """Return the settings of a text; an error message starts with `source` and ends with `way_out`.
+        """Return the settings that a TOML text contains; an error message starts with `source` and ends with `way_out`.
 
         Raises
         ------
@@ -67,20 +67,20 @@ class TomlKind(NamedTuple):
 
 
 def _faults(messages: dict[tuple[int | str, ...], str]) -> list[str]:
-    """Return the faults with their places; without the fault of a list whose entries have faults."""
+    """Return each fault with its place; the fault of a list or table is left out if its entries have faults."""
     inside = {where[:depth] for where in messages for depth in range(1, len(where))}
     named = {where: ".".join(str(part + 1) if isinstance(part, int) else part for part in where) for where in messages}
     return [f"{named[at]}: {fault}" if at else fault for at, fault in messages.items() if at not in inside]
 
 
 def _plain(message: str) -> str:
-    """Return the message without pydantic's prefix, and without the full stop."""
+    """Return the message without the prefix that pydantic adds, and without the full stop."""
     return message.removeprefix("Value error, ").removesuffix(".")
 
 
-VERSION: Literal[5] = 5  # added: 2 tones, 3 disturbances, 4 gates, lags, spread, 5 damping, outliers; all are read
+VERSION: Literal[5] = 5  # 2 added tones; 3 disturbances; 4 gates, lags, spread; 5 damping, outliers; all can be read
 
-# Journals and fleets compare the whole text of recipes: with another header a kept stream does not continue.
+# Journals and fleets compare the whole text of recipes: a stream that was saved with another header cannot continue.
 _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
@@ -96,7 +96,7 @@ sigma is widened by the share tuning_spread; [channel.calibration] with relative
 does not lower; [channel.timing] with std_s adds to the noise where the signal moves, beyond its included_std."""
 
 
-_KNOWS_NOTHING = 0.95  # of the standard deviation of the readings: nine tenths of their variance are unexplained
+_KNOWS_NOTHING = 0.95  # sigma over spread_std: the model leaves nine tenths of the readings' variance unexplained
 
 _KIND = TomlKind("recipe", RecipeError)
 
@@ -104,7 +104,7 @@ Mode = Literal["smoothed", "causal", "lagged"]
 
 
 class TunedMotion(NamedTuple):
-    """The parameters of a motion model, with its tones and its coloured noise."""
+    """The parameters of a motion model, with its tones and its coloured noise; units as in `ChannelRecipe`."""
 
     order: int
     process_noise_density: float
@@ -135,12 +135,12 @@ class ChannelRecipe(FrozenSettings):
     tuning_spread : float
         Share by which sigma is larger because the tuning is uncertain; a *small* one trusts the tuning.
     spread_std : float or None
-        Standard deviation of the readings. Where no reading came and sigma is nearly as large, the model predicts
-        nothing, and there is no estimate; None for an estimate in every row.
+        Standard deviation of the readings, in unit. Where no reading came and sigma is nearly as large, the model
+        predicts nothing, and there is no estimate; None for an estimate in every row.
     fill : bool
         Whether to return an estimate even there.
     rate_hz : float or None
-        Rate of new readings, in Hz, where it is lower than the rate of the rows; bandwidth and tests refer to it.
+        Rate of new readings, in Hz, if it is lower than the rate of the rows; bandwidth and tests refer to it.
     coloured_noise : ColouredNoiseRecipe or None
         Coloured noise, in addition to the white noise.
     calibration : CalibrationRecipe or None
@@ -148,10 +148,10 @@ class ChannelRecipe(FrozenSettings):
     timing : TimingRecipe or None
         Uncertainty of the time of its readings.
     tone : tuple of ToneRecipe
-        Oscillations that are added to the motion.
+        Tones that are added to the motion.
     hole : tuple of HoleRecipe
-        Corrections to a smoother's estimates where readings are missing, for holes of some lengths; without any, its
-        estimates are not corrected.
+        Corrections of a smoother's estimates where readings are missing, one for each of some lengths of holes; ()
+        corrects nothing.
     gate : GateRecipe or None
         The gate that rejects spikes; None uses every reading.
     switching : SwitchingRecipe or None
@@ -197,7 +197,7 @@ class ChannelRecipe(FrozenSettings):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return the names of the parts of the signal, without the white noise."""
+        """Return the names of the parts that a split estimates, in order; probabilities of several modes come last."""
         if self.model != "motion":
             return (self.model,)
         tones = [f"{tone.frequency_hz:.6g}Hz" for tone in self.tone]
@@ -229,11 +229,11 @@ class Origin(FrozenSettings):
     Attributes
     ----------
     sha256 : str
-        Hash of the file; empty if there was none.
+        SHA-256 of the file; "" if there was none.
     rows : int
-        Number of samples.
+        Number of its rows.
     rate_hz : float
-        Samples per second: 1 / step.
+        Rows per second: 1 / step.
     becalm : str
         Version of becalm that tuned it.
     """
@@ -245,7 +245,7 @@ class Origin(FrozenSettings):
 
 
 class Recipe(FrozenSettings):
-    """The filters for the channels of a recording.
+    """The filters of a recording's channels, and how to apply them.
 
     Attributes
     ----------
@@ -254,7 +254,7 @@ class Recipe(FrozenSettings):
     mode : {"smoothed", "causal", "lagged"}
         Whether estimates use all later readings, none, or those within a lag.
     lag_s : float or None
-        Lag of the mode "lagged", in seconds; with a *small* one the estimates come sooner, but noisier.
+        Lag of the mode "lagged", in seconds; with a *small* one the estimates come sooner, but are noisier.
     time : str or None
         Name of the time column, if a person gave it.
     rate_hz : float or None
@@ -278,7 +278,7 @@ class Recipe(FrozenSettings):
 
     @property
     def nominal_rate_hz(self) -> float:
-        """Return the rate for a stream without stamps, in Hz: the given rate, or else that of the tuning recording."""
+        """Return the rate for a stream without stamps, in Hz: `rate_hz`, or else that of the tuning recording."""
         return self.rate_hz or self.tuned_on.rate_hz
 
     @field_validator("becalm_recipe")

@@ -1,4 +1,4 @@
-"""The tables of a channel's recipe: tones, coloured noise, holes, gate, limits, calibration and timing."""
+"""The tables of a channel's recipe: tones, coloured noise, holes, gate, limits, calibration, timing and modes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
-_MOST_REJECTS = 1 << 31  # in a row: more than any stream has
+_MOST_REJECTS = 1 << 31  # rejected readings in a row: more than any stream has
 
 
 class FrozenSettings(BaseModel):
@@ -29,13 +29,13 @@ class ToneRecipe(FrozenSettings):
     Attributes
     ----------
     frequency_hz : float
-        Its frequency, in Hz.
+        Frequency of the tone, in Hz.
     bandwidth_hz : float
-        Width of its resonance at half the power, in Hz.
+        Width of the resonance at half its power, in Hz.
     process_noise_density : float
-        Process noise of each of its two states, in unit^2/s; with a *small* one the tone changes slowly.
+        Process noise of each of the two states, in unit^2/s; with a *small* one the tone changes slowly.
     disturbance : bool
-        Whether it is removed from the signal, as mains hum is.
+        Whether the tone is removed from the signal, as mains hum is.
     """
 
     frequency_hz: Positive
@@ -89,12 +89,12 @@ class GateRecipe(FrozenSettings):
     Attributes
     ----------
     false_alarms_per_hour : float
-        Good readings that are rejected as spikes, per hour; a *small* one trusts the readings.
+        Good readings per hour that may be rejected as spikes; a *small* number trusts the readings.
     agree : int
-        So many rejected readings in a row that agree with each other are a step, and the filter follows it. A *small*
-        one follows steps sooner, but also spikes that agree by chance.
+        Number of rejected readings in a row that are a step, which the filter follows, if they agree with each other.
+        With a *small* number it follows steps sooner, but also spikes that agree by chance.
     at_most : int
-        After so many rejected readings in a row the filter follows them in any case; a *small* one trusts the readings.
+        Number of rejected readings in a row that the filter follows in any case; a *small* number trusts the readings.
     """
 
     false_alarms_per_hour: Positive = 1.0
@@ -118,36 +118,37 @@ class LimitsRecipe(FrozenSettings):
     resolution : float or None
         Difference between two neighbouring codes, in unit; None where readings are not quantised.
     rounding_std : float or None
-        Quantisation error that averaging does not remove, in unit; it widens sigma.
+        Standard deviation of the quantisation error that averaging does not remove, in unit; it widens sigma.
     stuck_readings : int or None
-        Number of equal readings in a row from which they count as missing; a *small* one finds a stuck channel
+        Number of equal readings in a row from which on they count as missing; a *small* number finds a stuck channel
         sooner, but also calls slow signals stuck.
     even_time : bool or None
-        Whether rows came at even intervals, so that one can be late.
+        Whether rows come at even intervals; only then a row can be late.
     gap_steps : float or None
         More steps than this since the previous row are a gap; 1.5 by default.
     largest : float or None
         Readings of a greater magnitude, in unit, are invalid and count as missing; None for 1e100.
     outlier_distance : float or None
-        For a smoother, or a lag of 13 rows or more: readings farther than this, in unit, and than 8 times their middle
-        spread, from the median of three readings on each side are gross outliers, and count as missing. A *small* one
-        also rejects motion; None finds no outliers.
+        For a smoother, or a lag of 11 rows or more. A reading is a gross outlier, and counts as missing, if its
+        distance from the median of its six nearest neighbours exceeds this, in unit, and 8 times their spread (without
+        the lowest and the highest). A *small* value also rejects motion; None finds no outliers.
     causal_outlier_distance : float or None
-        The same for a causal filter or a shorter lag: the distance from the six previous readings.
+        The same for a causal filter or a shorter lag: the distance from the median of the six previous readings.
     plausible_low, plausible_high : float or None
-        Range of plausible readings, in unit: outside it a first or a single reading is a gross outlier, and an estimate
-        is a runaway; a *narrow* one trusts the record that it was tuned on.
+        Range of plausible readings, in unit. Outside it a first or a single reading is a gross outlier, and an estimate
+        may be a runaway. A *narrow* range trusts the record that it was tuned on.
     repeats_are_one : bool or None
         Whether equal readings in a row count as one: all of them are gross outliers, or none.
     blank : float or None
-        Value that is written where there is no reading, in unit; it counts as missing.
+        Value that stands for a missing reading, in unit; it counts as missing.
     far_from_0 : float or None
-        A 0 whose neighbours are all farther away than this, in unit, counts as missing, until it lasts 128 rows, unless
-        0 is well inside the plausible range. A *small* one leaves out more of them, 0 none. It needs `outlier_distance`
-        or the causal one; by default it is a 36th of the plausible range, where equal readings in a row count as one.
+        A 0 whose neighbours are all farther than this from 0, in unit, counts as missing. A 0 that lasts 128 rows is a
+        reading, unless 0 is well inside the plausible range. A *small* value leaves out more of them, but the value 0
+        none. It needs `outlier_distance` or `causal_outlier_distance`. By default it is a 36th of the plausible range,
+        or 0 if equal readings in a row do not count as one.
     drift_threshold : float or None
-        Threshold of the cumulative sum of innovations, in sigma: a *small* one finds a drift sooner, with more false
-        alarms; None reports no drift.
+        Threshold of the cumulative sum of normalised innovations, in sigma: a *small* one finds a drift sooner, with
+        more false alarms; None reports no drift.
     dead_variance : float or None
         Variance of a window of innovations, as a share of the expected one, below which the channel is dead; a *small*
         one allows quieter signals, None reports no dead channel.
@@ -183,20 +184,21 @@ class LimitsRecipe(FrozenSettings):
 class TareRecipe(FrozenSettings):
     """A zero that was measured while the recording was read.
 
-    It records an event: each reading of the file measures the zero again.
+    It is only a record: whenever the file is read, the zero is measured again.
 
     Attributes
     ----------
     start_s, stop_s : float
         Stretch that the zero was measured in, in seconds after the first row.
     reading, reading_std : float, float or None
-        Mean reading without load, and its standard uncertainty, in raw_unit; None where readings did not vary.
+        Mean reading without load, and its standard uncertainty, in raw_unit; the latter is None if readings did not
+        vary.
     raw_unit : str
         Unit of the readings.
     readings : int
         Number of readings in the stretch.
     temperature_degc : float or None
-        Temperature of the sensor then, in degrees Celsius; None where it is unknown.
+        Temperature of the sensor at that time, in degrees Celsius; None if it is unknown.
     """
 
     start_s: NotNegative
@@ -235,18 +237,18 @@ class TimingRecipe(FrozenSettings):
         Standard uncertainty (k = 1) of the time of each reading, independent of the others, in seconds; a *small* one
         trusts the stamps.
     included_std : float
-        Part of it that noise_std already includes, root mean square, in unit; 0 where noise_std was measured at rest.
+        Root mean square of the part of this noise that noise_std includes, in unit; 0 if noise_std is that at rest.
     """
 
     std_s: Positive
     included_std: NotNegative = 0.0
 
 
-# The tables of a channel's recipe for a filter with several modes (IMM).
+# The tables of a recipe for a filter with several modes (IMM).
 
 
 class ModeRecipe(FrozenSettings):
-    """One mode: one way in which the signal of a channel may behave.
+    """One mode of a channel: one way in which its signal may behave.
 
     Attributes
     ----------
@@ -262,11 +264,11 @@ class ModeRecipe(FrozenSettings):
     noise_std : float
         Standard deviation of one reading's noise in this mode, in unit.
     lasts_s : float
-        Mean duration of the mode, in seconds; with a *large* one the filter leaves it late.
+        Mean duration of the mode, in seconds; with a *large* one the filter leaves the mode late.
     then : str
-        The mode that follows it; "" for any other.
+        Name of the mode that follows it; "" for any other.
     wild_share : float
-        Share of outliers among the readings; with a *small* one the filter changes the mode sooner.
+        Share of outliers among the readings; with a *small* one the filter changes its mode sooner.
     damped_below_hz : float or None
         Motion slower than this is damped, as in the channel's recipe.
     with_tones : bool
@@ -298,7 +300,7 @@ class SwitchingRecipe(FrozenSettings):
     rejects : bool
         Whether outliers are left out.
     mode : tuple of ModeRecipe
-        One of them is in force at a time.
+        The modes, one of which is in force at a time.
     """
 
     kind: Literal["resting", "jumping", "noisy", "spiky", "bursting"]

@@ -17,11 +17,11 @@ class ModeReport:
     Attributes
     ----------
     share : float
-        Share of the record in which it was in force.
+        Mean probability of the mode over the rows.
     bandwidth_hz, lag_s : float or None
-        As for a fixed filter, once the mode has been in force for long.
+        Those of a filter with this mode alone, in steady state.
     noise_left : float or None
-        Standard deviation of the noise that passes then, in unit.
+        Standard deviation of the noise that passes this filter, in unit.
     """
 
     share: float
@@ -45,22 +45,22 @@ class ChannelReport(Judgement):
     tones_hz, removed_hz : tuple of float
         Frequencies of tones: of the signal, and of disturbances that were removed.
     noise_std, coloured_std : float or None
-        Standard deviation of one reading's white noise (with several modes: in the calmest one), and of its coloured
+        Standard deviation of one reading's white noise (with several modes: in the first one), and of its coloured
         noise, in unit.
     q_over_r : float or None
-        Ratio of process to measurement noise, per step.
+        Process noise density over the noise variance of a reading, with time in steps.
     bandwidth_hz, lag_s : float or None
-        -3 dB bandwidth, and lag, as in `becalm.core.steady.response.Response`.
+        -3 dB bandwidth and lag, as in `becalm.core.steady.response.Response`.
     delay_s : float or None
-        Delay of a filter that waits for later readings; bandwidth and lag are None then.
+        Lag of a filter that waits for later readings; bandwidth_hz and lag_s are None then.
     independence_s : float or None
         How far apart samples must be for their errors to count as independent: the mean over T seconds has
         the random uncertainty sigma sqrt(independence_s / T), and never more than sigma.
     tuning_spread : float or None
         Share by which sigma is larger because the tuning is uncertain.
     calibration_std : float or None
-        Uncertainty of the calibration, as a root of a sum of squares, at the mean magnitude of the signal, in unit;
-        averaging does not reduce it. None where the recipe has no calibration.
+        Standard uncertainty (k = 1) of the calibration, at the mean magnitude of the signal, in unit. Averaging does
+        not reduce it. None if the recipe has no calibration.
     timing_share : float or None
         Largest share by which sigma grows for an uncertain time of readings; None where the recipe has no timing.
     modes : dict of str to ModeReport
@@ -70,11 +70,11 @@ class ChannelReport(Judgement):
     settled_row : int or None
         First row with the steady-state gain.
     verdicts : dict
-        How many readings were used, missing, and so on.
+        How often each verdict was given, by its name: "used", "missing" and so on.
     advice : tuple of str
         What to do about these verdicts.
     faults : tuple of Fault
-        Faults of the sensor, or of the time of its rows, and when each came first.
+        Faults of the sensor, and of the times of its rows.
     """
 
     name: str = ""
@@ -101,7 +101,7 @@ class ChannelReport(Judgement):
     faults: tuple[Fault, ...] = ()
 
     def as_dict(self) -> dict[str, object]:
-        """Return the report for JSON; what is unknown is None."""
+        """Return the report for JSON; unknown figures are None."""
         values = {key: _finite(value) for key, value in asdict(self).items() if key != "lagged"}
         return values | {"describes": self.describes}
 
@@ -112,10 +112,10 @@ def _finite(value: object) -> object:
     return value
 
 
-# Write the results of a channel as cells of a table.
+# Write the report of a channel as cells of a table.
 
 _MOST_PLAIN = 1e6  # larger numbers are printed with powers of ten
-_SELDOM = 0.01  # share of a record below which the bandwidth of a mode is not shown
+_SELDOM = 0.01  # mean probability of a mode below which its bandwidth is not shown
 
 
 def cells(report: ChannelReport, causal: bool) -> tuple[str, ...]:

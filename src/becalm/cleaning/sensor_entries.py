@@ -1,4 +1,4 @@
-"""The entries of a sensor file, one settings type for each kind of sensor, and their records."""
+"""The entries of a sensor file, one class for each kind of sensor, and their conversion to records."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class AccelerometerEntry(OneChannel):
     sensitivity_mv, sensitivity_uncertainty_mv : float
         Sensitivity, in mV per unit, and its expanded (k = 2) uncertainty.
     bias_mv : float
-        Its output at 0, in mV.
+        Output at 0, in mV.
     """
 
     kind: Literal["accelerometer"]
@@ -48,17 +48,17 @@ class TriaxialEntry(SensorEntryBase):
     Attributes
     ----------
     channels : tuple of three str
-        Channels of its axes.
+        Names of the channels of the three axes.
     sensitivity_mv, sensitivity_uncertainty_mv, bias_mv : tuple of three float
         As for an accelerometer, each axis along itself.
     cross_axis_percent : three tuples of three float, or None
         Sensitivity of each axis (a tuple) to each direction, in percent of its own sensitivity.
     correction : three tuples of three float, or None
-        Instead of sensitivities: a = correction (readings - bias), in unit per reading.
+        Matrix that replaces the sensitivities: a = correction (readings - bias), in unit per raw_unit.
     bias : tuple of three float
-        Zero of each axis, in readings, with `correction`.
+        Zero of each axis, in raw_unit, with `correction`.
     scale_uncertainty_percent : tuple of three float
-        Expanded (k = 2) uncertainty of each scale, with `correction`.
+        Expanded (k = 2) uncertainty of the scale of each axis, with `correction`.
     """
 
     kind: Literal["triaxial"]
@@ -73,7 +73,7 @@ class TriaxialEntry(SensorEntryBase):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return its three channels."""
+        """Return the names of the three channels."""
         return self.channels
 
     def record(self) -> SensorRecord:
@@ -93,7 +93,7 @@ class TriaxialEntry(SensorEntryBase):
         return SensorRecord(**self.shared(), conversion=conversion, reading_size=self.volts(), sensitivities=by_axis)
 
     def _corrected(self, found: Accelerometer) -> SensorRecord:
-        sizes = np.linalg.norm(found.sensitivity, axis=1).tolist()  # of each axis, in whatever direction it points
+        sizes = np.linalg.norm(found.sensitivity, axis=1).tolist()  # sensitivity of each axis along its own direction
         by_axis = tuple(
             Sensitivity(size, f"{self.raw_unit}/{self.unit}", percent / 100 * size)
             for size, percent in zip(sizes, self.scale_uncertainty_percent, strict=True)
@@ -107,7 +107,7 @@ class LoadCellEntry(OneChannel):
     Attributes
     ----------
     rated_output_uncertainty_mv_per_v : float
-        Expanded (k = 2) uncertainty of the rated output.
+        Expanded (k = 2) uncertainty of the rated output, in mV/V.
     capacity : float
         Rated load, in unit.
     """
@@ -129,12 +129,12 @@ class LoadCellEntry(OneChannel):
 
 
 class CurveEntry(OneChannel):
-    """A calibration curve.
+    """A sensor with a calibration curve.
 
     Attributes
     ----------
     coefficients : tuple of float
-        Coefficients of the powers 0, 1, 2, ... of a reading in raw_unit.
+        Coefficients of the powers 0, 1, 2, ... of a reading in raw_unit; the sum is the result in unit.
     """
 
     kind: Literal["polynomial"]

@@ -59,13 +59,13 @@ class SensorEntryBase(FrozenSettings, ABC):
     unit : str
         Unit of the result.
     span_v, bits : float, int or None
-        Converter of counts: voltage from its least to its greatest input, and its resolution in bits.
+        Converter, for readings in counts: voltage from its least to its greatest input, and its resolution in bits.
     lowest_reading, highest_reading : float or None
-        Full scale, in raw_unit; readings beyond 0.999 of it are clipped, and count as missing.
+        Full scale, in raw_unit; readings at or beyond 0.999 of it are clipped, and count as missing.
     zero_uncertainty : float
-        Expanded (k = 2) uncertainty of the result at rest, in unit; a *small* one trusts the zero.
+        Expanded (k = 2) uncertainty of the result without load, in unit; a *small* one trusts the zero.
     sheet : SheetEntry
-        Its data sheet.
+        Data sheet of the sensor.
     """
 
     raw_unit: RawUnit
@@ -85,14 +85,14 @@ class SensorEntryBase(FrozenSettings, ABC):
     @property
     @abstractmethod
     def names(self) -> tuple[str, ...]:
-        """Return the channels of the sensor."""
+        """Return the names of the sensor's channels."""
 
     @abstractmethod
     def record(self) -> SensorRecord:
-        """Return the sensor record; raise a ValueError with a sentence if the entry is wrong."""
+        """Return the sensor record; raise a ValueError with a sentence if the entry is not valid."""
 
     def shared(self) -> dict[str, Any]:
-        """Return the fields that the records of all kinds have."""
+        """Return the fields that the records of all kinds have, by name; raise a ValueError if they are not valid."""
         low, high = self.lowest_reading, self.highest_reading
         if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
             raise ValueError("lowest_reading must be less than highest_reading; give both, or neither")
@@ -108,7 +108,7 @@ class SensorEntryBase(FrozenSettings, ABC):
         }
 
     def volts(self) -> float:
-        """Return the volts of one reading."""
+        """Return the voltage of a reading of 1, in V; raise a ValueError if raw_unit does not give a voltage."""
         if self.raw_unit == "counts":
             if self.span_v is None or self.bits is None:
                 raise ValueError('raw_unit = "counts" needs the converter\'s span_v and bits, such as 10.0 and 16')
@@ -120,7 +120,7 @@ class SensorEntryBase(FrozenSettings, ABC):
         return _VOLTS[self.raw_unit]
 
     def ratio(self, excitation_v: float | None) -> float:
-        """Return the V/V of one reading."""
+        """Return the bridge output at a reading of 1, in V/V; raise a ValueError if raw_unit does not give one."""
         if self.raw_unit == "mV/V":
             return 1e-3
         if excitation_v is None:
@@ -134,17 +134,17 @@ class OneChannel(SensorEntryBase):
     Attributes
     ----------
     tare : str or None
-        Stretch without load in which its zero is measured: "0s:20s" is the first 20 s after the first row. The
-        stretch must be quiet. The zero of an accelerometer includes gravity.
+        Stretch without load in which the zero is measured: "0s:20s" is the first 20 s. The stretch must be quiet. The
+        zero of an accelerometer includes gravity.
     """
 
     channel: Name
     tare: str | None = None
-    zero_line: ClassVar[str] = ""  # key that gives the zero without a tare
+    zero_line: ClassVar[str] = ""  # key of the entry that gives the zero if there is no tare
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the one channel."""
+        """Return the name of the one channel."""
         return (self.channel,)
 
     def shared(self) -> dict[str, Any]:
@@ -155,7 +155,7 @@ class OneChannel(SensorEntryBase):
 
 
 def _span_s(text: str) -> tuple[float, float]:
-    """Read a stretch of time, START:STOP, in seconds."""
+    """Return the start and stop of a stretch, in seconds; raise a ValueError if the text is not START:STOP."""
     span_s = stretch_s(text)
     if span_s is None:
         raise ValueError(

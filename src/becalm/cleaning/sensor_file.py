@@ -45,7 +45,7 @@ def load_sensors(path: str | Path) -> tuple[SensorRecord, ...]:
 
 
 def to_toml(entries: Iterable[SensorEntry], comment: str = "") -> str:
-    """Return sensors as TOML, below a comment; default values are left out."""
+    """Return a sensor file as TOML that begins with a comment; default values are left out."""
     document, sensors = tomlkit.document(), tomlkit.aot()
     for line in comment.splitlines():
         document.add(tomlkit.comment(line))
@@ -56,7 +56,7 @@ def to_toml(entries: Iterable[SensorEntry], comment: str = "") -> str:
 
 
 def due_warnings(records: Iterable[SensorRecord], today: date) -> tuple[str, ...]:
-    """Return a sentence for each sensor that was due for calibration before `today`; this is only a warning."""
+    """Return a warning for each sensor that was due for calibration on `today` or before."""
     return tuple(
         f"The sensor of {', '.join(record.channels)}{_serial(record)} was due for calibration on {record.sheet.due}; "
         "its sensitivity and its uncertainty may no longer be valid."

@@ -1,4 +1,4 @@
-"""Compute the slope of a clean signal, and the noise that an uncertain time adds to it."""
+"""Compute the slope of a clean signal, and the noise that uncertain times of readings add to it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
 from becalm.sensors.resonance import Resonance
 
-_NOTICEABLE = 0.001
+_NOTICEABLE = 0.001  # share of sigma: a smaller increase is not reported
 
 
 class Slopes:
-    """Backward differences of a signal that comes in blocks; the division into blocks does not change the result.
+    """Computes backward differences of a signal that comes in blocks; the cuts between blocks change nothing.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ class Slopes:
         self._step_s, self._last, self._slope = step_s, np.nan, 0.0
 
     def of(self, signal: Floats, elapsed: Floats) -> Floats:
-        """Return the slope at the next rows, (B,), in unit/s; the previous one where a time repeats or a row is NaN.
+        """Return the slope at the next rows, (B,), in unit/s; the previous one where a time repeats or a value is NaN.
 
         Parameters
         ----------
         signal : (B,) float array
-            The clean signal.
+            Clean signal, in unit.
         elapsed : (B,) float array
             Steps since the previous row.
         """
@@ -56,12 +56,12 @@ class Slopes:
 
 
 class TimingNoise:
-    """Widens sigma by the noise that an uncertain time adds.
+    """Widens sigma for the noise that uncertain times of readings add.
 
     Parameters
     ----------
     timing : TimingRecipe
-        Uncertainty of the time.
+        Uncertainty of the times.
     noise_std : float
         Standard deviation of a reading's noise, in unit.
     step_s : float
@@ -72,14 +72,14 @@ class TimingNoise:
         self._timing, self._variance, self._slopes = timing, noise_std**2, Slopes(step_s)
         self._elapsed: list[Floats] = []
         self.most = 0.0
-        """The largest share that was added to sigma so far."""
+        """Largest increase of sigma so far, as a share."""
 
     def push(self, elapsed: Floats) -> None:
         """Take the steps before each of the next rows, (B,)."""
         self._elapsed.append(elapsed)
 
     def widened(self, estimates: EstimatedRows) -> EstimatedRows:
-        """Return rows with sigma widened by the uncertain time."""
+        """Return the next rows with sigma widened for the uncertain times."""
         slopes = self._slopes.of(estimates.signal, self._taken(len(estimates.signal)))
         more = (slopes * self._timing.std_s) ** 2 - self._timing.included_std**2
         wider = np.sqrt(1.0 + np.maximum(more, 0.0) / self._variance)
@@ -102,20 +102,20 @@ class TimingNoise:
 
 
 def timing_sentences(timing: TimingRecipe | None, share: float) -> list[str]:
-    """Return a sentence on what uncertain times add to sigma, if it is noticeable."""
+    """Return a sentence on the largest increase of sigma (a share) by uncertain times, if it is noticeable."""
     if timing is None or share < _NOTICEABLE:
         return []
     return [f"An uncertainty of {1e6 * timing.std_s:.3g} us in time increases sigma by up to {share:.1%}."]
 
 
-# Check whether a filter, or the rows, pass frequencies at which the sensor's resonance distorts amplitudes.
+# Check whether the result has frequencies at which the sensor's resonance distorts amplitudes.
 
 FLAT_PERCENT = 5.0
-"""Largest error of an amplitude within the flat band, in percent."""
+"""Largest error of an amplitude in the flat band of a sensor, in percent."""
 
 
 def beyond_flat(name: str, resonance: Resonance, passed_hz: float | None, rate_hz: float) -> str:
-    """Return a warning if a band exceeds the one in which a sensor is right within 5 %; "" if not.
+    """Return a warning if the result has frequencies beyond the flat band of the sensor (5 %); "" if not.
 
     Parameters
     ----------

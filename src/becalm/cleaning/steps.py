@@ -18,13 +18,13 @@ from becalm.errors import ModelError, RecipeError, UsageError
 from becalm.identification.likelihood import Tuning
 from becalm.identification.spectrum import ToneOscillator
 
-_SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles a step
-_LEAST_DAMPING = 1e-12  # cycles a step: smaller values are refused
-_APART = 1e-6  # of a frequency: tones that are closer cannot be distinguished
-_LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # of q/r: outside, every reading is ignored or fully trusted
-_SAME_RATE = 1e-3
+_SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles per step: limits of a tone's frequency and of its bandwidth
+_LEAST_DAMPING = 1e-12  # cycles per step: `damped_below_hz` must be more
+_APART = 1e-6  # relative difference of frequencies: closer tones cannot be distinguished
+_LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # limits of q/r: beyond them readings are ignored or fully trusted
+_SAME_RATE = 1e-3  # largest relative difference of rates that count as equal
 SOON = 3
-"""Lag in readings up to which the tuning of a causal filter has a smaller error than the tuning of a smoother.
+"""Lag in readings up to which a filter that is tuned as a causal one has a smaller error than one tuned as a smoother.
 
 Measured by `benchmarks/fixed_lag.py`.
 """
@@ -33,7 +33,7 @@ _WHOLE = 1e-6  # of a step: tolerance when a lag is rounded down to whole readin
 
 
 def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: float = 0.0) -> ChannelRecipe:
-    """Return the recipe of a channel that was tuned in steps; `spread` is its `tuning_spread`."""
+    """Return the recipe of a channel, in seconds, from its tuning in steps; `spread` is its `tuning_spread`."""
     noise = tuning.coloured
     return ChannelRecipe(
         name=name,
@@ -87,7 +87,7 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
 
 
 def gate_of(entry: GateRecipe, step_s: float) -> Gate:
-    """Return the innovation gate of a recipe at this step."""
+    """Return the innovation gate of a recipe for a step of `step_s` seconds."""
     return Gate(threshold_for(entry.false_alarms_per_hour, 1 / step_s), entry.agree, entry.at_most)
 
 
@@ -97,7 +97,7 @@ def lag_in_rows(lag_s: float, step_s: float) -> int:
     Parameters
     ----------
     lag_s : float
-        In seconds; a reading counts if the lag is at most a millionth of a step too short for it.
+        Lag in seconds; a reading counts if the lag is at most a millionth of a step too short for it.
     step_s : float
         One step, in seconds.
 

@@ -1,7 +1,7 @@
-"""Clean a stream with a recipe: rows come as they are measured, with the same results as for a file.
+"""Clean the rows of a stream as they are measured, with a recipe, and with the same results as for a file.
 
 The results are bitwise equal to those of a causal `clean`, and equal to those of a lagged one within 1e-12. They do not
-depend, to the bit, on how the rows are divided into blocks, or where the stream is paused and resumed.
+change by a bit with the division of the rows into blocks, or with pauses of the stream.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from becalm.core.rows import EstimatedRows
 from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.errors import ModelError, RecipeError
 
-_VERSION = 8  # version 2 changed gross outliers; 3 filters; 4 to 7 the states; 8 when readings are judged
-_LONGEST = 2.0**52  # steps: longer than any clock runs
+_VERSION = 8  # of snapshots; changed: 2 gross outliers, 3 filters, 4 to 7 states, 8 the wait of the outlier test
+_LONGEST = 2.0**52  # steps between two rows: longer than any clock runs
 _NOT_A_SNAPSHOT = "These bytes are not a snapshot of a stream"
 
 
 class Streamed(NamedTuple):
-    """The estimates of some rows."""
+    """The estimates of R rows of m channels."""
 
-    signal: Floats  # (R, m)
-    sigma: Floats  # (R, m) inf before the first information, NaN where it is unknown
+    signal: Floats  # (R, m) in the channels' units
+    sigma: Floats  # (R, m) in the same units; inf before the first reading, NaN where it is unknown
     verdicts: Codes  # (R, m) values of `becalm.core.reading_verdicts.Verdict`
     modes: Floats = NO_MODES  # (R, K) probability of each mode of each channel with modes; (0, 0) without modes
 
@@ -48,14 +48,14 @@ class ChannelHealth:
     name : str
         Name of the channel.
     counts : dict of str to int
-        How often each verdict was given, over the whole life of the stream.
+        How often each verdict was given since the stream began, by its name.
     nis : float or None
         Mean squared normalised innovation of the last 512 readings, each limited to 6 sigma; 1 is expected. None before
         the first sixteen, and for a channel that passes unchanged.
     drift_since_row : int or None
         Row in which the first reported drift began, counted from 0; None without a drift.
     dead : bool
-        Whether its latest innovations are those of a dead sensor.
+        Whether the latest innovations are those of a dead sensor.
     """
 
     name: str
@@ -66,19 +66,19 @@ class ChannelHealth:
 
 
 class StreamCleaner:
-    """Cleans the rows of a stream as they come.
+    """Cleans the rows of a stream as they arrive.
 
     Parameters
     ----------
     recipe : Recipe
-        The recipe; its channels are the columns of every push, in this order. "smoothed" runs as "causal".
+        The recipe; every push has its channels as columns, in this order. The mode "smoothed" runs as "causal".
     step_s : float
         Length of one step, in seconds; elapsed time is counted in steps.
 
     Attributes
     ----------
     lag_rows : int
-        Lag in rows; 0 if the estimates of each row are returned at once.
+        Lag in rows; 0 if each push returns the estimates of its own rows.
 
     Raises
     ------
@@ -113,12 +113,13 @@ class StreamCleaner:
         Returns
         -------
         Streamed
-            Estimates of these rows; with a lag, of the earlier rows that are ready, perhaps none.
+            Estimates of these rows; with a lag, of the rows that are ready now, perhaps none.
 
         Raises
         ------
         ModelError
-            If the shapes do not fit each other or the recipe, or time goes backwards.
+            If an argument is not an array of numbers, the shapes do not fit each other or the recipe, or time goes
+            backwards.
         """
         values, elapsed = self._checked(values, elapsed)
         if not len(values):
@@ -225,7 +226,7 @@ class StreamCleaner:
         return values, np.minimum(elapsed, _LONGEST)
 
     def _ready_rows(self, causal: Mapping[int, EstimatedRows]) -> Streamed:
-        """Return the rows that are ready in all channels; `causal` has those of the channels without a lag."""
+        """Return the rows that are ready in all channels; `causal` has those of the channels in `_causal`."""
         found = dict(causal)
         if self._others:
             count = min(ready.count for ready in self._ready.values())
@@ -244,7 +245,7 @@ class StreamCleaner:
 
 
 def _numbers(name: str, given: object) -> Any:
-    """Return an array of numbers unchanged; refuse anything else."""
+    """Return an array of numbers unchanged; raise a ModelError for anything else."""
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiub":
         return given
     raise ModelError(f"{name} is not an array of numbers; give float64, as np.asarray(rows, float) does.")
@@ -256,7 +257,7 @@ def _mark_of(recipe: Recipe) -> Codes:
 
 
 def _read(blob: bytes) -> dict[str, Any]:
-    """Return the arrays of a snapshot."""
+    """Return the arrays of a snapshot; raise a ModelError if it is damaged or of another version."""
     try:
         arrays = unpacked(blob)
         version = int(arrays["told"][0])

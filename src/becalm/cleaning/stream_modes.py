@@ -1,4 +1,4 @@
-"""Collect the mode probabilities of a stream, one channel with modes after the other."""
+"""Collect the mode probabilities of a stream's channels, in the order of the channels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
 
 NO_MODES: Floats = np.empty((0, 0))
-"""Mode probabilities where no channel has modes, for any number of rows."""
+"""Mode probabilities of a stream in which no channel has modes, whatever the number of rows."""
 
 
 def modes_in(channel: ChannelRecipe) -> int:
@@ -20,7 +20,7 @@ def modes_in(channel: ChannelRecipe) -> int:
 
 
 def with_modes(estimates: EstimatedRows, modes: int) -> list[EstimatedRows]:
-    """Return waiting rows, if any, with so many modes; their probabilities are NaN if an older version saved them."""
+    """Return waiting rows, if any, with probabilities of `modes` modes: NaN if an older version saved the rows."""
     if not len(estimates.signal):
         return []
     unknown = np.full((modes, len(estimates.signal)), np.nan)
@@ -28,7 +28,10 @@ def with_modes(estimates: EstimatedRows, modes: int) -> list[EstimatedRows]:
 
 
 def modes_of(estimates: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:
-    """Return probabilities (R, K) for the rows of channels with so many modes each; (0, K) without channels."""
+    """Return the probabilities (R, K) of all modes for R rows; (0, K) without rows.
+
+    `estimates` are by the number of the channel; `modes` has the number of modes of each channel.
+    """
     if not any(modes):
         return NO_MODES
     if not estimates or not len(next(iter(estimates.values())).signal):
@@ -39,7 +42,8 @@ def modes_of(estimates: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Fl
 def handed_over(share: Floats, before: Floats, after: Floats) -> Floats:
     """Return mode probabilities (R, K) while a new filter replaces an old one; `share` (R, 1) is that of the new one.
 
-    They are those of the filter with the larger share. If the two have different modes, only the new one's are known.
+    In each row they are those of the filter with the larger share. Those of the old one are NaN if the new one has
+    another number of modes.
     """
     if not after.shape[1]:
         return NO_MODES

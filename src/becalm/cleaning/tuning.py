@@ -42,16 +42,15 @@ if TYPE_CHECKING:
 
 # Noise from an uncertain time of readings: R[k] = R - included^2 + (dx/dt std_s)^2.
 #
-# Readings taken a little early or late err by the slope of the signal times the error of their time. The filter
-# averages that error like the rest of the noise, so that sigma grows by the root of R[k] / R, and not by the error
-# itself. Where the slope is small sigma does not shrink: an estimate there also depends on readings on the slopes next
-# to it.
+# The error of a reading taken a little early or late is the slope of the signal times the error of its time. The filter
+# averages this error like the rest of the noise, so that sigma grows by the root of R[k] / R, and not by the error
+# itself. Where the slope is small, sigma does not shrink: such an estimate also depends on readings on nearby slopes.
 
-_WORTH = 0.01  # of a step: a smaller rounding of stamps is ignored
+_WORTH = 0.01  # steps: a smaller standard deviation of rounded stamps is ignored
 
 
 def time_std_of(time: Timebase) -> float:
-    """Return the standard uncertainty of rounded stamps, in seconds; 0 where they became an even grid."""
+    """Return the standard uncertainty of rounded stamps, in seconds; 0 if it is negligible, or the times are even."""
     rounded = time.resolution_s / np.sqrt(12.0)
     return 0.0 if time.uniform or rounded < _WORTH * time.step_s else float(rounded)
 
@@ -64,11 +63,11 @@ def with_timing(recipe: Recipe, recording: Recording, std_s: float, *, at_rest: 
     recipe : Recipe
         Recipe that was tuned on the recording.
     recording : Recording
-        Recording with its channels, and perhaps others.
+        Recording that has the recipe's channels, and perhaps others.
     std_s : float
         Standard uncertainty (k = 1) of the time of each reading, independent of the others, in seconds.
     at_rest : bool
-        Whether the noise was measured at rest, where an uncertain time adds nothing.
+        Whether the noise was measured at rest, where an uncertain time adds no noise.
     """
     columns = [np.ascontiguousarray(recording.channel(channel.name)) for channel in recipe.channel]
     slopes = [0.0] * len(columns) if at_rest else _rms_slopes(recipe, columns, recording.timebase)
@@ -90,29 +89,30 @@ def _with_timing(channel: ChannelRecipe, std_s: float, rms_slope: float) -> Chan
     return channel.model_copy(update={"timing": timing})
 
 
-_NEARLY_EMPTY = 64  # readings: a channel with fewer may have too few at rest
+_NEARLY_EMPTY = 64  # readings: a channel with fewer raises no error if too few are at rest
 
 Progress = Callable[[str], None]
 
 
 class Wishes(NamedTuple):
-    """What a person asks for or knows; everything else is identified from the recording.
+    """The options of a tuning, which a person sets; everything else is identified from the recording.
 
     Attributes
     ----------
     dial : Dial or None
         A lag, a bandwidth or a noise gain that every filter must have.
     still_s : tuple of (float, float)
-        Stretches in which the sensor lay still, each from and to, in seconds after the first row: the noise is
-        measured there.
+        Stretches in which the sensor lay still, for measuring the noise; start and stop of each, in seconds after the
+        first row.
     rest : Recording or None
-        Recording of the same channels that `still_s` refers to; by default the one that is tuned on.
+        Recording of the same channels that `still_s` refers to; by default the recording that is tuned on.
     removed_hz : tuple of float
         Frequencies of tones to remove, such as mains hum.
     lag_s : float or None
-        How long each estimate may wait for later readings, in seconds; a *small* lag returns it sooner, but noisier.
+        How long each estimate may wait for later readings, in seconds; with a *small* lag it comes sooner, but is
+        noisier.
     robust : bool
-        Whether many readings, one in a hundred to one in ten, are outliers that must be left out.
+        Whether one in a hundred to one in ten readings are outliers, which must be left out.
     fill : bool
         Whether to return an estimate even in holes in which the model predicts nothing.
     time_std_s : float or None
@@ -137,8 +137,8 @@ class ChannelTuning(NamedTuple):
     """The result of tuning one channel."""
 
     channel: ChannelRecipe  # the tuned recipe
-    choice: Choice  # the candidates that it was chosen from
-    believed: Evidence  # the readings that it was tuned on
+    choice: Choice  # the chosen model, with its rivals
+    believed: Evidence  # the readings that the channel was tuned on
 
 
 class Tuned(NamedTuple):
@@ -167,7 +167,7 @@ def tune(
     channels : sequence of str, optional
         Names of the channels to clean; all by default.
     wishes : Wishes
-        A dial, where the sensor lay still, tones to remove; by default all is identified from the recording.
+        Options; by default everything is identified from the recording.
     progress : callable, optional
         Called with a channel's name when it is done.
 
@@ -177,7 +177,7 @@ def tune(
         If a channel does not exist, or there are no channels or samples, or too few where `still_s` says that
         the sensor lay still.
     UsageError
-        If no filter can have what the dial asks for, or wishes contradict each other.
+        If no filter can meet the dial, wishes contradict each other, or the lag is shorter than one step or too long.
     """
     return explore(recording, causal=causal, channels=channels, wishes=wishes, progress=progress).recipe
 
@@ -190,7 +190,7 @@ def explore(
     wishes: Wishes = NO_WISHES,
     progress: Progress | None = None,
 ) -> Tuned:
-    """Tune as `tune` does, and return the candidates of each channel as well."""
+    """Tune as `tune` does; also return the model choice and the readings of each channel."""
     refuse_empty(recording)
     chosen = recording if channels is None else recording.select(listed(channels))
     refuse_empty(chosen)
@@ -266,14 +266,14 @@ def _identify_channel(recording: Recording, causal: bool, wishes: Wishes, name: 
 
 
 def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | None, wild: Evidence) -> Switched | None:
-    """Find modes for a channel; `spikes`: whether a gate rejects some readings, None to leave out many outliers."""
+    """Return modes for a channel, or None; `spikes`: whether a gate rejects readings, None for a robust filter."""
     if spikes is None:
         return choose_robust(tuning, evidence, causal)
     return find_switching(tuning, evidence, causal, spikes, wild)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
-    """Measure a channel's noise at rest, in uneven time as white noise; None if all readings at rest are equal."""
+    """Return a channel's noise at rest (in uneven time as white noise); None if all readings at rest are equal."""
     readings, elapsed = judge(rest.channel(name)).readings, rest.timebase.elapsed_steps
     parts = [slice(*stretch) for stretch in named_rests(rest, still_s).stretches]
     if not any(np.nanstd(readings[part]) > 0 for part in parts if np.isfinite(readings[part]).any()):
@@ -282,7 +282,7 @@ def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float
         noise = fit_noise([readings[part] for part in parts])
     except RecordingError as cause:
         if np.isfinite(readings).sum() < _NEARLY_EMPTY:
-            return None  # its noise is identified as without rests
+            return None  # the noise of such a channel is identified without rests
         raise RecordingError(f"{name}: {cause}") from cause
     even = all(np.array_equal(elapsed[part][1:], np.round(elapsed[part][1:])) for part in parts)
     if even or noise.coloured is None:
@@ -312,13 +312,13 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
 
 
 def _longest_even(recording: Recording) -> int:
-    """Return the length of the longest stretch at an even rate, in rows; short holes are allowed."""
+    """Return the length of the longest stretch at an even rate, in rows; short holes are allowed in it."""
     rows = Evidence.of(np.zeros(len(recording)), recording.timebase.elapsed_steps)
     return max(len(rows.z[part]) for part in (nearly_complete(rows), *rows.even))
 
 
 def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
-    """Return whether to tune as for a causal filter (likelihood of the next reading), or as for a smoother.
+    """Return whether to tune as for a causal filter (likelihood of the next reading), rather than as for a smoother.
 
     Parameters
     ----------
@@ -367,18 +367,18 @@ def _silent(_: str) -> None:
     """Ignore progress."""
 
 
-# Add the calibration uncertainty and the tare of sensors to the recipes of their channels.
+# Add the calibration uncertainty and the tare of a sensor to the recipes of its channels.
 
 
 def calibrated(channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]) -> tuple[ChannelRecipe, ...]:
-    """Return the recipes with the calibrations of their sensors; `calibrations` are by channel name."""
+    """Return the recipes with the calibrations of their sensors; `calibrations` are by the name of the channel."""
     return tuple(_calibrated(channel, calibrations.get(channel.name)) for channel in channels)
 
 
 def with_new_tares(
     channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]
 ) -> tuple[ChannelRecipe, ...]:
-    """Return the recipes with the tares of the present recording, in place of those of the tuning recording."""
+    """Return the recipes with the calibrations of those sensors whose zero was measured in the present recording."""
     tares = {name: one for name, one in calibrations.items() if one.tare is not None}
     return calibrated(channels, tares)
 

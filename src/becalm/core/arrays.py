@@ -11,11 +11,11 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Number = TypeVar("Number", np.float64, np.int64)
 Booleans = NDArray[np.bool_]
-Codes = NDArray[np.int8]
+Codes = NDArray[np.int8]  # values of `Verdict`
 Complexes = NDArray[np.complex128]
 
 BLOCK = 256
-"""Rows per block; a run over a part of a record has to begin at a multiple of it."""
+"""Rows per block; a run over a part of a record must begin at a multiple of it to give the same bits."""
 
 
 def real(values: ArrayLike) -> ArrayLike:

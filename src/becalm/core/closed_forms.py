@@ -1,4 +1,4 @@
-"""Closed forms of the steady-state filters of kinematic models: their limit at high rates, and their spectra.
+"""Closed forms of kinematic models and their steady-state filters: cut-offs, spectra, and the limit at high rates.
 
 Time is in steps and r = 1: variances are in units of the measurement noise variance. q/r is defined as in
 `Tuning.ratio`; q is the density of the noise on the n-th derivative in unit^2/step^(2n-1).
@@ -17,7 +17,7 @@ from becalm.core.arrays import Complexes, Floats, frozen
 
 _LOG_STEP = 0.05  # spacing of the logarithms of frequencies
 _FOLDS = 16  # aliases on each side that are summed one by one
-_LOGARITHMS = np.arange(-40.0, 40.0, _LOG_STEP)
+_LOGARITHMS = np.arange(-40.0, 40.0, _LOG_STEP)  # of frequencies over the cut-off
 
 
 def cutoff_to_ratio(order: int, cutoff: float) -> float:
@@ -36,8 +36,8 @@ def motion_power(order: int, angle: Floats) -> Floats:
     Notes
     -----
     White noise integrated `order` times has the power w^-2n; sampling it once per step folds all
-    frequencies w + 2 pi k onto w. The sum of 1 / (x + k) is pi cot(pi x), so the sum of powers is a derivative of it,
-    a polynomial in the cotangent. For a motion with the power S the smoother has the frequency response
+    frequencies w + 2 pi k onto w. The sum of 1 / (x + k) is pi cot(pi x). Derivatives of this sum give the sum of
+    powers, a polynomial in the cotangent. For a motion with the power S the smoother has the frequency response
     G = S / (S + R).
     """
     *lower, highest = _folded(order).tolist()
@@ -78,7 +78,7 @@ def returning_power(order: int, damping: float, level_rate: float, angle: Floats
     Notes
     -----
     The power is (w^2 + b^2) / (w^2 (w^2n + a^2n)), folded. The nearest aliases are summed one by one; the
-    others are summed as if there were no damping.
+    others are summed in closed form, with w^-2n as their power.
     """
     if not damping:
         return motion_power(order, angle)
@@ -136,12 +136,11 @@ def butterworth_noise_gain(order: int, cutoff: float) -> float:
 
     Notes
     -----
-    With W = tan(pi cutoff) and v = frequency / prewarped cut-off, the share is
+    With W = tan(pi cutoff) and v = prewarped frequency / prewarped cut-off, the share is
     (2 W / pi) int dv / ((1 + v^2n) (1 + W^2 v^2)) over v > 0. The shares for W and for 1 / W add up to 1: the
-    low-pass for 1 / W is the mirror image, about a quarter of the sampling rate, of the high-pass for W, and low-pass
-    and high-pass for the same W share all the power. As a function
-    of log v the integrand is analytic and decays exponentially at both ends, so a plain sum is accurate to nearly all
-    digits.
+    low-pass for 1 / W is the high-pass for W, mirrored about a quarter of the sampling rate, and the powers that
+    low-pass and high-pass of the same W pass add up to all. As a function of log v the integrand is analytic and
+    decays exponentially at both ends, so a plain sum is accurate to nearly all digits.
     """
     W = float(np.tan(np.pi * cutoff))
     if W > 1:
@@ -154,16 +153,16 @@ class OrderOne(NamedTuple):
     """The steady-state filter of a random walk: a one-pole low-pass."""
 
     gain: float  # K
-    filtered_variance: float  # P+
-    predicted_variance: float  # P-
-    innovation_variance: float  # S
-    noise_gain: float
+    filtered_variance: float  # P+, in units of R
+    predicted_variance: float  # P-, in units of R
+    innovation_variance: float  # S, in units of R
+    noise_gain: float  # variance of white noise after the filter over that before
     delay_steps: float  # delay at low frequency, equal to the lag behind a ramp
     bandwidth: float  # -3 dB, in cycles per step; 0.5 if no frequency is attenuated by 3 dB
 
 
 def order_one(ratio: float) -> OrderOne:
-    """Return the closed form of order 1 for q/r; K^2 / (1 - K) = q/r, and q/r = 4 sin^2(pi f T) at -3 dB."""
+    """Return the steady-state filter of order 1 for q/r: K^2 / (1 - K) = q/r, and q/r = 4 sin^2(pi f) at -3 dB."""
     K = float(2 * ratio / (ratio + np.sqrt(ratio**2 + 4 * ratio)))
     bandwidth = np.arcsin(min(1.0, np.sqrt(ratio) / 2)) / np.pi
     return OrderOne(K, K, K / (1 - K), 1 / (1 - K), K / (2 - K), (1 - K) / K, float(bandwidth))

@@ -1,6 +1,7 @@
 """Fixed-lag smoothing: each row is estimated from all rows up to L rows after it.
 
-L = 0 is the filter, and L = all rows is the smoother; a short lag already removes much noise. The estimate of row k
+L = 0 gives the filter, and a lag as long as the record the smoother; a short lag already removes much noise. The
+estimate of row k
 equals that of `kalman_smoother` on the record that ends with row k + L.
 """
 

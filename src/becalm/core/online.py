@@ -26,7 +26,7 @@ from becalm.core.model.model import Model
 from becalm.core.reading_verdicts import Verdict
 from becalm.errors import ModelError
 
-_VERSION = 4
+_VERSION = 4  # of a snapshot
 _NOT_A_SNAPSHOT = "These bytes are not a snapshot of becalm.Online; pass what snapshot() returned."
 
 
@@ -49,8 +49,8 @@ class Online:
     Raises
     ------
     ModelError
-        If the model cannot start without x0 and P0, the lag is not a whole number, or a gate is given for a model
-        of several channels or for an IMM.
+        If the model or the gate has another type, the model cannot start without x0 and P0, the lag is not a whole
+        number, or a gate is given for a model of several channels or for an IMM.
     """
 
     def __init__(self, model: Model | InteractingModels | LiveImm, lag: int = 0, gate: Gate | None = None) -> None:
@@ -96,7 +96,7 @@ class Online:
         """
         z = checked_readings(self.model, block)
         if self._lag:
-            self._quick = None  # it holds its own rows of the lag
+            self._quick = None  # the fast path has a copy of the waiting rows
         return self._runs.run(z)
 
     @property
@@ -116,7 +116,7 @@ class Online:
         return None if verdicts is None or not len(verdicts) else Verdict(int(verdicts[-1]))
 
     def finish(self) -> tuple[Floats, Floats]:
-        """Return signal and sigma, (rows, m) each, of the last `lag` readings, each with the readings after it.
+        """Return signal and sigma, (rows, m) each, of the last `lag` readings, estimated from all readings so far.
 
         The state does not change: more readings may follow.
         """

@@ -1,4 +1,4 @@
-"""Verdicts: what the filter did with each reading, with advice for the user."""
+"""Verdicts: what the filter did with each reading, and what the user can do about it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 
 BEYOND_ANY_SENSOR = 1e100
-"""A magnitude whose square would overflow float64; no sensor measures it."""
+"""Largest magnitude of a reading: no sensor measures more, and squares of larger ones may overflow float64."""
 
 AGREE, AT_MOST = 4, 4
 """Number of consecutive rejected readings after which the gate accepts them: if they agree with each other (AGREE), and
@@ -20,24 +20,24 @@ They are defined here and not in `core/filter/gate.py`, so that a recipe can imp
 
 
 class Verdict(IntEnum):
-    """What the filter did with one reading."""
+    """What the filter did with the reading of a row, or a fault of the reading, of its time or of its estimate."""
 
     USED = 0
     MISSING = 1
-    NONFINITE = 2
-    OVERRANGE = 3
-    SPIKE = 4
-    STEP = 5
-    CLIPPED = 6
-    STUCK = 7
-    DEAD = 8
-    DRIFT = 9
-    LATE = 10
-    REPEATED = 11
-    GAP = 12
-    OUTLIER = 13
-    HOLE = 14
-    RUNAWAY = 15
+    NONFINITE = 2  # infinite
+    OVERRANGE = 3  # too large to be a reading
+    SPIKE = 4  # rejected by the innovation gate, or by the modes of an IMM
+    STEP = 5  # used, because the signal jumped
+    CLIPPED = 6  # at a saturation limit or beyond
+    STUCK = 7  # in a run of too many equal readings
+    DEAD = 8  # used, but the innovations have lost their noise
+    DRIFT = 9  # used, but the innovations are shifted to one side
+    LATE = 10  # used, but the row is off its even time
+    REPEATED = 11  # used, but the row has the time of the row before
+    GAP = 12  # used; rows were lost before it
+    OUTLIER = 13  # far from its neighbours, or a value that marks missing readings
+    HOLE = 14  # no estimate, because sigma is too large without readings
+    RUNAWAY = 15  # no estimate, because it was far outside the range of all readings
 
 
 LOST = np.isin(
@@ -47,10 +47,10 @@ LOST = np.isin(
         Verdict.OUTLIER,
     ],
 )  # fmt: skip
-"""For each verdict, True if the filter did not use the reading."""
+"""For each verdict, True if it means that the filter did not use the reading; `HOLE` and `RUNAWAY` do not tell."""
 
 NOT_READ = LOST & (np.arange(len(Verdict)) != Verdict.SPIKE)
-"""For each verdict, True if the reading holds no information on the signal; a spike may have been motion."""
+"""The same without `SPIKE`: True if there is no reading of the signal; a spike may have been motion."""
 
 ADVICE = {
     Verdict.MISSING: "Missing readings are predicted across; sigma grows there.",
@@ -85,7 +85,7 @@ class Judged(NamedTuple):
 
 
 def judge(z: Floats, largest: float = BEYOND_ANY_SENSOR) -> Judged:
-    """Replace infinite or too large readings of one channel (N,) by NaN; return the input itself if there are none."""
+    """Replace infinite or too large readings of one channel (N,) by NaN; without any, `readings` is z itself."""
     counts = dict.fromkeys(Verdict, 0)
     if not len(z) or -largest <= z.min() <= z.max() <= largest:  # False if any reading is NaN
         counts[Verdict.USED] = len(z)

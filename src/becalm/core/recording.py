@@ -94,7 +94,13 @@ class Recording:
         return self.samples[:, self.names.index(name)]
 
     def select(self, names: Sequence[str]) -> Recording:
-        """Return a recording of the named channels, in the given order."""
+        """Return a recording of the named channels, in the given order.
+
+        Raises
+        ------
+        RecordingError
+            If there is no channel of one of these names, or two of them are equal.
+        """
         columns = [self.channel(name) for name in names]
         units = [self.units[self.names.index(name)] for name in names]
         samples = np.column_stack(columns) if columns else np.empty((len(self), 0))

@@ -40,8 +40,8 @@ class Rows(NamedTuple):
 class EstimatedRows(NamedTuple):
     """Estimates of one channel's rows by a filter or a smoother."""
 
-    signal: Floats  # (B,)
-    sigma: Floats  # (B,)
+    signal: Floats  # (B,) in unit
+    sigma: Floats  # (B,) in unit
     parts: Floats  # (p, B) contribution of each part of the model if requested, otherwise (0, B)
     verdicts: Codes  # (B,) `Verdict` of each reading
 

@@ -1,8 +1,9 @@
 """Choose the motion model of a channel, and its tones, without any setting.
 
 The tuning of a causal filter maximises the likelihood, for orders 1 to 3. Where even the likeliest model does not
-describe the signal, `risk` returns to the noise what the likelihood took for motion. The tuning of a smoother minimises
-a cross-validation criterion, for orders 1 to 5.
+describe the signal, `risk.retune` moves white noise that the likelihood took for motion into R. The tuning of a
+smoother minimises a cross-validation criterion, for orders 1 to 5; where no order can be tuned so, it maximises the
+likelihood.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ class Choice:
         "constant": all readings are equal. "untold": undetermined; there are too few readings to separate noise from
         signal, or gaps cut them into stretches that are too short for a motion model.
     tuning : Tuning or None
-        The chosen model where `kind` is "motion"; it may be retuned and may have tones.
+        The chosen model where `kind` is "motion": damped, perhaps with tones and coloured noise.
     motion : Tuning or None
-        The chosen model without its tones.
+        The chosen model without damping, tones and coloured noise.
     rivals : tuple of Tuning
-        The tunings of all orders that were compared, without tones.
+        The tunings of all orders that were compared, likewise without these; empty where the noise was known.
     """
 
     kind: Literal["motion", "constant", "untold"]
@@ -62,9 +63,9 @@ class PriorKnowledge:
     Attributes
     ----------
     noise : NoiseModel or None
-        Noise of the channel, measured at rest. Only the motion is tuned then, and no tones are searched.
+        Noise of the channel, measured at rest. With it, only the motion is tuned, without a search for tones.
     removed : tuple of float
-        Angles in radians per step of tones that are disturbances, to be removed from the signal.
+        Angles, in radians per step, of tones that are disturbances and are removed from the signal.
     """
 
     noise: NoiseModel | None = None
@@ -111,7 +112,7 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: PriorK
 
 
 def _choose_in_own_step(evidence: Evidence, causal: bool, known: PriorKnowledge) -> Choice:
-    """Choose a motion model in the time step in which most readings are one step apart."""
+    """Choose a motion model; the time step is such that most readings are one step apart."""
     if known.noise is not None:
         tuning = tune_with_known_noise(evidence, known.noise.white_variance, known.noise.coloured, causal=causal)
         return Choice("motion", damped(tuning, evidence), replace(tuning, coloured=None))
@@ -138,7 +139,7 @@ def _choose_damped(
 def _add_tones(alone: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...]) -> Tuning:
     """Add tones to a motion model if they reduce the estimated risk of the filter, or of the smoother.
 
-    The spectrum alone may mislead: it averages over the whole record, also where the signal changes, as a chirp does.
+    The spectrum alone may mislead: it averages over the whole record, even if the signal changes, as a chirp does.
     """
     toned = add_tones(alone, evidence, removed)
     if not toned.tones or any(tone.disturbance for tone in toned.tones):

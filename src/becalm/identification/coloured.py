@@ -1,9 +1,9 @@
 """Identify the noise of a sensor at rest, and decide whether it is white or coloured.
 
-The spectrum of readings at rest is modelled as white noise of variance R, autoregressive noise of order p, and a drift:
-a random walk that is fitted but not used later. The fit maximises a likelihood. Where stretches have no holes, it is
-the likelihood of their sine transform, whose ordinates are nearly independent and normal (Whittle, Ark. Mat. 2 (1953)
-423). Where many readings are missing, it is the likelihood of the readings themselves, by the filter. The Bayesian
+Readings at rest are modelled as white noise of variance R, autoregressive noise of order p, and a drift: a random walk
+that is fitted but not used later. The fit maximises a likelihood. For stretches without holes, it is the likelihood of
+their sine transform, whose ordinates are nearly independent and normal (Whittle, Ark. Mat. 2 (1953) 423). Where many
+readings are missing, it is the likelihood of the readings themselves, which the filter computes. The Bayesian
 information criterion decides whether there is coloured noise, and of which order (Schwarz, Annals of Statistics 6
 (1978) 461).
 """
@@ -25,38 +25,37 @@ from becalm.core.model.parts import Component
 from becalm.errors import RecordingError
 from becalm.identification.spectrum import pooled, sine_spectrum
 
-# The likelihood of readings in coloured noise, computed from their spectrum or by a filter.
+# Compute the likelihood of readings with coloured noise, from their spectrum or by a filter.
 #
-# Before the first reading nothing is known about a motion, but the distribution of coloured noise is: it is
-# stationary, with mean 0 and its own covariance. If its start were unknown too, the filter would need many readings to
-# separate it from the motion, and how many would depend on the coefficients, so that likelihoods could not be
-# compared.
+# The prior of the motion is flat. The prior of the coloured noise is its stationary distribution, with mean 0. With a
+# flat prior for both, the filter would need many readings to separate the noise from the motion. How many would depend
+# on the coefficients, so that likelihoods could not be compared.
 
 HIGHEST_ORDER = 3
 """Highest order of coloured noise that is tried."""
 
 UNSCORED = 6
-"""Readings of each stretch that only start the filter, for every motion and noise model alike."""
+"""Readings of each stretch that only start the filter; the same number for every motion and noise model."""
 
-_HALF_CYCLES = 8  # in a stretch; slower frequencies are left out
-_BIN = 0.02  # width of a bin over its frequency
+_HALF_CYCLES = 8  # in a stretch, of the lowest frequency that is used
+_BIN = 0.02  # width of a bin, as a share of its frequency
 
 Misfit = Callable[["Shape"], tuple[float, float]]
-"""Function of a `Shape`: minus twice its log-likelihood, and the likeliest factor for its variances."""
+"""Function of a `Shape` that returns minus twice its log-likelihood, up to a constant, and the likeliest factor."""
 
 
 @dataclass(frozen=True)
 class Shape:
     """A noise model up to a common factor: the ratios of its variances."""
 
-    white: float
+    white: float  # variance of the white noise
     drift: float  # density of the random walk, 1/step
-    innovation: float = 0.0
-    coefficients: tuple[float, ...] = ()
+    innovation: float = 0.0  # innovation variance of the coloured noise
+    coefficients: tuple[float, ...] = ()  # of the coloured noise; empty for white noise
 
     @property
     def coloured(self) -> ColouredNoise:
-        """The coloured part of the noise."""
+        """Return the coloured part of the noise."""
         unit = ColouredNoise(self.coefficients, 1.0)
         return ColouredNoise(self.coefficients, self.innovation / unit.innovation_variance)
 
@@ -87,7 +86,7 @@ def spectral_misfit(parts: Sequence[Floats]) -> Misfit:
 
 
 def exact_misfit(parts: Sequence[Floats]) -> Misfit:
-    """Return the misfit by the filter to stretches (n,) with holes, which are NaN."""
+    """Return the misfit, computed by the filter, to stretches (n,) with holes, which are NaN."""
     records = [_record(part) for part in parts]
 
     def misfit(shape: Shape) -> tuple[float, float]:
@@ -106,9 +105,9 @@ def exact_misfit(parts: Sequence[Floats]) -> Misfit:
 
 
 def score_coloured(component: Component, noise_variance: float, z: Floats, elapsed: Floats) -> Sums | None:
-    """Return the likelihood sums of all but the first readings, with coloured noise that starts stationary.
+    """Return the likelihood sums of all but the first six readings, with stationary coloured noise from the start.
 
-    Returns None where the first readings do not determine the motion's state.
+    Return None if these six do not determine the state of the motion.
 
     Parameters
     ----------
@@ -119,21 +118,21 @@ def score_coloured(component: Component, noise_variance: float, z: Floats, elaps
     z : (N, 1) float array
         Readings in unit, none missing.
     elapsed : (N,) float array
-        Steps since the reading before, whole.
+        Steps since the previous reading, in whole numbers.
     """
     sums = ChannelRecord(component, noise_variance, z[:, 0], elapsed).score(UNSCORED)
     return sums if sums.used == len(z) - UNSCORED else None
 
 
 def first_in_a_row(elapsed: Floats) -> int:
-    """Return where the first run of readings starts that is long enough to start the filter; 0 if there is none."""
+    """Return the first row of the first run of readings that is long enough to start the filter; 0 if none is."""
     even = np.convolve(elapsed[1:] == 1.0, np.ones(UNSCORED - 1), "valid") if len(elapsed) >= UNSCORED else np.zeros(0)
     whole = np.flatnonzero(even > UNSCORED - 1.5)
     return int(whole[0]) if len(whole) else 0
 
 
 def _record(part: Floats) -> tuple[Floats, Floats]:
-    """Return the finite readings (m, 1) and the steps (m,) between them, from the first long enough run on."""
+    """Return the finite readings (m, 1) and the steps (m,) between them, from the first run that starts the filter."""
     seen = np.flatnonzero(np.isfinite(part))
     elapsed = np.diff(seen, prepend=seen[0]).astype(np.float64)
     begin = first_in_a_row(elapsed)
@@ -141,10 +140,10 @@ def _record(part: Floats) -> tuple[Floats, Floats]:
 
 
 def _squared(coefficients: tuple[float, ...]) -> Floats:
-    """Return c (p + 1,) of |1 - sum phi_l exp(-i w l)|^2 = sum c_l cos(l w).
+    """Return the coefficients c (p + 1,) for which |1 - sum phi_l exp(-i w l)|^2 = sum c_l cos(l w).
 
-    `autoregressive_power` computes the same. A search evaluates it thousands of times at the same angles; with c it can
-    use one table of cosines.
+    `autoregressive_power` uses the same polynomial. A search evaluates it thousands of times at the same angles; with c
+    it can use one table of cosines.
     """
     a = np.array([1.0, *(-phi for phi in coefficients)])
     lagged = np.correlate(a, a, "full")[len(a) - 1 :]
@@ -152,7 +151,7 @@ def _squared(coefficients: tuple[float, ...]) -> Floats:
 
 
 FEWEST_AT_REST = 64
-"""Least number of readings in a row that form a stretch, and least number of readings in all."""
+"""Least number of readings in a run without holes that is used, and least number of readings in all."""
 
 LONGEST_CORRELATION = 0.1
 """Longest correlation time of coloured noise, as a share of a stretch's length; slower noise looks like a drift."""
@@ -160,13 +159,13 @@ LONGEST_CORRELATION = 0.1
 LEAST_WHITE = 1e-3
 """Least R, as a share of the coloured noise's innovation variance."""
 
-_PIECE, _PIECES = 2048, 2  # rows in a piece and pieces, where the filter itself must be run
-_WHITES = (-12.0, 14.0)  # limits of log(R / innovation variance), above the least, and ...
-_DRIFTS = (-30.0, 14.0)  # ... of log(drift density / variance of the fastest noise)
-_PARTIAL = 6.0  # limit of artanh(kappa)
+_PIECE, _PIECES = 2048, 2  # rows in a piece, and most pieces, where the filter computes the likelihood
+_WHITES = (-12.0, 14.0)  # limits of log(R / innovation variance - LEAST_WHITE), and ...
+_DRIFTS = (-30.0, 14.0)  # ... of log(drift density / (R + innovation variance))
+_PARTIAL = 6.0  # limit of |artanh(kappa)|, with the partial autocorrelations kappa
 _AT_LIMIT = 1.2  # times the slowest decay allowed; a slower fit counts as being at the limit
-_BEGIN_PARTIAL = ((0.97, 0.8, 0.4, -0.1, -0.5, -0.9), (-0.9, -0.5, 0.3), (-0.4, 0.4))
-_BEGIN_WHITES, _BEGIN_DRIFT = (-4.0, -1.0, 2.0), -12.0
+_BEGIN_PARTIAL = ((0.97, 0.8, 0.4, -0.1, -0.5, -0.9), (-0.9, -0.5, 0.3), (-0.4, 0.4))  # starting values of each kappa
+_BEGIN_WHITES, _BEGIN_DRIFT = (-4.0, -1.0, 2.0), -12.0  # starting values of the two logarithms above
 
 
 @dataclass(frozen=True)
@@ -182,9 +181,9 @@ class NoiseModel:
     drift_density : float
         Density of the drift, a random walk, in unit^2/step; partly an artefact of where stretches start and end.
     count : int
-        Readings that were used; of more than 4096 with many missing, these are two pieces of 2048 rows.
+        Readings that were used; where many are missing, those in at most two pieces of 2048 rows.
     gain : float
-        How much better the criterion (twice a log-likelihood) is than for white noise alone; 0 for white noise.
+        Reduction of the information criterion (twice a log-likelihood) by coloured noise; 0 if there is none.
     """
 
     white_variance: float
@@ -205,20 +204,20 @@ def fit_noise(stretches: Sequence[Floats]) -> NoiseModel:
     Raises
     ------
     RecordingError
-        If there are fewer than 64 readings, or no stretch has so many.
+        If there are fewer than 64 readings, or no piece of 2048 rows has so many.
 
     Notes
     -----
-    A slow drift and noise with a long memory look alike: within one stretch nobody can distinguish a sensor's wandering
+    A slow drift and noise with a long correlation time look alike: one stretch cannot distinguish a sensor's wandering
     bias from a slow motion. Therefore periods longer than a quarter of a stretch are left out, a random walk is part of
-    every candidate, and the correlation of coloured noise must fall to 1/e within a tenth of a stretch. Slower noise is
-    left to the motion, and R is the white noise next to it. Noise with a memory of more than about a hundredth of a
-    stretch already resembles a drift and may be taken for one; that does less harm than a motion that is taken for
-    noise. A steady tone at rest is taken for a narrow resonance of order 2.
+    every candidate, and the correlation of coloured noise must fall to 1/e within a tenth of a stretch. Slower noise
+    counts as motion, and R is the white noise beside it. Noise with a correlation time of more than about a hundredth
+    of a stretch already resembles a drift and may be taken for one; that does less harm than taking motion for noise. A
+    steady tone at rest is taken for a narrow resonance of order 2.
 
     R is never below a thousandth of the innovation variance of the coloured noise. The readings cannot distinguish so
-    little white noise from none, the limit costs a filter at most a thousandth of its variance, and it keeps the
-    covariance after each reading from being singular.
+    little white noise from none. The limit costs a filter at most a thousandth of its variance, and keeps the posterior
+    covariance from being singular.
     """
     centred = [_centred(part) for part in stretches if np.isfinite(part).any()]
     count = sum(int(np.isfinite(part).sum()) for part in centred)
@@ -241,10 +240,10 @@ def fit_noise(stretches: Sequence[Floats]) -> NoiseModel:
 
 
 def _choose_order(misfits: Sequence[Misfit], limit: float, count: int, scale: float) -> NoiseModel:
-    """Return the noise model with the smallest information criterion, by the last of the misfits.
+    """Return the noise model with the smallest information criterion, computed with the last of the misfits.
 
-    The misfits are minimised in turn, each from where the one before ended. Order 3 is tried only where a lower order
-    was chosen.
+    The misfits are minimised in turn, each from the end point of the one before. Order 3 is tried only if order 1 or 2
+    is better than white noise.
     """
 
     def cost(theta: Floats, misfit: Misfit = misfits[-1]) -> float:
@@ -285,9 +284,10 @@ def _fit(cost: Callable[[Floats], float], starts: Sequence[Floats]) -> Floats:
 
 
 def _shape(theta: Floats, limit: float) -> Shape:
-    """Return the noise at theta: artanh of p partial autocorrelations, log of R above the least, log of the drift.
+    """Return the noise at theta: artanh of p partial autocorrelations, then the logarithms in `_WHITES` and `_DRIFTS`.
 
-    The coefficients phi_i limit^i have the poles of phi_i, multiplied by `limit`.
+    For white noise theta holds the last of these only. The coefficients phi_i limit^i have the poles of phi_i times
+    `limit`.
     """
     if len(theta) == 1:
         return Shape(1.0, float(np.exp(theta[0])))
@@ -304,14 +304,14 @@ def _forgets(coefficients: tuple[float, ...], limit: float) -> bool:
 
 
 def _centred(part: Floats) -> Floats:
-    """Subtract the mean of a stretch (n,), missing readings ignored, so that equal readings give exactly zero."""
+    """Return a stretch (n,) less the mean of its finite readings; equal readings give exactly zero."""
     part = np.where(np.isfinite(part), part, np.nan)
     about = part - part[np.flatnonzero(np.isfinite(part))[0]]
     return np.asarray(about - np.nanmean(about))
 
 
 def _runs(part: Floats) -> list[Floats]:
-    """Return the runs of readings without holes that are long enough to be stretches."""
+    """Return the runs of at least 64 readings without holes."""
     bounds = np.flatnonzero(~np.isfinite(np.concatenate([[np.nan], part, [np.nan]])))
     return [part[a : b - 1] for a, b in pairwise(bounds.tolist()) if b - a > FEWEST_AT_REST]
 
@@ -325,7 +325,7 @@ def _pieces(parts: Sequence[Floats]) -> list[Floats]:
 
 
 def _memory_limit(parts: Sequence[Floats]) -> float:
-    """Return the largest pole allowed: its correlation falls to 1/e within `LONGEST_CORRELATION` of a stretch."""
+    """Return the largest pole allowed: its correlation falls to 1/e within a tenth of the median stretch."""
     return float(np.exp(-1 / (LONGEST_CORRELATION * np.median([len(part) for part in parts]))))
 
 

@@ -1,9 +1,9 @@
-"""Tune a smoother by cross-validation: how well do all other readings predict each reading? No truth is needed.
+"""Tune a smoother by cross-validation: by how well all other readings predict each reading. No truth is needed.
 
 The likelihood measures how well the next reading is predicted, and chooses too low an order for a smoother. Here the
-residuals of the smoother are weighed against how much noise it lets through: with the mean weight g of a reading in its
-own estimate, P/R, the criterion is mean(z - y)^2 / (1 - c g)^2. With c = 1 that is generalised cross-validation, whose
-minimum sometimes follows the noise on short records. Here c exceeds 1 by one over the square root of g N, the number of
+residuals of the smoother are weighed against the noise that it passes: with the mean weight g of a reading in its own
+estimate, P/R, the criterion is mean((z - y)^2) / (1 - c g)^2. With c = 1 that is generalised cross-validation. On short
+records its minimum sometimes follows the noise, so c exceeds 1 by one over the square root of g N, the number of
 parameters that the smoother fits; that is the scatter of the criterion itself. Source: Craven and Wahba, Numer. Math.
 31 (1979) 377; Kim and Gu, J. R. Statist. Soc. B 66 (2004) 337, who take c = 1.4.
 """
@@ -23,17 +23,17 @@ from becalm.identification.likelihood import Evidence, Tuning, find_ratio
 from becalm.identification.spectrum import pooled, sine_spectrum, slope_between_ends
 
 LONG, MOST_OF = 4096, 0.8
-"""Readings in complete stretches, and their share of all readings, from which on spectra are enough.
+"""Least number of readings in complete stretches, and their least share of all, for which spectra are enough.
 
-Then the ends of stretches do not matter.
+With so many the ends of the stretches do not matter.
 """
 
-_INDISTINCT = 2.0  # difference of twice a log-likelihood that does not distinguish two orders
+_INDISTINCT = 2.0  # difference of loss times readings, twice a log-likelihood, that does not distinguish two orders
 _ALIKE = 0.1  # difference of log r that a few stretches cannot resolve
-_OPAQUE = 0.95  # weight of a reading in its own estimate, beyond which nothing is smoothed
+_OPAQUE = 0.95  # raised weight of a reading in its own estimate, from which on almost nothing is smoothed
 
 Residuals = Callable[[float], tuple[float, float]]
-"""At a ratio q/r: mean squared residual, and mean weight of a reading in its own estimate."""
+"""Function of q/r that returns the mean squared residual, unit^2, and a reading's mean weight in its own estimate."""
 
 
 def cautious(weight: float, count: int) -> float:
@@ -42,9 +42,9 @@ def cautious(weight: float, count: int) -> float:
 
 
 def criterion(squares: float, weight: float, count: int) -> float:
-    """Return the cross-validation criterion, the logarithm of a squared prediction error.
+    """Return the cross-validation criterion, the logarithm of a mean squared prediction error.
 
-    The error is the distance of a reading from what all other readings predict.
+    The error is the distance of a reading from its prediction by all other readings.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def simplest(tunings: Sequence[Tuning]) -> Tuning:
 
 
 def lasting(evidence: Evidence) -> list[slice]:
-    """Return the stretches whose spectra are enough; none for a short record, or where too much is missing."""
+    """Return the stretches whose spectra are enough; none if the record is short or too much is missing."""
     complete = _complete(evidence)
     return complete if sum(part.stop - part.start for part in complete) >= LONG else []
 
@@ -110,7 +110,7 @@ def _complete(evidence: Evidence) -> list[slice]:
 def _tuned(
     evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]], hints: Sequence[Tuning] = ()
 ) -> tuple[Tuning, ...]:
-    """Tune each order by the residuals of its smoothers; search near a hint first, such as the spectrum's."""
+    """Tune each order by the residuals of its smoothers; search near a hint first, such as a tuning from spectra."""
     near = {hint.order: hint.ratio for hint in hints}
     steps = evidence.longest_steps
     tuned = []
@@ -122,7 +122,7 @@ def _tuned(
 
 
 def _confirmed(tuning: Tuning, evidence: Evidence) -> bool:
-    """Return whether the smoother's residuals agree with the spectrum; not where a record bends sharply at its ends."""
+    """Return whether smoothing gives the spectrum's noise variance; it does not where a record bends at its ends."""
     squares, weight = smooth_residuals(tuning.order, evidence)[0](tuning.ratio)
     return abs(np.log(squares / (1 - weight) / tuning.noise_variance)) < _ALIKE if squares > 0 else False
 
@@ -130,7 +130,7 @@ def _confirmed(tuning: Tuning, evidence: Evidence) -> bool:
 def _minimise_criterion(
     order: int, steps: float, counted_residuals: tuple[Residuals, int], near: float | None
 ) -> Tuning | None:
-    """Find the ratio of one order that minimises the criterion: near a hint first, else anywhere."""
+    """Find the ratio of one order that minimises the criterion, near a hint first; None if it is nowhere finite."""
     residuals, count = counted_residuals
 
     least = find_ratio(order, lambda ratio: criterion(*residuals(ratio), count), steps, near=near)
@@ -156,8 +156,9 @@ def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residua
 
     Notes
     -----
-    The sine transform takes a straight line off each stretch. Every order but the first follows that line. A smoother
-    of order 1 bends away from it at both ends, by s / sqrt(q/r) exp(-sqrt(q/r) k) where the slope is s.
+    A straight line is subtracted from each stretch before the sine transform. A smoother of order 2 or more follows
+    that line. One of order 1 departs from it at both ends: k readings from an end by s / sqrt(q/r) exp(-sqrt(q/r) k),
+    with the slope s.
     """
     spectrum = pooled([sine_spectrum(z) for z in stretches])
     readings = int(spectrum.weight.sum())
@@ -178,7 +179,7 @@ def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residua
 
 
 def _parts(evidence: Evidence, states: int) -> list[slice]:
-    """Return the stretches to smooth; none where each leaves one residual only, too little for two variances."""
+    """Return the stretches to smooth; none if each leaves one residual only, too few for two variances."""
     parts = [part for part in evidence.sample if part.stop - part.start > states]
     return parts if any(part.stop - part.start > states + 1 for part in parts) else []
 
@@ -191,8 +192,8 @@ def smooth_residuals(order: int, evidence: Evidence) -> tuple[Residuals, int]:
     order : int
         Order of the motion, 1 to 5.
     evidence : Evidence
-        The readings. Of more than 32768 readings sixteen pieces of 2048 are smoothed; of a short record all stretches
-        with more than `order` readings, if at least one has more than `order` + 1.
+        The readings. A record of more than 32768 is smoothed on sixteen pieces of 2048, a shorter one on all stretches
+        with more than `order` readings, if at least one of them has more than `order` + 1.
 
     Returns
     -------

@@ -1,10 +1,10 @@
 """Damp a motion model so that its spread equals that of the record, and its predictions stay bounded.
 
-A kinematic model is integrated noise: without readings its estimate runs away, and its variance grows without end.
-Damped below a frequency a, it is stationary about a level of its own; in the band where the filter works, above a, it
-is the same model as before. The record determines the one number a: the variance V = q / (2 n sin(pi / 2n) a^(2n-1)) of
-the damped motion about its level must equal the variance of the signal about its own level. If the damped model
-predicts the readings worse, as for a ramp, which does not return, the damping is halved, and at last left out.
+A kinematic model is integrated noise: without readings its estimate runs away, and its variance grows without end. A
+model that is damped below a frequency a is stationary about a level of its own; above a, in the band where the filter
+works, it is the same as before. The record determines a: the variance V = q / (2 n sin(pi / 2n) a^(2n-1)) of the damped
+motion about its level must equal the variance of the signal about its own level. If the damped model predicts the
+readings worse (a ramp, for example, does not return), the damping is halved repeatedly, and finally left out.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from becalm.core.filter.channel import ChannelRecord, Sums
 from becalm.core.model.components import LEVEL_RATE
 from becalm.identification.likelihood import Evidence, Tuning
 
-_LEAST = 1e-250  # smallest noise variance that is damped; the largest is one over it
-_ROUNDS = 12
+_LEAST = 1e-250  # smallest noise variance, unit^2, of a model that is damped; the largest is one over it
+_ROUNDS = 12  # most iterations
 _SAME = 1e-3  # relative change of the damping at which the iteration ends
-_CHANCE = 4.0  # standard errors of a variance; a smaller spread may be noise
+_CHANCE = 4.0  # standard errors of the noise variance; a smaller variance of the signal may be chance
 _SLOWEST = 1.0  # radians the record must last to show that a motion of order 1 returns
 _NEVER = 1e-8  # radians a step; with less damping a motion returns in no record
-_BLOCK, _AT_ONCE = 64, 5.0  # readings in a block; highest rate of the mean, where the level is the reading
-_HALVINGS = 12
-_DOUBT = 2.0  # log-likelihood that a damping may cost
-_UNSCORED = 64  # first readings of a piece, which are not scored
-_FASTEST = np.pi / 4  # radians a step, and
-_HIGHEST = 1.0  # times the cut-off; above it, damping would change the band where the filter works
+_BLOCK, _AT_ONCE = 64, 5.0  # readings in a block; highest rate of the mean, 1/reading: then it is the reading
+_HALVINGS = 12  # most dampings that are tried, each half of the one before
+_DOUBT = 2.0  # largest loss in log-likelihood by a damping
+_UNSCORED = 64  # first readings of a piece, or a quarter of a shorter one, which are not scored
+_FASTEST = np.pi / 4  # largest damping, in radians a step, ...
+_HIGHEST = 1.0  # ... and as a multiple of the cut-off; a larger one would change the band where the filter works
 
 
 def damped(tuning: Tuning, evidence: Evidence) -> Tuning:
@@ -39,7 +39,7 @@ def damped(tuning: Tuning, evidence: Evidence) -> Tuning:
     Parameters
     ----------
     tuning : Tuning
-        Undamped, perhaps with tones and coloured noise. One with a density of 0 is returned unchanged.
+        Undamped, perhaps with tones and coloured noise. If its density is 0, it is returned unchanged.
     evidence : Evidence
         The readings it was tuned on.
 
@@ -75,8 +75,8 @@ def damped(tuning: Tuning, evidence: Evidence) -> Tuning:
 def _mean_log_likelihood(tuning: Tuning, evidence: Evidence) -> float:
     """Return the mean log-likelihood of a reading, over pieces of the record; -inf where no piece starts the filter.
 
-    Each piece starts anew. A mean is compared, because filters may need different numbers of readings to start, and
-    each log-density depends on the unit.
+    The filter starts anew in each piece. Means are comparable, and sums are not: filters may need different numbers of
+    readings to start, and each log-density depends on the unit.
     """
     component, r, total = tuning.component, tuning.noise_variance, Sums()
     for part in evidence.sample:
@@ -92,12 +92,12 @@ def spread_std(evidence: Evidence) -> float | None:
 
 
 def spread_about_level(z: Floats, rate: float) -> float:
-    """Return the mean square of readings (N,) about their exponential mean of a rate, 1 / reading, in unit^2."""
+    """Return the mean square, unit^2, of readings (N,) about their exponential mean, whose rate is in 1/reading."""
     if not rate > 0:
         return float(np.var(z))
     rate, total = min(rate, _AT_ONCE), 0.0
     level, fades = float(z[: max(1, int(min(1 / rate, len(z))))].mean()), np.exp(-rate * np.arange(1, _BLOCK + 1))
-    shares = -np.expm1(-rate) / fades  # weight of each reading, divided by the decay since its block's start
+    shares = -np.expm1(-rate) / fades  # weight of each reading over the decay since the start of its block
     for start in range(0, len(z), _BLOCK):
         block = z[start : start + _BLOCK]
         levels = fades[: len(block)] * (level + np.cumsum(shares[: len(block)] * block))

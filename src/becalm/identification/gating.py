@@ -1,7 +1,7 @@
 """Decide whether a channel gets an innovation gate, and tune it where readings contain spikes.
 
-Spikes inflate the noise, and a tuning that uses them rejects too few. So a channel is tuned, gated and tuned again on
-the readings that were not rejected. The readings after a reject show whether it was a spike.
+Spikes inflate the identified noise, and the gate then rejects too few of them. So a channel is tuned and gated, and
+tuned again without the rejected readings. The readings after a reject show whether it was a spike.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from becalm.identification.likelihood import Tuning
 from becalm.identification.modes.banks import stand_out
 
 ROUNDS = 12
-"""Largest number of tunings. Each reduces the noise that huge spikes add by the root of their share."""
+"""Largest number of tunings. Each multiplies the noise that huge spikes add by the root of their share."""
 
 MOST_REJECTED = 0.05
-"""Largest share of rejected readings; more are not exceptions."""
+"""Largest share of readings that a gate may reject; more are not exceptions."""
 
 FEWEST_ISOLATED = 0.5
-"""Least share of the rejects that must be isolated, or in pairs."""
+"""Least share of the rejects that are isolated or in pairs."""
 
 SHOULDER, MOST_NEAR = 0.7, 0.5
-"""Lower end of the shoulder, times the threshold, and the most innovations in it, as a share of the rejects.
+"""Lower end of the shoulder, as a share of the threshold; most innovations in it, as a share of the rejects.
 
-Only innovations beyond those expected of Gaussian noise count. Where rejects are spikes, they are fewer than this
-share; heavy tails have twice as many and more.
+Only innovations in excess of the number expected of Gaussian noise count. Spikes leave fewer than this share in the
+shoulder; heavy tails have at least twice as many.
 """
 
 DOUBT = 3.0
-"""Log-likelihood that a gate may seem to cost; where the gain is small, chance decides the difference."""
+"""Largest loss in log-likelihood with which a gate is still accepted; so small a difference is due to chance."""
 
-_LEAST_SCALE = 1e-6  # where more than half of the readings are equal
-_MIDDLE = 1.4826  # standard deviation of Gaussian noise over the median of |e|
-_CHANCE = 3.0  # standard deviations of a count
+_LEAST_SCALE = 1e-6  # least factor of the noise's standard deviation, for readings more than half of which are equal
+_MIDDLE = 1.4826  # standard deviation of Gaussian noise over the median of its magnitude
+_CHANCE = 3.0  # standard deviations by which a count may exceed its expectation
 _SAME = 0.1  # relative change of a noise variance at which the iteration ends
-_PAIR = 2
+_PAIR = 2  # longest run of rejects that are isolated or in a pair
 _PIECE = 1 << 15  # rows filtered at once; in uneven time each row has its own step matrices
 
 
@@ -59,8 +59,8 @@ class Forecasts(NamedTuple):
     """One-step predictions of a causal filter compared with the readings."""
 
     normalised: Floats  # (N,) innovations over their standard deviations; NaN where a reading was not used
-    sigma: Floats  # (N,) those standard deviations
-    rejected: Booleans  # (N,)
+    sigma: Floats  # (N,) those standard deviations, in unit
+    rejected: Booleans  # (N,) True for the readings that the gate rejected
 
     def log_densities(self) -> Floats:
         """Return the log-likelihood (N,) of each reading, up to a constant."""
@@ -88,7 +88,7 @@ def choose_gated(
     Returns
     -------
     GatedChoice
-        If there is no gate, or it rejects nothing, the choice is that of `choose`.
+        The choice; that of `choose` if the gate is not used or rejects nothing.
 
     Raises
     ------
@@ -97,9 +97,9 @@ def choose_gated(
 
     Notes
     -----
-    Before each gating, r is scaled down where the middle half of the innovations is narrower than expected, so that
-    spikes cannot hide behind the noise that they add. The gate stays where it improves the predictions of the readings
-    that were used: a spike that is used spoils the predictions after it, and so does motion that is rejected.
+    Before each gating, r is reduced where the middle half of the innovations is narrower than expected; otherwise the
+    noise that spikes add would keep them within the threshold. The gate is used where it improves the predictions of
+    the accepted readings: an accepted spike spoils the predictions after it, and so does rejected motion.
     """
     plain = choice = choose(readings, elapsed, causal, known)
     before, variance = np.zeros(len(readings), dtype=bool), np.inf
@@ -122,7 +122,7 @@ def choose_gated(
 
 
 def predicts_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate) -> bool:
-    """Return whether a filter with a gate predicts the readings that it uses better than a filter without."""
+    """Return whether a filter with a gate predicts the accepted readings better than a filter without one."""
     gated, free = (forecasts(tuning, readings, elapsed, how) for how in (gate, None))
     if not _are_exceptions(gated.rejected, readings) or has_shoulders(gated, gate.threshold):
         return False
@@ -131,7 +131,7 @@ def predicts_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gat
 
 
 def has_shoulders(predictions: Forecasts, threshold: float) -> bool:
-    """Return whether innovations just below the threshold are too many for Gaussian noise.
+    """Return whether more innovations lie just below the threshold than Gaussian noise and spikes explain.
 
     Then the rejects are not a separate population, but the end of heavy tails.
     """
@@ -158,7 +158,7 @@ def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | No
 
 
 def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
-    """Return a tuning with its noise limited by the median innovation, which spikes do not move."""
+    """Return a tuning whose noise is at most that of the median innovation; spikes hardly change a median."""
     free = np.abs(forecasts(tuning, readings, elapsed, None).normalised)
     seen = free[np.isfinite(free)]
     scale = min(1.0, max(_LEAST_SCALE, _MIDDLE * float(np.median(seen)))) if len(seen) else 1.0
@@ -166,7 +166,7 @@ def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
 
 
 def _are_exceptions(rejected: Booleans, readings: Floats) -> bool:
-    """Return whether rejects are few, mostly isolated or in pairs, and stand out of their neighbours."""
+    """Return whether rejects are few, at least half isolated or in pairs, and stand out from their neighbours."""
     count, seen = np.count_nonzero(rejected), np.count_nonzero(np.isfinite(readings))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], rejected, [False]]).astype(np.int8)))
     lengths = np.diff(edges)[::2]

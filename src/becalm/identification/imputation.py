@@ -1,4 +1,4 @@
-"""Replace missing or rejected readings by random draws, and so complete a nearly complete record.
+"""Replace missing or rejected readings by random draws, which completes a nearly complete record.
 
 Source of the draws: Rubin, Multiple Imputation for Nonresponse in Surveys (1987), chapter 1.
 """
@@ -13,7 +13,7 @@ from becalm.core.rows import EstimatedRows
 from becalm.identification.likelihood import FEWEST_FOR_TONES, JITTER, Evidence, Tuning, keeps_time
 
 LONGEST_HOLE = 32
-"""Longest hole, in steps, that is filled for a spectrum."""
+"""Longest time between two readings, in steps, whose missing rows are filled for a spectrum."""
 
 MOST_MISSING = 0.2
 """Largest share of missing rows; with more, the draws would dominate the spectrum."""
@@ -22,8 +22,8 @@ MOST_MISSING = 0.2
 def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Booleans) -> Floats:
     """Return readings (N,) with each reject replaced by a draw from its distribution given all other readings.
 
-    So a record in even time stays even, and its spectrum can be taken. A draw keeps the noise as large as it is; the
-    mean would not. The same record gets the same draws.
+    So a record in even time stays even, and its spectrum can be computed. A draw keeps the power of the noise; the mean
+    of the distribution would reduce it. The same record gets the same draws.
     """
     left = np.where(rejected, np.nan, readings)
     flow = SmoothedFlow(tuning.component, tuning.noise_variance, split=True)
@@ -34,12 +34,13 @@ def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Boolean
 
 
 def completed(evidence: Evidence, tuning: Tuning) -> Evidence:
-    """Return the longest part of a record with short and few holes, which are filled with draws.
+    """Return the longest part of a record whose holes are short and few, with draws in these holes.
 
     Parameters
     ----------
     evidence : Evidence
-        The readings; returned unchanged where filling holes does not lengthen the longest complete stretch.
+        The readings; returned unchanged if that part has fewer than 256 readings, or no more than the longest complete
+        stretch.
     tuning : Tuning
         The model that the draws come from.
     """
@@ -60,7 +61,7 @@ def completed(evidence: Evidence, tuning: Tuning) -> Evidence:
 
 
 def nearly_complete(evidence: Evidence) -> slice:
-    """Return the longest part in even time, apart from jitter, with short and few holes."""
+    """Return the longest part of a record in even time, apart from jitter, whose holes are short and few."""
     elapsed = evidence.elapsed
     steps = np.round(elapsed)
     odd = (np.abs(elapsed - steps) > JITTER) | (steps < 1) | (steps > LONGEST_HOLE)

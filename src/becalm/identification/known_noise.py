@@ -1,11 +1,11 @@
 """Tune a motion model with noise that is already known, for instance from a rest.
 
 R is fixed, so it is not concentrated out of the likelihood. The tuning of a causal filter maximises the likelihood, and
-so does every tuning with coloured noise. The tuning of a smoother with white noise only minimises its estimated risk:
-with the mean squared residual s and the mean weight g of a reading in its own estimate, the mean squared error of the
-estimate is s - R + 2 R g on average, for any linear smoother and without the truth. The minimum sometimes follows the
-noise on short records, so g is raised as in `cross_validation.cautious`. Sources: Mallows, Technometrics 15 (1973) 661;
-Stein, Annals of Statistics 9 (1981) 1135; Schweppe, IEEE TIT-11 (1965) 61.
+so does every tuning with coloured noise. The tuning of a smoother, where all noise is white, minimises its estimated
+risk: with the mean squared residual s and the mean weight g of a reading in its own estimate, the mean squared error of
+the estimate is s - R + 2 R g on average. This holds for any linear smoother, and needs no truth. On short records the
+minimum sometimes follows the noise, so g is raised as in `cross_validation.cautious`. Sources: Mallows, Technometrics
+15 (1973) 661; Stein, Annals of Statistics 9 (1981) 1135; Schweppe, IEEE TIT-11 (1965) 61.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from becalm.identification.cross_validation import (
 )
 from becalm.identification.likelihood import FEWEST_READINGS, Candidate, Evidence, Tuning, find_ratio
 
-_ALIKE = 0.1  # difference of the logarithm of the residuals that a few stretches cannot resolve
+_ALIKE = 0.1  # difference of the logarithm of the mean squared residual that a few stretches cannot resolve
 
 
 def tune_with_known_noise(
@@ -47,7 +47,8 @@ def tune_with_known_noise(
     coloured : ColouredNoise or None
         Additional coloured noise, one step per reading; it is modelled as a disturbance.
     causal : bool
-        True tunes a causal filter. Orders are 1 to 3, and 1 to 5 for a smoother with white noise only.
+        True tunes a causal filter, False a smoother. Orders are 1 to 3, or 1 to 5 for a smoother without coloured
+        noise.
 
     Raises
     ------
@@ -59,7 +60,7 @@ def tune_with_known_noise(
     Notes
     -----
     The given noise is not questioned: if it was measured at rest and is louder in motion, the excess is taken for
-    motion. With coloured noise, of more than 32768 readings sixteen stretches of 2048 are scored.
+    motion. With coloured noise, a record of more than 32768 readings is scored on sixteen pieces of 2048.
     """
     if len(evidence.z) < FEWEST_READINGS:
         raise RecordingError(
@@ -82,7 +83,7 @@ def tune_with_known_noise(
 def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
     """Find the likeliest density of one order for a known R.
 
-    At the likeliest r the log-likelihood is greater than at R by n (r/R - 1 - log r/R) / 2.
+    The log-likelihood of n readings at R is less than at the likeliest r by n (r/R - 1 - log(r/R)) / 2.
     """
     candidate = Candidate(order, evidence)
 
@@ -116,7 +117,7 @@ def _likeliest(
 ) -> Tuning:
     """Find the likeliest ratio q/r.
 
-    `variances` are R and the variance of all noise; the grid of cut-offs is laid out for the latter.
+    `variances` are R and the variance of all noise; the grid of cut-offs is that for the variance of all noise.
     """
     R, total = variances
     least = find_ratio(order, lambda ratio: -likelihood(ratio * total / R)[0], evidence.longest_steps)
@@ -144,7 +145,7 @@ def _tune_smoothers(evidence: Evidence, R: float) -> list[Tuning]:
 
 
 def _least_risk(order: int, residuals: Residuals, count: int, evidence: Evidence, R: float) -> Tuning:
-    """Find the density of one order whose smoother has the least estimated risk."""
+    """Find the density at which the smoother of one order has the least estimated risk."""
 
     def loss(ratio: float) -> float:
         return foretold_square(*residuals(ratio), count, R)
@@ -154,9 +155,9 @@ def _least_risk(order: int, residuals: Residuals, count: int, evidence: Evidence
 
 
 def foretold_square(squares: float, weight: float, count: int, noise_variance: float) -> float:
-    """Return the logarithm of R plus the estimated risk.
+    """Return the logarithm of the sum of R and the estimated risk.
 
-    R plus the risk is the mean squared distance of a new reading from the estimate.
+    The sum is the mean squared distance, in unit^2, of a new reading from the estimate.
 
     Parameters
     ----------
@@ -171,5 +172,5 @@ def foretold_square(squares: float, weight: float, count: int, noise_variance: f
 
 
 def _parts(evidence: Evidence) -> list[slice]:
-    """Return the parts to score, each from its first run of readings that starts the filter."""
+    """Return the pieces to score; each begins with a run of readings that is long enough to start the filter."""
     return [slice(part.start + first_in_a_row(evidence.elapsed[part]), part.stop) for part in evidence.sample]

@@ -1,7 +1,7 @@
 """Tune a motion model by maximum likelihood, with the noise variance concentrated out.
 
-For a given ratio q/r the filter's gains are known, and the best r is the mean of nu^2 / S found with r = 1. Only the
-ratio is left to search. Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989),
+The ratio q/r determines the filter's gains. The likeliest r is the mean of nu^2 / S of a filter with r = 1. So only the
+ratio is searched. Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989),
 section 4.2; Schweppe, IEEE TIT-11 (1965) 61.
 """
 
@@ -23,19 +23,19 @@ from becalm.core.model.autoregressive import ColouredNoise, autoregressive
 from becalm.core.model.components import LEVEL_RATE, Component, motion, oscillator, returning_motion
 from becalm.identification.spectrum import ToneOscillator
 
-# Minimise a cost over one number: a grid over its logarithm, then Brent's method next to the best point.
+# Minimise a cost over one number: by a grid, then by Brent's method next to the best point.
 #
-# The number is the cut-off of a motion, which determines its ratio q/r. The likelihood of a cut-off may have several
-# maxima; the grid finds the region of the highest. Brent's method, which needs a single valley, finds its bottom.
+# The number is the logarithm of a motion's cut-off, which determines q/r. The likelihood may have several maxima over
+# the cut-off; the grid finds the region of the highest, and Brent's method, which needs a single one, finds it.
 # Source: Brent, Algorithms for Minimization without Derivatives (1973), ch. 5.
 
 Edge = Literal["", "low", "high"]
 """Whether a search ended at the lowest or the highest point of its grid, or ("") between them."""
 
-_SLOWEST_CYCLES = 0.2  # of the cut-off in the record; with a slower one the estimate is a polynomial
+_SLOWEST_CYCLES = 0.2  # of the slowest cut-off in the record; with a slower one the estimate is a polynomial
 _FASTEST = 4.0  # radians a step; a faster cut-off passes everything
-_AT_EDGE = 0.05  # of the grid's spacing
-_POINTS = 17
+_AT_EDGE = 0.05  # distance from an end of the grid up to which a point is at it, as a share of the grid's spacing
+_POINTS = 17  # cut-offs in the grid
 _PRECISION = 3e-3  # of the logarithm of the cut-off: far below its standard error
 
 
@@ -155,7 +155,7 @@ FEWEST_READINGS = 8
 """Least number of readings; fewer cannot separate noise from signal."""
 
 UNSCORED = 3
-"""Readings that only start the filter; the same number for every order, so that likelihoods can be compared."""
+"""Readings that only start the filter; the same number for orders 1 to 3, so that likelihoods can be compared."""
 
 LONG_GAP = 1000.0
 """Gap, in steps, at which tuning starts anew: a prediction across it would be almost worthless."""
@@ -166,15 +166,15 @@ FEWEST_FOR_TONES = 256
 LASTING = 1024
 """Least number of readings in even time, none missing, for a useful spectrum."""
 
-_SELDOM = 1.5  # steps between readings from which on the readings define their own step
-_MOST_GAPS = 63
+_SELDOM = 1.5  # usual distance of two readings, in steps, from which on it becomes the step
+_MOST_GAPS = 63  # most gaps at which tuning starts anew
 JITTER = 0.02
 """Steps by which the time between two rows of an even clock may differ from a whole number."""
 
 _LATE = 0.1  # steps by which a row may deviate from the even clock
 _PIECE, _PIECES = 2048, 16  # readings in a piece, and pieces that represent a long record
-_FALLS = 3  # worse points in a row after which slower cut-offs are not tried, ...
-_DEEP = 50.0  # ... if the log-likelihood has also fallen by so much
+_FALLS = 3  # falls of the log-likelihood in a row after which slower cut-offs are not tried, ...
+_DEEP = 50.0  # ... if it is also so far below its maximum
 
 
 class Score(NamedTuple):
@@ -182,7 +182,7 @@ class Score(NamedTuple):
 
     log_likelihood: float
     noise_variance: float  # r, in unit^2
-    used: int
+    used: int  # number of readings scored
 
 
 @dataclass(frozen=True)
@@ -192,20 +192,21 @@ class Tuning:
     Attributes
     ----------
     order : int
-        Order of the motion: which derivative is white noise.
+        Order n of the motion: its n-th derivative is white noise.
     ratio : float
-        q/r with q in unit^2/step^(2n-1), the density of that white noise over the variance of a reading.
+        q/r, the density of that white noise, in unit^2/step^(2n-1), over the noise variance of a reading.
     noise_variance : float
         r, the noise variance of a reading, in unit^2.
     count : int
         Number of readings scored.
     log_likelihood : float
-        Exact log-likelihood of all readings but the first three, at this ratio and the likeliest noise variance for it;
-        NaN for a smoother's tuning.
+        Exact log-likelihood of the readings scored, at this ratio and the likeliest noise variance for it, or the known
+        one; NaN for a tuning with a `loss`.
     loss : float
-        Cross-validation criterion of a smoother's tuning, see `cross_validation.criterion`; otherwise NaN.
+        Criterion that a smoother's tuning minimises: `cross_validation.criterion`, or `known_noise.foretold_square`
+        where the noise is known; otherwise NaN.
     at_edge : {"", "low", "high"}
-        Whether the search ended at its slowest ("low") or fastest ("high") filter; see `search.Edge`.
+        Whether the search ended at its slowest ("low") or fastest ("high") filter; see `Edge`.
     tones : tuple of ToneOscillator
         Tones in addition to the motion.
     coloured : ColouredNoise or None
@@ -245,12 +246,12 @@ class Tuning:
 
     @cached_property
     def component(self) -> Component:
-        """The signal and its disturbances, in steps."""
+        """Return the model of the signal and its disturbances, in steps."""
         return sum(self.companions, self.motion)
 
     @property
     def companions(self) -> list[Component]:
-        """The tones and the coloured noise, in steps."""
+        """Return the models of the tones and of the coloured noise, in steps."""
         tones = [_tone(tone) for tone in self.tones]
         if self.coloured is None:
             return tones
@@ -258,7 +259,7 @@ class Tuning:
 
     @cached_property
     def motion(self) -> Component:
-        """The motion model alone, in steps."""
+        """Return the motion model alone, in steps."""
         density = self.ratio * self.noise_variance
         if not self.damping:
             return motion(self.order, density)
@@ -295,7 +296,7 @@ class Evidence:
 
     @classmethod
     def of(cls, readings: Floats, elapsed: Floats) -> Evidence:
-        """Keep the finite readings (N,); the time of the others is added to the next finite one."""
+        """Return the finite ones of readings (N,); the time of each missing one is added to the next finite one."""
         seen = np.flatnonzero(np.isfinite(readings))
         times = np.cumsum(elapsed)[seen]
         whole = np.diff(times, prepend=times[:1])
@@ -305,7 +306,7 @@ class Evidence:
 
     @cached_property
     def own_step(self) -> float:
-        """The usual distance of two readings, in steps; 1 if it is below 1.5 steps or above `LONG_GAP`."""
+        """Return the median distance of two readings, in steps; 1 if it is below 1.5 steps or above `LONG_GAP`."""
         apart = float(np.quantile(self.elapsed[1:], 0.5, method="lower")) if len(self.elapsed) > 1 else 1.0
         return apart if _SELDOM <= apart <= LONG_GAP else 1.0
 
@@ -315,7 +316,7 @@ class Evidence:
 
     @cached_property
     def stretches(self) -> list[slice]:
-        """Rows between the longest gaps. Nothing can be predicted across such a gap, so each stretch starts anew."""
+        """Return the rows between gaps over `LONG_GAP`, at most the 63 longest; the filter starts anew after each."""
         long = np.flatnonzero(self.elapsed > LONG_GAP)
         long = np.sort(long[np.argsort(self.elapsed[long])[-_MOST_GAPS:]])
         bounds = [0, *long[long > 0].tolist(), len(self.z)]
@@ -323,7 +324,7 @@ class Evidence:
 
     @cached_property
     def sample(self) -> list[slice]:
-        """The stretches, or, if there are more than 32768 readings, sixteen evenly spread pieces of 2048."""
+        """Return the stretches or, if there are more than 32768 readings, sixteen evenly spread pieces of 2048."""
         if len(self.z) <= _PIECES * _PIECE:
             return self.stretches
         starts = np.linspace(0, len(self.z) - _PIECE, _PIECES).astype(int)
@@ -331,17 +332,17 @@ class Evidence:
 
     @cached_property
     def longest_steps(self) -> float:
-        """Duration of the longest stretch in steps, at least 4."""
+        """Return the duration of the longest stretch in steps, at least 4."""
         return max(4.0, *(float(self.elapsed[part][1:].sum()) for part in self.stretches))
 
     @cached_property
     def complete(self) -> list[slice]:
-        """Long stretches of rows in even time, apart from a little jitter, with none missing."""
+        """Return the stretches of `even` with at least `LASTING` readings."""
         return [run for run in self.even if run.stop - run.start >= LASTING]
 
     @cached_property
     def even(self) -> list[slice]:
-        """Stretches, long enough for tones, of rows in even time apart from a little jitter, with none missing."""
+        """Return the stretches of at least 256 rows in even time, apart from a little jitter, with none missing."""
         uneven = np.abs(self.elapsed[1:] - 1.0) > JITTER
         bounds = np.flatnonzero(np.concatenate([[True], uneven, [True]]))
         runs = [slice(start, stop) for start, stop in pairwise(bounds.tolist()) if stop - start >= FEWEST_FOR_TONES]
@@ -353,7 +354,7 @@ class Evidence:
 
     @cached_property
     def smallest_variance(self) -> float:
-        """The variance that rounding alone, by float64 and by a converter, adds to a noise-free record, in unit^2."""
+        """Return the variance, unit^2, that rounding alone, by float64 or a converter, adds to a noise-free record."""
         largest = float(np.abs(self.z).max(initial=0.0))
         rounded = (np.finfo(float).eps * largest) ** 2 + float(np.finfo(float).tiny)
         return max(rounded, converter_step(self.z[:, 0]) ** 2 / 12)
@@ -395,8 +396,8 @@ def tune_motion(order: int, evidence: Evidence) -> Tuning:
     Notes
     -----
     A grid over the logarithm of the cut-off finds the region of the maximum. It starts at the fastest cut-off and ends
-    when the likelihood has fallen far; Brent's method then finds the maximum. Where no stretch holds four readings
-    `count` is 0 and the likelihood -inf.
+    when the likelihood has fallen far; Brent's method then finds the maximum. Where every stretch is too short to be
+    scored, `count` is 0 and the log-likelihood -inf.
     """
     candidate = Candidate(order, evidence)
 

@@ -1,11 +1,11 @@
-"""Compute the likelihood of the next reading over all noise variances and densities of a motion, as a surface.
+"""Compute the likelihood of a record as a surface over the noise variance and the density of a motion.
 
-For one ratio q/r the filter's gains do not depend on r. With the squares and determinants of a pass with r = 1
+At a given ratio q/r the filter's gains do not depend on r. With nu and S of a pass with r = 1,
 
     -log L / N = 1/2 (log 2 pi + mean log S + log r + mean(nu^2 / S) / r)
 
-so that one pass per ratio gives all points of a diagonal (Harvey, Forecasting, Structural Time Series Models and the
-Kalman Filter (1989), section 4.2). Tones and coloured noise are scaled in proportion to r.
+so one pass per ratio gives all points of a diagonal (Harvey, Forecasting, Structural Time Series Models and the
+Kalman Filter (1989), section 4.2). The densities of tones and the variance of coloured noise are scaled with r.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.channel import ChannelRecord, Sums
 from becalm.identification.likelihood import FEWEST_READINGS, UNSCORED, Evidence, Tuning
 
-_NOISES, _DENSITIES = 41, 61
-_NOISE_DECADES = 2.0  # of the standard deviation, on each side
+_NOISES, _DENSITIES = 41, 61  # points of the surface along each axis
+_NOISE_DECADES = 2.0  # decades of the noise's standard deviation on each side of the centre
 _STILL = 1e-9  # q/r at the centre of the surface of a filter without process noise
 
 
@@ -35,7 +35,7 @@ class Surface(NamedTuple):
     density : (l,) float array
         Densities q, in unit^2/step^(2n-1).
     cost : (k, l) float array
-        Cost in nats per reading, 0 at the best; inf where no reading could be predicted.
+        Loss in mean log-likelihood of a reading, in nats, 0 at the best pair; inf where no reading was scored.
     """
 
     noise_std: Floats
@@ -44,7 +44,7 @@ class Surface(NamedTuple):
 
 
 def surface(tuning: Tuning, stretches: Sequence[Evidence]) -> Surface | None:
-    """Return how much worse each noise and density predicts the readings than the best pair.
+    """Return how much worse each pair of noise and density predicts the readings than the best pair.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def surface(tuning: Tuning, stretches: Sequence[Evidence]) -> Surface | None:
     """
     ratio = tuning.ratio or _STILL
     decades = _NOISE_DECADES * np.linspace(-1.0, 1.0, _NOISES)
-    step = 2 * float(decades[1] - decades[0])  # of the variance and of the density alike, so that ratios are diagonals
+    step = 2 * float(decades[1] - decades[0])  # decades of variance and of density, equal so that ratios are diagonals
     passes = _Passes(tuning, stretches)
     least = step * -(_NOISES // 2 + _DENSITIES // 2)
     sums = [passes.sums(ratio * 10.0 ** (least + step * k)) for k in range(_NOISES + _DENSITIES - 1)]
@@ -97,7 +97,7 @@ class _Passes:
         ]
 
     def sums(self, ratio: float) -> tuple[float, float, int]:
-        """Return the sums of nu^2 / S and log S, and the number of readings."""
+        """Return the sums of nu^2 / S and of log S at a ratio q/r, and the number of readings."""
         total = Sums()
         for record, still in self._records:
             still_noise = still.process_noise

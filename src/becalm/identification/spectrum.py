@@ -13,14 +13,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from becalm.core.arrays import Floats
 
-_RESOLUTION = 0.02  # width of a bin over its frequency
-_ENDS = 8  # readings whose mean is the level of a record's start, or end
-_FIRST = 4  # lowest frequency kept; below it, the window mixes in the level
+_RESOLUTION = 0.02  # width of a bin, as a share of its frequency
+_ENDS = 8  # readings whose mean is the level at the start of a record, or at its end
+_FIRST = 4  # lowest frequency kept, in cycles per record; the window leaks the level into lower ones
 _UNBINNED = 60  # frequencies on each side of a tone that are not binned
 
 
 class BinnedPeriodogram(NamedTuple):
-    """The power of a record in bins."""
+    """The power spectrum of a record, averaged over bins of frequencies."""
 
     angle: Floats  # (k,) mean frequency of each bin, radians a step
     power: Floats  # (k,) mean power, unit^2
@@ -50,11 +50,11 @@ class ToneOscillator(NamedTuple):
 
 
 def sine_spectrum(z: Floats) -> BinnedPeriodogram:
-    """Return the power of the sine transform of a record (N,), less the line between its ends.
+    """Return the power spectrum of a record (N,), less the line between its ends, by the sine transform.
 
-    This is the spectrum of the record continued by its odd reflection at both ends, which adds no jumps and no kinks.
-    White noise stays white, and every reading has the same weight. The squared residual of a smoother with gain G is
-    therefore the sum of (1 - G)^2 times this power.
+    This is the spectrum of the record continued at both ends by its odd reflection, which adds no jumps and no kinks.
+    White noise stays white, and every reading has the same weight. Therefore the sum of the squared residuals of a
+    smoother with gain G is the sum of (1 - G)^2 times this power.
     """
     from scipy.fft import dst
 
@@ -75,7 +75,10 @@ def pooled(spectra: Sequence[BinnedPeriodogram]) -> BinnedPeriodogram:
 
 
 def periodogram(z: Floats) -> BinnedPeriodogram:
-    """Return the periodogram of a record (N,) with a Hann window, one frequency per bin, without the lowest ones."""
+    """Return the periodogram of a record (N,) with a Hann window, one frequency per bin.
+
+    The four lowest frequencies and the one or two highest are left out.
+    """
     from scipy.fft import rfft
 
     window = np.hanning(len(z) + 2)[1:-1]
@@ -93,7 +96,7 @@ def welch_power(z: Floats, window: Floats) -> Floats:
     z : (N,) float array
         Readings in unit, at least as many as the window is long.
     window : (w,) float array
-        Window that multiplies each segment, after its mean is removed; segments overlap by half.
+        Window. It multiplies each segment less the segment's mean; segments overlap by half.
 
     Notes
     -----
@@ -143,11 +146,11 @@ def tone_power(tone: ToneOscillator, angle: Floats) -> Floats:
 WINDOW = 5
 """Number of readings in a window."""
 
-_PIECE = 1 << 16
+_PIECE = 1 << 16  # windows that are sorted at once
 
 
 def running_median(z: Floats) -> Floats:
-    """Return the median of the five readings around each of z (N,), N at least 5; at an end, of the last five."""
+    """Return the median of the five readings around each of z (N,), N at least 5; near an end, of the five there."""
     half, inner = WINDOW // 2, np.empty(len(z) - WINDOW + 1)
     for start in range(0, len(inner), _PIECE):
         windows = sliding_window_view(z[start : start + _PIECE + WINDOW - 1], WINDOW)

@@ -12,9 +12,9 @@ from becalm.core.arrays import Floats, Integers
 def lag_of(signal: Floats, truth: Floats) -> float:
     """Return the lag of a signal (N,) behind its truth (N,), in samples: the shift of least mean square difference.
 
-    Only overlapping samples count. A parabola through the minimum and its neighbours gives fractions of a sample; with
-    noise or a slow truth these are inaccurate. Lags up to half of the record are tried. The result is NaN if the signal
-    or the truth is constant, or if the minimum is at the largest lag.
+    Only overlapping samples count; NaN counts as the mean. A parabola through the minimum and its neighbours gives
+    fractions of a sample; with noise or a slow truth these are inaccurate. Lags up to half of the record are tried. The
+    result is NaN if the signal or the truth is constant, or if the minimum is at the largest lag either way.
     """
     from scipy.fft import irfft, next_fast_len, rfft
 
@@ -47,13 +47,13 @@ class Followed(NamedTuple):
 
     delay_50: float  # samples from the step to half of the height
     delay_90: float  # samples to nine tenths of the height
-    overshoot: float  # beyond the final level, over the height
+    overshoot: float  # beyond the final level, as a share of the height
 
 
 def follow(signal: Floats, row: int, before: float, after: float) -> Followed:
     """Return how a signal (N,) follows a step at `row` from the level `before` to the level `after`.
 
-    Delays to levels that are never reached are inf. The step counts as a straight line from the row before.
+    Delays to levels that are never reached are inf. The step counts as a straight line from the row before it.
     """
     risen = (signal[row - 1 :] - before) / (after - before)
     return Followed(_crossing(risen, 0.5), _crossing(risen, 0.9), max(0.0, float(np.nanmax(risen)) - 1))

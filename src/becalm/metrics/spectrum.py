@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 VEHICLE_BANDS_HZ = {"body": (1.0, 3.0), "wheels": (4.0, 8.0), "sprung and unsprung masses": (10.0, 20.0)}
 """Frequency bands of the car paper, in hertz."""
 
-_SEGMENT = 1024
+_SEGMENT = 1024  # samples
 
 
 class Spectrum(NamedTuple):
@@ -22,7 +22,7 @@ class Spectrum(NamedTuple):
     density: Floats  # (k,) unit^2/Hz
 
     def power(self, low_hz: float, high_hz: float) -> float:
-        """Return the power of a band, in unit^2."""
+        """Return the power of the band from `low_hz` to `high_hz`, in unit^2."""
         inside = (self.frequency_hz >= low_hz) & (self.frequency_hz <= high_hz)
         return float(np.trapezoid(self.density[inside], self.frequency_hz[inside]))
 
@@ -51,7 +51,7 @@ def welch(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrum:
 class Spectrogram(NamedTuple):
     """A one-sided power spectral density over time."""
 
-    times_s: Floats  # (t,) centres of the segments, after the first sample
+    times_s: Floats  # (t,) centres of the segments, in seconds after the first sample
     frequency_hz: Floats  # (k,)
     density: Floats  # (k, t) unit^2/Hz
 

@@ -13,7 +13,7 @@ from becalm.core.closed_forms import autoregressive_power
 
 # The autocovariance of a sequence that comes in pieces, exact across their borders.
 
-MOST_LAGS = 32
+MOST_LAGS = 32  # largest lag of the sums
 _ROW = 8  # shortest row for which BLAS is fast
 _SHIFTS = MOST_LAGS // _ROW + 1
 
@@ -51,7 +51,7 @@ class LaggedSums(NamedTuple):
     varies: bool = False
 
     def extended(self, piece: Floats) -> LaggedSums:
-        """Return the sums with a piece (n,) of finite values added; the first piece must be long or the only one."""
+        """Return the sums with a piece (n,) of finite values added; the first needs 32 values if others follow."""
         n = len(piece)
         shift = self.shift if self.seen else float(np.mean(piece))
         rows = -(-n // _ROW)
@@ -73,7 +73,7 @@ class LaggedSums(NamedTuple):
 
     def about_mean(self, lags: int) -> Floats:
         """Return the sum of (e[i] - mean) (e[i - j] - mean) over i, for j = 0 to `lags`, up to 32."""
-        # products[k, a, b] sums c[i] c[i - j] over every eighth i, with j = 32 + a - 8 k - b
+        # products[k, a, b] is the sum of c[i] c[i - j] over every eighth i, with j = 32 + a - 8 k - b
         by_row = self.products.transpose(1, 0, 2).reshape(_ROW, _SHIFTS * _ROW)
         diagonals = np.array([by_row[a, a : a + MOST_LAGS + 1] for a in range(_ROW)])
         j = np.arange(lags + 1)
@@ -144,10 +144,10 @@ class Running(Generic[Sums]):
             self._held = len(excess)
 
 
-LAGS = 20
+LAGS = 20  # of the Ljung-Box test
 _PREDICTOR_LAGS = MOST_LAGS
-_CYCLES = np.linspace(0.0, 0.5, 501)
-_READINGS_PER_LAG = 8  # short sequences use fewer lags
+_CYCLES = np.linspace(0.0, 0.5, 501)  # frequencies in cycles per value
+_READINGS_PER_LAG = 8  # least number of values per lag; short sequences use fewer lags
 
 
 class Predictor(NamedTuple):
@@ -165,7 +165,7 @@ class Predictor(NamedTuple):
     error: float
 
     def share_outside(self, cycles: float, width: float) -> float:
-        """Return the predictable share of the variance without a band about a frequency.
+        """Return the predictable share of the variance outside a band about a frequency.
 
         Parameters
         ----------
@@ -215,7 +215,7 @@ class Whiteness:
 
 
 class RunningWhiteness(Running[LaggedSums]):
-    """Computes the whiteness of a sequence that comes in blocks of any length."""
+    """Sums that give the whiteness of a sequence in blocks of any length."""
 
     def __init__(self) -> None:
         super().__init__(LaggedSums(), LaggedSums.extended)
@@ -311,7 +311,7 @@ class Power(NamedTuple):
 
 
 class RunningNis(Running[Power]):
-    """Computes the mean squared normalised innovation of a sequence that comes in blocks of any length."""
+    """Sums that give the mean squared normalised innovation of a sequence in blocks of any length."""
 
     def __init__(self) -> None:
         super().__init__(Power(), Power.extended)
@@ -330,8 +330,8 @@ def mean_nis(normalised: Floats) -> float:
 
 # Test whether the variance of the innovations is constant, as a model with one noise level assumes.
 
-_BLOCK = 50
-_FACTOR = 4.0  # in power: a factor of two in sigma
+_BLOCK = 50  # values
+_FACTOR = 4.0  # largest ratio of powers in an even block: a factor of two in sigma
 
 
 class BlockCount(NamedTuple):
@@ -354,7 +354,7 @@ class BlockCount(NamedTuple):
 
 
 class RunningEvenness(Running[BlockCount]):
-    """Computes the uneven share of a sequence that comes in blocks of any length."""
+    """Counts that give the uneven share of a sequence in blocks of any length."""
 
     def __init__(self) -> None:
         super().__init__(BlockCount(), BlockCount.extended)
@@ -382,19 +382,19 @@ def uneven_share(normalised: Floats) -> float:
     return running.result()
 
 
-# Compare the distribution of scores with the standard normal one: which share of probability is misplaced.
+# Compare the distribution of scores with the standard normal one: find the share of probability that is misplaced.
 #
 # An IMM predicts a mixture. The score of a reading is its normal quantile under the mixture, and it is never large,
 # because one of the modes expects even distant readings. The test therefore uses the whole distribution, not the
 # power.
 
-_EDGES = 0.1 * np.arange(1, 40)
+_EDGES = 0.1 * np.arange(1, 40)  # magnitudes of scores
 
 
 class ScoreCount(NamedTuple):
     """Number of scores with a magnitude below each edge, and number of all scores."""
 
-    below: Floats = np.zeros(len(_EDGES))
+    below: Floats = np.zeros(len(_EDGES))  # (39,)
     seen: int = 0
 
     def extended(self, piece: Floats) -> ScoreCount:
@@ -402,7 +402,7 @@ class ScoreCount(NamedTuple):
         return ScoreCount(self.below + np.searchsorted(np.sort(np.abs(piece)), _EDGES), self.seen + len(piece))
 
     def share(self) -> float:
-        """Return the misplaced share of probability; it is 0.16 if every score is 1.4 times too large."""
+        """Return the misplaced share of probability, 0 to 1; it is 0.16 if every score is 1.4 times too large."""
         from scipy.special import ndtr
 
         if not self.seen:

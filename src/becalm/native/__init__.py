@@ -59,13 +59,13 @@ def set_history(  # noqa: PLR0913  (keyword arguments)
     least: float,
     most: float,
 ) -> None:
-    """Set the history before the first row: first measurement, number of rows, steps, least and greatest, in unit."""
+    """Set the history before the first row: first, least and greatest measurement, in unit; rows and steps so far."""
     channel = settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data
     kernel.channel_begin_after(*channel, first, rows, steps, least, most)
 
 
 def reduced(settings: NDArray[np.void], state: NDArray[np.void], *, alive: bool) -> NDArray[np.void]:
-    """Return a copy of the state with only what later estimates depend on; if `alive`, also without open hops."""
+    """Return a copy of the state with only what later estimates depend on; without hops if the sensor is `alive`."""
     own = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())  # copy() would copy the fields alone
     kernel.channel_reduce(settings.ctypes.data, own.ctypes.data, alive)
     return own
@@ -109,14 +109,19 @@ def stepper(
     F: NDArray[np.float64],
     Q: NDArray[np.float64],
 ) -> Callable[[float], tuple[float, float]]:
-    """Return a fast function that takes a reading, one step after the last, and returns signal and sigma.
+    """Return a fast function that takes a measurement, one step after the last, and returns signal and sigma.
 
     Parameters
     ----------
     settings, coefficients, state : () structured array
-        Those of the channel; the state changes with each call.
+        Those of the channel; each call changes the state.
     F, Q : (1, n, n) float64 array
-        Those of the step.
+        Matrices of the step.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit the channel.
     """
     numbers = array("d", [0.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # Python's array is faster than NumPy for single numbers
     names = "z", "elapsed", "signal", "sigma", "innovation", "deviation"

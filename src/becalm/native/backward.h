@@ -7,8 +7,8 @@
 #include "opening.h"
 #include "pack.h"
 
-/* Smooth a row while information is still gathered, with the row after it; the last row stands alone. Return 0 if this
-   does not determine the state. */
+/* Smooth a row at which information was still gathered, with the row after it; without one, from its own information.
+   Return 0 if this does not determine the state. */
 INLINE int smooth_gathering(const int n, const coefficients_t *model, const filter_t *row, const real *Q,
                             future_t *future, real *signal, real *sigma) {
     const real nothing[N_MAX] = {0};
@@ -31,8 +31,8 @@ INLINE int smooth_gathering(const int n, const coefficients_t *model, const filt
     return 1;
 }
 
-/* Smooth one row: add the information of later rows to its filtered signal. Return 0 if digits are lost, because only
-   the smoothed row after it, which is not known, would give all of them. */
+/* Smooth one row: add the information of later rows to its filtered signal. Return 0 if this loses digits, and the
+   smoothed row after it, which would preserve them, is not known. */
 INLINE int smooth_row(const int n, const coefficients_t *model, const filter_t *row, const real *Q, future_t *future,
                       real *signal, real *sigma) {
     real smoothed[NN_MAX], Pr[N_MAX];

@@ -4,7 +4,7 @@
 
 #define PULL ((real)0.75)     /* share of a stamp's distance by which the even grid follows it */
 #define PULL_PACE ((real)0.1) /* the same for the sender's pace */
-#define LEAST_PACE ((real)0.98)
+#define LEAST_PACE ((real)0.98) /* limits of the sender's pace, see stamps_t */
 #define GREATEST_PACE ((real)1.02)
 #define WHOLE_FROM ((real)4503599627370496) /* 2^52: numbers from here on are whole */
 
@@ -28,7 +28,7 @@ static int8_t hold_back(stamps_t *state, const real t, real *elapsed) {
     return CLOCK_RESET;
 }
 
-/* Count the steps to a stamp that is not before the last one; a whole number if the stamp lies on the grid. */
+/* Count the steps to a stamp that is not before the last one; their number is whole if the stamp lies on the grid. */
 static int8_t count_steps(stamps_t *state, const real t, const int doubled, real *elapsed) {
     const real steps = (t - state->grid) / state->step, off = steps - state->pace;
     const real whole = nearest_whole(steps / state->pace);

@@ -19,13 +19,13 @@ typedef struct {
     real sigma; /* in unit; inf while the signal is undetermined */
 } device_state_t;
 
-enum { STARTING = 32 }; /* besides the verdicts: used, and passed on, because the signal is still undetermined */
+enum { STARTING = 32 }; /* beside the verdicts: used, and returned as the signal, which is still undetermined */
 
 void device_start(const device_t *device, device_state_t *state);
 /* Start at a signal that has been constant for a long time; if it is not a possible measurement, start without one. */
 void device_start_at(const device_t *device, device_state_t *state, real signal);
 /* Process a measurement, NaN if it is missing; return the verdict. The signal is always a number: without an estimate
-   it is the last used measurement, and in a hole it is the model's prediction. */
+   it is the last used measurement, 0 before the first, and in a hole it is the model's prediction. */
 int device_step(const device_t *device, device_state_t *state, real z, real *signal);
 /* Process this many rows without a measurement, as one step. */
 void device_gap(const device_t *device, device_state_t *state, uint32_t rows);

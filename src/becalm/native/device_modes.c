@@ -29,7 +29,7 @@ void device_modes_start(const device_modes_t *device, device_modes_state_t *stat
     state->sigma = INFINITE;
 }
 
-/* Process one row after a step; return the signal, NaN if there is none, and write the filter's own estimate. */
+/* Process one row after a step; return the signal, NaN if there is none, and write the filter's own, also in a hole. */
 static real take(const device_modes_t *device, device_modes_state_t *state, const real z, const real elapsed,
                  const real *F, const real *Q, const real *T, int8_t *verdict, real *believed) {
     const settings_t *settings = &device->settings;

@@ -9,7 +9,7 @@ typedef struct {
     settings_t settings; /* without a gate */
     int64_t modes;
     int64_t keeps_level; /* whether a constant added to the measurements is added to the signal */
-    int64_t rejects;
+    int64_t rejects;     /* whether the estimate leaves out outliers */
     real largest_level;
     real noise_variance; /* variance of a measurement in the first mode, in unit^2 */
     real V;
@@ -31,7 +31,7 @@ void device_modes_start(const device_modes_t *device, device_modes_state_t *stat
 /* Start as after a first measurement; if it is not a possible measurement, start without one. */
 void device_modes_start_at(const device_modes_t *device, device_modes_state_t *state, real signal);
 /* Process a measurement, NaN if it is missing; return the verdict. The signal is always a number: without an estimate
-   it is the last used measurement, and in a hole it is the prediction of the modes. */
+   it is the last used measurement, 0 before the first, and in a hole it is the prediction of the modes. */
 int device_modes_step(const device_modes_t *device, device_modes_state_t *state, real z, real *signal);
 /* Process this many rows without a measurement: one by one up to a thousand, and the rest as one step. */
 void device_modes_gap(const device_modes_t *device, device_modes_state_t *state, uint32_t rows);

@@ -11,9 +11,9 @@
 #include "settling.h"
 
 
-enum { NO_DIGITS = -1 }; /* nothing is left of what was known: the filter restarts at this row */
+enum { NO_DIGITS = -1 }; /* the covariance has lost all digits: the filter restarts at this row */
 
-/* Filter one row and its covariance; return the gate's verdict on the measurement, or NO_DIGITS. */
+/* Predict and update state and covariance; return the gate's verdict on the measurement, or NO_DIGITS. */
 INLINE int filter_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                       const real *F, const real *Q, const real elapsed, const real z, const int jumps, real *innovation,
                       real *deviation) {

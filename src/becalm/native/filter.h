@@ -8,10 +8,10 @@
 
 enum { BLOCK = SMOOTHED, FIRST_CHECK = 32 }; /* rows in a block; rows before the first check of the gain */
 
-enum { GOES_ON = 16 }; /* a reject after fewer measurements since a jump belongs to the jump */
+enum { GOES_ON = 16 }; /* a reject after fewer measurements since a jump may belong to the jump */
 
 #define WIDE 1000000000 /* largest variance that a jump adds, over R; measurements then keep some digits */
-#define BEYOND_ANY_SENSOR ((real)1e100)
+#define BEYOND_ANY_SENSOR ((real)1e100) /* no sensor measures larger magnitudes */
 
 enum { ANEW = 1, JUMPS = 2 }; /* the filter restarts before this row; a rejected measurement is a jump at once */
 
@@ -23,10 +23,11 @@ typedef struct {
 
 /* Discard all measurements so far. */
 void filter_forget(filter_t *state);
-/* Set the history before the first row: the first measurement, and the number of rows and steps, none missing. */
+/* Set the history before the first row: its first measurement, and its number of rows, none missing, and of steps. */
 void filter_begin_after(const settings_t *settings, const coefficients_t *model, limits_t *limits, filter_t *state,
                         real first, int64_t rows, real steps);
-/* Return the level that measurements count from: the first one, unless this would round their noise away. */
+/* Return the level to subtract from measurements: the first one, or 0 if the model does not keep a level, or if their
+   noise would be rounded away. */
 real filter_level(const settings_t *settings, const coefficients_t *model, real first);
 /* Return at most `count` rows of a block from `row` on; the next function does so for their estimates. */
 static inline block_t rows_from(const block_t *block, const int64_t row, const int64_t count) {
@@ -46,8 +47,8 @@ static inline estimate_t estimate_from(const estimate_t *estimate, const int64_t
 /* Filter at most BLOCK rows. */
 void filter_block(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *block,
                   const estimate_t *estimate, pass_t *pass);
-/* The same for a part whose measurements may all enter, and whose restarts and jumps are already known; where the filter
-   loses all digits, it restarts, and this is marked, too. */
+/* The same for a part whose measurements may all enter; `starts` holds its known restarts and jumps. Where the filter
+   loses all digits, it restarts and marks this in `starts`, too. */
 void filter_part(const settings_t *settings, const coefficients_t *model, filter_t *state, const block_t *part,
                  const estimate_t *estimate, int8_t *starts);
 

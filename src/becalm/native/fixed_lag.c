@@ -15,7 +15,7 @@ typedef struct {
     int8_t *starts;
     real *states;    /* packed, one per place */
     int64_t *place;  /* for each row, the row whose gain and covariance it has */
-    int64_t *alike;  /* for each row, how many rows up to it used one steady-state gain */
+    int64_t *alike;  /* for each row, how many rows up to it share one steady-state gain */
 } rows_t;
 
 /* The weights of later rows for a row in the same stretch of constant gain. */
@@ -23,7 +23,7 @@ typedef struct {
     int64_t stretch; /* number of rows before the stretch; -1: none */
     real sigma;
     real Pc[N_MAX], P[NN_MAX];
-    real *weights;   /* weights of innovations, n each: r = sum of weight nu */
+    real *weights;   /* of the innovations of later rows, n each: r is the sum of weight times innovation */
 } steady_t;
 
 int64_t lag_room(const int64_t states, const int64_t rows, const int64_t lag) {

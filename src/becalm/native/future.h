@@ -6,9 +6,9 @@
 #include "filter.h"
 #include "information.h"
 
-#define MUCH ((real)2e-3)    /* share of a variance: if later rows leave less of it, P - P M P loses digits */
+#define MUCH ((real)2e-3)    /* share of a variance: if later rows leave less, P - P M P loses digits */
 #define HARDLY ((real)1e-10) /* share of a variance: if they leave less than this, all digits are lost */
-#define BLOWN_UP ((real)1e4) /* growth of a row's covariance by F^-1 beyond which the next row is of no use to it */
+#define BLOWN_UP ((real)1e4) /* standard deviation of F^-1 x' over that of x: above, F^-1 is not used */
 
 enum { NOTHING_LATER = 0, COVARIANCE_ONLY = 1, STATE_TOO = 2 }; /* values of `later`: what is known of the row after */
 
@@ -53,7 +53,7 @@ INLINE void pull_back(const int n, const int m, const real *A, const real *G, co
         }
 }
 
-/* Check whether M equals that at the last check, an eighth of the stretch before. */
+/* Check whether M is the same as at the last check; the next one is after another eighth of the rows. */
 static inline void notice_future(const int n, future_t *future, const int64_t rows) {
     future->steady += rows;
     if (future->steady < future->next_check) return;
@@ -88,8 +88,8 @@ INLINE real smooth_covariance(const int n, const real *P, const real *M, real *s
     return least;
 }
 
-/* Solve joint equations (R S; 0 ..) for u = R^-1 (d - S x') given x', the row after: write A and g with u = A x' + g,
-   and Z = R^-1; Z Z' is the covariance of u given x'. */
+/* Solve joint equations (R S; 0 ..) for u = R^-1 (d - S x') given x', the state of the row after: write A and g of
+   u = A x' + g, and Z = R^-1; Z Z' is the covariance of u given x'. */
 static inline void solve_joint(const int n, const real *joint, const real *right, real *A, real *g, real *Z) {
     for (int j = 0; j < n; j++)
         for (int i = n - 1; i >= 0; i--) {
@@ -108,7 +108,8 @@ static inline void solve_joint(const int n, const real *joint, const real *right
 }
 
 /* Join the information on a state, U x = b + e, with the step to the next one, L^-1 (x' - F x) = e, in the unknowns
-   (x, x'). This is for steps after which F^-1 is of no use, because a part of the state has decayed. */
+   (x, x'). This is for steps after which F^-1 is of no use, because a part of the state has decayed. Return whether
+   they can be solved. */
 static inline int join_next(const int n, const real *F, const real *L, const real *U, const real *b, real *joint,
                      real *right) {
     real back[NN_MAX];
@@ -155,7 +156,8 @@ static inline int from_later(const int n, const real *U, const real *b, future_t
     return 1;
 }
 
-/* Write F^-1; return whether it keeps the digits of a row. It amplifies what has decayed, with its rounding errors. */
+/* Write F^-1; return whether it keeps the digits of a row: it amplifies states that have decayed, with their rounding
+   errors. */
 static inline int goes_back(const int n, const real *F, const real *P, const real *M, real *back) {
     if (!invert(n, F, back)) return 0;
     for (int i = 0; i < n; i++) {

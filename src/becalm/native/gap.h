@@ -22,7 +22,7 @@ INLINE int check_gap(const settings_t *settings, limits_t *state, const real ela
     return anew;
 }
 
-/* Mark the rows at which the filter restarts, for the first rows of a block. */
+/* Mark, among the first `rows` rows of a block, those at which the filter restarts. */
 static inline void find_starts(const settings_t *settings, limits_t *limits, const block_t *block, const int64_t rows,
                                int8_t *starts) {
     limits_t own = *limits; /* a local copy can stay in registers */

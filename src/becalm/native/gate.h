@@ -8,7 +8,7 @@
 
 #define GROWS ((real)4) /* an innovation this many times larger than those of a jump is not part of it */
 
-/* Return one standard deviation of the change of a prediction's error over a step. */
+/* Return the standard deviation of the change of a prediction's error over a step. */
 static inline real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
     real g[N_MAX], s = 0;
     see_through(n, 1, h, F, g);
@@ -18,7 +18,7 @@ static inline real wander(const int n, const real *h, const real *F, const real 
     return s > 0 ? sqrt(s) : 0;
 }
 
-/* Return the next power of four; the last digits of a variance seldom change it. */
+/* Return the next power of four, 0 if the variance is not above 0; the last digits of a variance seldom change it. */
 static inline real round_up(real variance) {
     real power = 1;
     if (!(variance > 0)) return 0;
@@ -50,7 +50,7 @@ static inline void jump(const int n, const settings_t *settings, const coefficie
 }
 
 /* Count a rejected measurement; return whether it is accepted after all. Several in a row are motion, and so is one
-   soon after a jump and not far beyond it. */
+   soon after a jump whose innovation is not much larger than those of the jump. */
 static inline int reject(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
     const real noise = sqrt(2 * model->R + state->wandered * state->wandered);
     const int agrees = state->agreeing > 0 && fabs(nu - state->last_rejected) <= settings->gate_threshold * noise;

@@ -12,7 +12,7 @@
 #include "product.h"
 
 #define SELDOM ((real)1e-8)  /* least share in a mixture: one Gaussian cannot represent parts as rare as this */
-#define FARTHEST ((real)1e300) /* half a square: a measurement beyond it has no information on the modes */
+#define FARTHEST ((real)1e300) /* half a square: a larger innovation has no information on the modes */
 
 int64_t imm_beliefs_size(const int64_t states, const int64_t modes) { return modes * (1 + states + states * states); }
 int64_t imm_note_size(const int64_t states, const int64_t modes) { return imm_beliefs_size(states, modes) + NOTED * modes; }
@@ -29,8 +29,8 @@ INLINE pair_t within(const pair_t value) {
                                                      : value;
 }
 
-/* The states of all modes at a row, two modes side by side. After the last mode, numbers are 0 in F and Q and 1 in R;
-   elsewhere they are ignored. */
+/* The states of all modes at a row, two modes side by side. If their number is odd, the last one has no partner: there,
+   F and Q hold 0 and R holds 1; other numbers are ignored. */
 typedef struct {
     real mu[MODES_MAX];
     pair_t *x, *P; /* (pairs, n), (pairs, n, n) */
@@ -41,14 +41,14 @@ typedef struct {
     real prior[MODES_MAX];           /* probability of the mode before it */
     real y[MODES_MAX], S[MODES_MAX]; /* prediction of the measurement, and innovation variance */
     real weight[MODES_MAX];          /* density, without a common factor */
-    real wild[MODES_MAX];            /* share of wild measurements in it */
+    real wild[MODES_MAX];            /* share of outliers in it */
     real square;                     /* the common factor is exp(-square / 2) over the root of 2 pi */
 } look_t;
 
 /* The modes over one step, and their measurement noise. */
 typedef struct {
     pair_t T[PAIRS * MODES_MAX], R[PAIRS], tail[PAIRS], *F, *Q; /* (pairs, M), (pairs), (pairs), (pairs, n, n) */
-    int tails;                                                  /* whether any is above 0 */
+    int tails;                                                  /* whether any tail is above 0 */
 } step_t;
 
 INLINE void load(const int n, const int m, const real *beliefs, pairs_t *now) {
@@ -166,8 +166,8 @@ INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const
     look->square = 2 * least;
 }
 
-/* Update two modes (7), in Joseph's form, B - (B h) K' + K R K' with B = P - K (P h)'. If the measurement may be wild,
-   the result is the mixture of both cases. */
+/* Update two modes (7), in Joseph's form, B - (B h) K' + K R K' with B = P - K (P h)'. If the measurement may be an
+   outlier, the result is the mixture of both cases; `believed` is the probability that it is none. */
 INLINE void correct_pair(const int n, const real *h, const int rejects, const pair_t R, const pair_t S, const pair_t nu,
                          const pair_t believed, const pair_t *Ph, pair_t *x, pair_t *P) {
     pair_t K[N_MAX], B[N_MAX];
@@ -259,9 +259,10 @@ static void write_innovation(const int m, const imm_t *imm, const real z, const 
     estimate->innovation[row] = sigma * normal_score(sides[0], sides[1]), estimate->innovation_sigma[row] = sigma;
 }
 
-/* Note the likelihood of a measurement for each mode: exp(g + p h d - W (h d)^2 / 2), d from its mean. W is w / R, p is
-   W (z - h x) with x after the measurement, and w < 1 is the weight of a measurement that may be wild. g makes the mean
-   of the whole over the mode's prediction equal to the likelihood in the filter (9). */
+/* Note the likelihood of a measurement for each mode: p, W and g of exp(g + p h d - W (h d)^2 / 2), where d is the
+   distance of the state from its mean x after the measurement. W is w / R, and p is W (z - h x). w is 1 or, if outliers
+   are rejected, the probability that the measurement is none. g makes the mean of the whole over the mode's prediction
+   equal to the likelihood in the filter (9). */
 INLINE void note(const int n, const int m, const imm_t *imm, const real z, const look_t *look, const pairs_t *now,
                  real *noted) {
     for (int j = 0; j < m; j++, noted += NOTED) {
@@ -277,7 +278,7 @@ INLINE void note(const int n, const int m, const imm_t *imm, const real z, const
     }
 }
 
-/* Update all modes with a measurement; return its density, without the common factor. */
+/* Update all modes with a measurement; return its density without the common factor. */
 INLINE real update(const int n, const int m, const imm_t *imm, const step_t *step, const real z, pairs_t *now, pair_t *Ph,
                    look_t *look) {
     for (int q = 0; 2 * q < m; q++)

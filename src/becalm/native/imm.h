@@ -1,6 +1,7 @@
 /* Several modes, one of which is in force at a time: interacting multiple models (IMM).
 
-   Every mode j is a model of its own of the same n states, x' = F_j x + w_j, z = h x + v_j. Equations are numbered as
+   Every mode j is a model of its own of the same n states, x' = F_j x + w_j, z = h x + v_j. Outliers are measurements
+   whose noise has the variance R_j + V; names call them `wild`, and their share `tail`. Equations are numbered as
    in core/reference/imm.py. Times are in steps, values in the channel's unit. */
 #ifndef BECALM_IMM_H
 #define BECALM_IMM_H
@@ -8,7 +9,7 @@
 #include "kernel.h"
 
 enum { IMM_LAYOUT = 1 };   /* version of the state: raise it with every change, so that older checkpoints are refused */
-enum { IMM_BLOCK = 256 };  /* rows in a block, which a smoother filters again at once */
+enum { IMM_BLOCK = 256 };  /* rows in a block that a smoother filters again at once */
 enum { NOTED = 3 };        /* numbers in the note on a measurement, for each mode */
 
 /* The modes, over steps of several lengths. */
@@ -18,10 +19,10 @@ typedef struct {
     const real *T;               /* for each step, (M, M): the probability of going from mode i to mode j */
     const real *h, *c;           /* (n,) output of the measurement, and of the signal */
     const real *R;               /* (M,) variance of a measurement, in unit^2 */
-    const real *tail;            /* (M,) share of wild measurements */
+    const real *tail;            /* (M,) share of outliers */
     const real *start;           /* (M, 1 + n) probability, and variances of the states, at the first measurement */
-    real V;                      /* extra variance of wild measurements, in unit^2 */
-    int64_t rejects;             /* whether the estimate leaves out wild measurements */
+    real V;                      /* extra variance of outliers, in unit^2 */
+    int64_t rejects;             /* whether the estimate leaves out outliers */
     real largest, largest_level; /* largest magnitude of a measurement, and of a level, in unit */
 } imm_t;
 
@@ -45,7 +46,7 @@ typedef struct {
     real *signal, *sigma;                 /* in unit */
     real *innovation, *innovation_sigma;  /* of the mixture, in unit: the first is its normal score times the second */
     real *probability;                    /* (M, rows) probability of each mode */
-    real *wild;                           /* probability that the measurement is wild */
+    real *wild;                           /* probability that the measurement is an outlier */
     real *mean;                           /* (n, rows) mean of the mixture, without the level */
     int64_t rows;                         /* length of each array's rows */
 } imm_estimate_t;

@@ -32,7 +32,7 @@ kernel.imm_smooth_late.restype = None
 
 
 class Bank(NamedTuple):
-    """The modes over steps of u different lengths, and their sensor."""
+    """The modes over steps of u lengths, and their sensor; outliers (`wild`) have a noise of larger variance."""
 
     F: Floats  # (u M, n, n) transitions; the M modes of one length follow each other
     Q: Floats  # (u M, n, n) process noise
@@ -40,8 +40,8 @@ class Bank(NamedTuple):
     H: Floats  # (1, n) measurement matrix
     C: Floats  # (1, n) output of the signal
     R: Floats  # (M,) measurement variance, in unit^2
-    tail: Floats  # (M,) share of wild measurements
-    wild: Floats  # (2,) extra variance of wild measurements, in unit^2; and 1 if they are rejected, else 0
+    tail: Floats  # (M,) share of outliers
+    wild: Floats  # (2,) extra variance of outliers, in unit^2; and 1 if they are rejected, else 0
     start: Floats  # (M, 1 + n) each mode at the first measurement: its probability, and variances of its states
     largest: Floats  # (2,) largest magnitude of a measurement, and of a level, in unit
 
@@ -54,13 +54,14 @@ class Trace(NamedTuple):
     innovation: Floats  # (N,) of the mixture: the normal score of the measurement times innovation_sigma, in unit
     innovation_sigma: Floats  # (N,) in unit
     probability: Floats  # (M, N) probability of each mode
-    wild: Floats  # (N,) probability that the measurement is wild
+    wild: Floats  # (N,) probability that the measurement is an outlier
     mean: Floats  # (n, N) mean of the mixture, without the level
 
 
-_WRITTEN = {*Trace._fields, "before", "notes", "later"}
+_WRITTEN = {*Trace._fields, "before", "notes", "later"}  # arrays that C writes
 _NONE: Floats = np.empty(0)
 NOTHING_WANTED = Trace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
+"""Output arrays of which none is written."""
 
 
 class _Bank(ctypes.Structure):
@@ -105,7 +106,7 @@ def new_state(bank: Bank, *, keeps_level: bool) -> State:
 
 
 def restored(bank: Bank, kept: NDArray[np.int8]) -> State | None:
-    """Return a state from its bytes (B,); None if they are not a valid state of this bank."""
+    """Return a state from its bytes (B,); None if they are not a valid state of these modes."""
     layout = _layout(bank)
     if kept.dtype != np.int8 or kept.shape != (layout.itemsize,):
         return None
@@ -119,12 +120,12 @@ def note_size(states: int, modes: int) -> int:
 
 
 def blocks_before(bank: Bank, rows: int) -> Floats:
-    """Return an array for the states before each block of rows, (blocks, K)."""
+    """Return an array for the K numbers of the states before each block of rows, (blocks, K)."""
     return np.empty((-(-rows // BLOCK), kernel.imm_beliefs_size(*_sizes(bank))))
 
 
 def nothing_later(bank: Bank) -> Floats:
-    """Return the information of later rows at the end of a record: none, (K,)."""
+    """Return the information of later rows, (K,), at the end of a record: none."""
     return np.zeros(kernel.imm_later_size(*_sizes(bank)))
 
 

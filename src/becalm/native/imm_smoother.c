@@ -30,8 +30,8 @@ typedef struct {
     const real *F, *Q, *T;
 } later_t;
 
-/* Memory for one row. Modes before a step are stored two side by side; in pairs with a mode after it, they come
-   first. */
+/* Memory for one row. Modes before a step are stored two side by side. An array of modes before and after it has those
+   before as its first axis. "Twice": both numbers of each pair are equal. */
 typedef struct {
     real *beliefs;  /* smoothed states */
     real *roots;    /* (M, n, n) memory for roots of covariances */
@@ -91,7 +91,7 @@ static later_t later_in(const int64_t n, const int64_t m, real *memory) {
     return later;
 }
 
-/* Copy the likelihood of later rows to the caller's memory at the end of a call. */
+/* Store whether there are later rows, and the matrices of the step to them, in the caller's memory. */
 static void keep_later(const int64_t n, const int64_t m, const later_t *later, real *memory) {
     const later_t kept = later_in(n, m, memory);
     real *F = later->Y + m * n * n, *Q = F + m * n * n, *T = Q + m * n * n;
@@ -102,7 +102,8 @@ static void keep_later(const int64_t n, const int64_t m, const later_t *later, r
     memcpy(T, later->T, sizeof(real) * (size_t)(m * m));
 }
 
-/* Return the roots of determinants, whose pivots are all 1 or more, without powers of 2, which are counted. */
+/* Return the square roots of two determinants, given their pivots, which are all 1 or more; write the powers of 2 that
+   are left out. */
 INLINE pair_t determinant_roots(const int n, const pair_t *D, pair_t *powers) {
     pair_t product = both(1);
     *powers = both(0);
@@ -187,7 +188,7 @@ INLINE void times_transposed(const int n, const pair_t *A, const pair_t *x, pair
     }
 }
 
-/* The backward pass over a step into one mode, twice. */
+/* The backward pass over a step into one mode; both numbers of each pair are equal. */
 typedef struct {
     const pair_t *B;
     pair_t *F, *Y, *YB, *L; /* the step; information after it; Y B; factors of I + B' Y B */
@@ -276,7 +277,8 @@ INLINE pair_t agree(const int n, const pair_t *G, const pair_t *Y, const pair_t 
     return fit + logarithms(share / root) - powers * LN_2;
 }
 
-/* Combine all modes before a step with all modes after it: write the logarithms of their agreement (10) to (12). */
+/* Combine all modes before a step with all modes after it: write to `fit` (M, M) the logarithm of the probability of
+   each pair, without a common factor (10) to (12). */
 INLINE void meet(const int n, const int m, const beliefs_t now, const later_t *later, rooms_t *rooms, real *fit) {
     const int nn = n * n;
     if (rooms->Q != later->Q)
@@ -341,7 +343,8 @@ INLINE void smooth_pair(const int n, const int m, const int q, const pair_t *sha
         }
 }
 
-/* Pool the likelihoods over all modes after two modes into one for each of these, with the same total (14). */
+/* Pool, for each of two modes, the likelihoods over all modes after it into one, r and Y (14); return the logarithm of
+   its agreement with the mode's state, without g. */
 INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, const rooms_t *rooms, pair_t *r, pair_t *Y) {
     const int nn = n * n;
     pair_t *L = rooms->step, *YG = L + nn, D[N_MAX], v[N_MAX];
@@ -356,8 +359,8 @@ INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, c
     return agree(n, rooms->G + q * nn, Y, r, both(1), YG, L, D, v);
 }
 
-/* Pass back over the step after a row: write its smoothed states, if `wanted`, and the likelihood of later rows for
-   it. */
+/* Pass back over the step after a row: write its smoothed states, if `wanted`, and the likelihood of the later rows as
+   a function of its state. */
 INLINE void smooth_row(const int n, const int m, const beliefs_t now, const int wanted, later_t *later, rooms_t *rooms) {
     const int nn = n * n;
     const beliefs_t own = beliefs_in(n, m, rooms->beliefs);

@@ -45,7 +45,8 @@ static inline void covariance_root(const int n, const real *Q, real *L) {
 
 /* Join the information on a state, U x = b + e, with the step after it, x' = F x + L w. With W = U F^-1 the equations
    for (w, x') are w = e and W x' - W L w = b + e. They are made triangular without a square of W L (Bierman 1977).
-   Return whether they keep their digits; after a step so long that everything has decayed they do not. */
+   Write F^-1 to `back`, and the equations to `joint` (2n, 2n) and `right` (2n). Return whether they keep their digits;
+   they do not after a step so long that all states have decayed. */
 static inline int join_step(const int n, const real *F, const real *L, const real *U, const real *b, real *back,
                             real *joint, real *right) {
     real W[NN_MAX], a[2 * N_MAX];

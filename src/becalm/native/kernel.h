@@ -26,12 +26,12 @@ enum {
     DRIFT = 9, OUTLIER = 13, HOLE = 14, RUNAWAY = 15, VERDICTS = 16
 };
 
-enum { NEIGHBOURS = 6, SIDE = 3, FEWEST_NEIGHBOURS = 3 }; /* neighbours of a gross outlier: all, on a side, least */
+enum { NEIGHBOURS = 6, SIDE = 3, FEWEST_NEIGHBOURS = 3 }; /* by which an outlier is judged: all, a side, least */
 enum { REACH = 256 };       /* rows: a measurement farther away is not a neighbour */
 enum { SPREADS = 8 };       /* least distance of an outlier from its neighbours' median, over their spread */
 enum { SHORTEST_FILL = 3, LONGEST_FILL = 64 }; /* rows of one value that stands in for missing measurements */
-enum { LONGEST_0 = 128 };   /* rows (causally: measurements): a longer run of 0 is a true reading of the sensor */
-enum { EVERY_REPEAT = 2 };  /* equal measurements in a row that are stuck, in a channel that repeats its last one */
+enum { LONGEST_0 = 128 };   /* rows (in a stream: measurements) of 0 that are true readings if 0 ends the range */
+enum { EVERY_REPEAT = 2 };  /* `stuck` of a channel that repeats its last measurement for each missing one */
 enum { PARTS = 1 << 16 };   /* parts of a sigma: innovations are rounded to whole parts, so that sums are exact */
 enum { MOST_SIGMA = 6 };    /* sigma: a larger innovation counts as this */
 enum { HOP = 16 };          /* innovations that are summed together */
@@ -57,7 +57,7 @@ typedef struct {
     real gap_spans;           /* the same, over the time that the measurements before span */
     int64_t gap_measurements; /* number of measurements from which on `gap_spans` applies */
     /* innovation gate */
-    int64_t gated;
+    int64_t gated;            /* whether there is a gate */
     real gate_threshold;      /* largest |innovation| over its standard deviation */
     int64_t gate_agree;       /* this many rejects in a row that agree mean that the signal has jumped */
     int64_t gate_most;        /* this many rejects in a row are accepted in any case */
@@ -66,12 +66,12 @@ typedef struct {
     int64_t drift_threshold;  /* threshold of the cumulative sums, in 2^-16 sigma */
     real dead_variance;       /* variance of a window's innovations below which the sensor is dead, in sigma^2 */
     /* uncertainty */
-    int64_t timed;
+    int64_t timed;            /* whether times are uncertain */
     real step_s;              /* one step, in s */
     real time_std_s;          /* standard uncertainty of a measurement's time, in s */
     real time_variance;       /* the part of its effect that R already includes, in unit^2 */
     real factor;              /* sigma with the uncertainty of the tuning, over sigma without it */
-    int64_t calibrated;
+    int64_t calibrated;       /* whether the sensitivity or the zero is uncertain */
     real relative_std, offset_std; /* standard uncertainty of the sensitivity, relative; of the zero, in unit */
     real unknown_from;        /* a row without a measurement is a hole from this sigma on, in unit */
 } settings_t;
@@ -81,7 +81,7 @@ typedef struct {
     real h[N_MAX];       /* output of the measurement */
     real c[N_MAX];       /* output of the signal */
     real R;              /* variance of a measurement, in unit^2 */
-    real widest;         /* the state is determined only if the next measurement's prediction has less variance, in R */
+    real widest;         /* the state is determined once the next measurement is predicted with this variance, over R */
     real prior[NN_MAX];  /* upper triangular root of the model's own information; mostly 0 */
     int64_t keeps_level; /* whether a constant added to the measurements is added to the signal */
     int64_t disturbed;   /* whether c differs from h: the signal leaves out disturbances */
@@ -92,18 +92,18 @@ typedef struct {
     real last_value;       /* the last measurement */
     int64_t run;           /* how often it came in a row */
     real least, most;      /* extremes so far */
-    int64_t outlier;       /* whether the last value is an outlier; 2: it stands in for measurements, may be stuck */
+    int64_t outlier;       /* 1: the last value is one; 2: it stands in for missing measurements, or is stuck */
     real past[NEIGHBOURS]; /* ring buffer of the last different measurements */
     real waits[NEIGHBOURS]; /* for each of them, steps since the measurement before */
-    int64_t at;            /* place of the oldest one, which the next one replaces */
+    int64_t at;            /* index of the oldest one, which the next one replaces */
     real since;            /* steps since the last measurement */
     real now, last;        /* last row, and last measurement, in steps from the first measurement since a start */
     int64_t measurements;  /* number of measurements since the start */
     int64_t impossible;    /* number of values in a row that no motion of this channel reaches */
 } limits_t;
 
-/* The state of the filter and its gate. The first n, or n * n, numbers of each array count; they come last, see pack.h.
-   */
+/* The state of the filter and its gate. Of each array, the first n or n * n numbers are used; arrays come last, see
+   pack.h. */
 typedef struct {
     int64_t phase;            /* UNKNOWN, GATHERING, DETERMINED */
     real level;               /* subtracted from every measurement, in unit */
@@ -113,33 +113,36 @@ typedef struct {
     /* settling */
     real S_then, sigma_then;  /* at the last check */
     int64_t settled;          /* whether gain and sigma are the steady-state ones for this step */
-    int64_t steady, next_check, agreed; /* rows since the last gap; row of the next check; agreeing checks in a row */
-    real last_step;           /* in steps; -1: none */
+    int64_t steady, next_check, agreed; /* complete rows of equal steps; at the next check; agreeing checks in a row */
+    real last_step;           /* length of the step before the last complete row; -1: none */
     int64_t predicted;        /* whether `ahead` and L belong to the last row */
     int64_t rows, settled_row; /* number of rows; the first with the steady-state gain, -1: none */
     /* gate */
     int64_t rejected, agreeing; /* number of rejects in a row; of those that agree */
     real last_rejected, wandered; /* innovation of the last reject; how far predictions may have moved since */
     int64_t since_jump;       /* measurements used since the last jump; below 0 all are accepted */
-    int64_t jumped;
+    int64_t jumped;           /* whether there was a jump */
     real burst;               /* largest innovation since the jump, in unit */
-    real x[N_MAX];            /* state; while GATHERING right-hand side of the information */
+    real x[N_MAX];            /* state; while GATHERING, right-hand side of the information */
     real ahead[N_MAX];        /* predicted state, once the gain has settled */
     real K[N_MAX], L[N_MAX];  /* gains of the filtered and of the predicted state */
     real K_then[N_MAX], variance_then[N_MAX]; /* at the last check */
-    real P[NN_MAX];           /* covariance; while GATHERING root of the information */
+    real P[NN_MAX];           /* covariance; while GATHERING, root of the information */
 } filter_t;
 
 /* The state of the monitor of innovations; sums are in 2^-16 sigma. */
 typedef struct {
     int64_t rows;             /* number of rows */
+    /* cumulative sums on either side; rows where these began, and where the first drift began, -1: none */
     int64_t above, below, above_since, below_since, drift_since;
+    /* innovations in the open hop, their sum and sum of squares; complete hops; whether the last window is too quiet */
     int64_t hop_count, hop_total, hop_squares, hops, silent;
-    int64_t totals[WINDOW_HOPS - 1], squares[WINDOW_HOPS - 1];
-    real hop_power, powers[KEPT_HOPS]; /* in sigma^2 */
+    int64_t totals[WINDOW_HOPS - 1], squares[WINDOW_HOPS - 1]; /* of the last complete hops */
+    real hop_power, powers[KEPT_HOPS]; /* sums of squares of the open hop and of the last ones, in sigma^2 */
 } monitor_t;
 
-/* The state of a monitor without a filter: also the times of the last row, and of the first row in the open hop. */
+/* The state of a monitor without a filter; it includes the times of the last row, and of the first row in the open
+   hop. */
 typedef struct {
     monitor_t monitor;
     real now, opened; /* in steps from the very first row */
@@ -182,13 +185,13 @@ typedef struct {
     filter_t filter;
 } state_t;
 
-enum { UNKNOWN, GATHERING, DETERMINED, LOST }; /* LOST: of several channels, for good */
+enum { UNKNOWN, GATHERING, DETERMINED, LOST }; /* LOST: the state of several channels is undetermined for good */
 
 /* A block of rows. */
 typedef struct {
     const real *z;        /* measurements, in unit; NaN where missing */
     const real *elapsed;  /* steps since the row before; after 0 steps the state is unchanged, whatever F and Q are */
-    const int32_t *step;  /* index of this step */
+    const int32_t *step;  /* index, in F and Q, of the step since the row before */
     const real *F, *Q;    /* matrices of the steps, (n, n) each */
     int64_t rows;
 } block_t;
@@ -196,7 +199,7 @@ typedef struct {
 /* The estimates of a block of rows. */
 typedef struct {
     real *signal, *sigma;         /* in unit */
-    int8_t *verdict;              /* on input, the verdict on each row's time */
+    int8_t *verdict;              /* on input, the verdict on each row's time; on output, that on the row */
     real *innovation, *deviation; /* measurement minus its prediction, and its expected standard deviation, in unit; NaN
                                      where there is no prediction, or the measurement is rejected */
     real *x;                      /* filtered state without the level, n per row, NaN while undetermined; NULL: not
@@ -229,12 +232,13 @@ typedef struct {
 } score_t;
 
 void channel_start(const settings_t *settings, state_t *state);
-/* Set the history before the first row, as for a smoother; and the least and the greatest measurement. */
+/* Set the history before the first row, as for a smoother, with its least and its greatest measurement. */
 void channel_begin_after(const settings_t *settings, const coefficients_t *model, state_t *state, real first,
                          int64_t rows, real steps, real least, real most);
-/* Reduce a state to what later estimates depend on: if these bytes are equal, so are the estimates. For a sensor that
-   is surely alive, it does not matter where hops begin. */
+/* Reduce a state to what later estimates depend on: if these bytes are equal, so are the estimates. The hops are left
+   out if the sensor is known to be alive. */
 void channel_reduce(const settings_t *settings, state_t *state, int alive);
+/* Reset the counts of verdicts and faults, and the first row with the steady-state gain. */
 void channel_forget_counts(state_t *state);
 int channel_is_sound(const settings_t *settings, const state_t *state);
 void channel_process(const settings_t *settings, const coefficients_t *model, state_t *state, const block_t *block,
@@ -270,7 +274,7 @@ int smoother_is_sound(const settings_t *settings, const forward_t *forward);
    filtered: a multiple of SMOOTHED, or all of them at the end of the record. */
 int64_t smoother_room(int64_t states, int64_t rows);
 void smoother_start(forward_t *forward, future_t *future);
-/* Set the history before the first row: the first measurement, and the number of rows and steps, none missing. */
+/* Set the history before the first row: its first measurement, and its number of rows, none missing, and of steps. */
 void smoother_begin_after(const settings_t *settings, const coefficients_t *model, forward_t *forward, real first,
                           int64_t rows, real steps);
 int64_t smoother_forward(const settings_t *settings, const coefficients_t *model, forward_t *forward,
@@ -281,16 +285,16 @@ void smoother_backward(const settings_t *settings, const coefficients_t *model, 
                        int only_future);
 
 /* Smooth with a fixed lag. A block has the waiting rows again, and then the new ones; `forward` is the state before
-   them. The first `ready` rows are smoothed with the rows up to `lag` after each; do not pass them again. z and verdict
-   are as for a smoother. `room` has `lag_room` reals, `places` two numbers per row, `starts` one. Return the first row
-   with the steady-state gain, counted from the very first row; or -1. */
+   them, and afterwards that after the first `ready` rows. These are smoothed with the rows up to `lag` after each; do
+   not pass them again. z and verdict are as for a smoother. `room` has `lag_room` reals, `places` two numbers per row,
+   `starts` one. Return the first row with the steady-state gain, counted from the very first row; or -1. */
 int64_t lag_room(int64_t states, int64_t rows, int64_t lag);
 int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forward_t *forward, const block_t *block,
                    const estimate_t *estimate, int64_t lag, int64_t ready, real *room, int64_t *places, int8_t *starts);
 
 /* The verdict on a stamp: taken; before the last one; equal to it; far ahead; taken after a jump of the clock; none. */
 enum { TAKEN_STAMP = 0, LATE_STAMP = 1, REPEATED_STAMP = 2, FAR_STAMP = 3, CLOCK_RESET = 4, NO_STAMP = 5 };
-enum { AGREEING = 8 }; /* after this many ascending stamps in a row behind or far ahead, the clock has jumped */
+enum { AGREEING = 8 }; /* this many ascending stamps in a row, before the last one or far ahead: the clock has jumped */
 
 /* The clock of a stream. */
 typedef struct {
@@ -300,7 +304,7 @@ typedef struct {
     real farthest;            /* longest gap that a single stamp can show, in s */
     real pace;                /* steps of the sender's clock in one of ours */
     real held, held_last;     /* stamps held back in a row; the last of them, in s */
-    real opened;              /* whether the source was opened again since */
+    real opened;              /* whether the source was opened again since the last stamp */
     real coarse;              /* whether rows may share a stamp */
 } stamps_t;
 

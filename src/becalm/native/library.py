@@ -37,7 +37,7 @@ kernel = _loaded()
 
 
 def layout_of(struct: str) -> np.dtype[np.void]:
-    """Return the NumPy dtype of a struct of `kernel.h`, with the fields that Python reads or writes."""
+    """Return the NumPy dtype of a struct of C, with the fields that Python reads or writes; `layout.c` lists them."""
     *fields, end = _fields_of(f"channel_{struct}_fields")
     counts = [field.size // 8 for field in fields]
     layout: Any = {
@@ -66,7 +66,7 @@ def _fields_of(function: str) -> list[Any]:
 
 
 CONSTANTS: dict[str, int] = {value.name.decode(): value.size for value in _fields_of("channel_constants")[:-1]}
-"""Whole numbers that C and Python share, by their names in `kernel.h`."""
+"""Whole numbers that C and Python share, by their names in C."""
 
 
 # Check the arrays of a block of rows and return C's structs; C would read or write beyond the ends of wrong arrays.

@@ -1,4 +1,4 @@
-/* Detect faults of a measurement itself: impossible, saturated, stuck, far from those before it. */
+/* Detect faults of a measurement itself: it is impossible, saturated, stuck, or far from those before it. */
 #ifndef BECALM_LIMITS_H
 #define BECALM_LIMITS_H
 
@@ -6,12 +6,12 @@
 
 #include "linear.h"
 
-#define IMPLAUSIBLE_SPREADS ((real)3) /* SPREADS for an implausible value: next to a jump its neighbours spread */
-#define LATE ((real)2.5)        /* wait over the second longest one before it; beyond, the neighbours are discarded */
+#define IMPLAUSIBLE_SPREADS ((real)3) /* SPREADS of an implausible value; beside a jump, the spread is large */
+#define LATE ((real)2.5)        /* wait over the neighbours' second longest; after a longer one, they are discarded */
 #define NEARER ((real)4)        /* a stand-in value may be this many times nearer than an outlier */
-#define FARTHEST ((real)1000)   /* over the plausible range: no motion of the channel goes farther */
-#define MOST_IMPOSSIBLE 50      /* after this many values in a row that are so far away, the next ones are accepted */
-#define AMID ((real)0.01)       /* share of the measured range: a value nearer to an end is not in the middle */
+#define FARTHEST ((real)1000)   /* distance over the plausible range that no motion of the channel exceeds */
+#define MOST_IMPOSSIBLE 50      /* after so many impossible values in a row, the next ones are accepted */
+#define AMID ((real)0.01)       /* share of the measured range: a value nearer to its end is not within it */
 
 /* Set the state before the first measurement. */
 static inline void start_limits(limits_t *state) {
@@ -84,8 +84,8 @@ static inline int stands_for_none(const settings_t *settings, const real z, cons
     return others >= FEWEST_NEIGHBOURS;
 }
 
-/* Return whether 0 may be an end of the range: it is not within the measured one, the middle third of the plausible
-   one. */
+/* Return whether 0 may be an end of the range: it is not within the measured range, which is the middle third of the
+   plausible one. */
 static inline int ends_at_0(const settings_t *settings) {
     const real low = settings->plausible_low, high = settings->plausible_high, third = (high - low) / 3;
     return !(low + (1 + AMID) * third < 0 && 0 < high - (1 + AMID) * third);
@@ -130,7 +130,8 @@ static inline void forget_past(limits_t *state) {
     for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER;
 }
 
-/* Return the verdict on one measurement. One at the time of the row before has nothing new, unless it is the first. */
+/* Return the verdict on one measurement. If it has the time of the row before, it does not enter the history, unless it
+   is the first. */
 static inline int judge(const settings_t *settings, limits_t *state, const real z, const real elapsed) {
     const int moved = elapsed > 0;
     int verdict = no_measurement(settings, z);

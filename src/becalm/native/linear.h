@@ -23,13 +23,13 @@
 #endif
 
 #define LARGEST ((real)1e200) /* an unobservable state saturates here, so that it cannot spoil the others */
-#define UNCHANGED ((real)1e-13)
+#define UNCHANGED ((real)1e-13) /* largest change, over a scale, that is only rounding */
 
 INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
 
 #define EVER ((int64_t)1 << 53) /* rows: more than any record has */
 
-/* Return whether a number, which may come from a file, is a possible count. */
+/* Return whether a whole number, which may come from a file, is between -most and most. */
 static inline int is_count(const int64_t count, const int64_t most) { return count >= -most && count <= most; }
 
 INLINE void copy(const int count, const real *from, real *to) { memcpy(to, from, sizeof(real) * (size_t)count); }
@@ -41,7 +41,7 @@ INLINE real dot(const int n, const real *a, const real *b) {
     return s;
 }
 
-/* Return one number of A x + b, added in an order with the shortest dependency on x. */
+/* Return one number of A x + b; the order of additions makes the chain of operations after x short. */
 INLINE real onward(const int n, const real *row, const real *x, const real b) {
     real sum = b + row[0] * x[0];
     UNROLL

@@ -55,7 +55,7 @@ INLINE void write_estimate(const int n, const int m, const real *c, const real l
         }
 }
 
-/* Filter rows from the states `beliefs`, which change, with a known level. */
+/* Filter rows with a known level; the states `beliefs` change. */
 void filter_modes(const imm_t *imm, real *beliefs, real level, const imm_block_t *block, const imm_estimate_t *estimate,
                   const imm_passed_t *passed, real *room, score_t *score);
 

@@ -7,9 +7,9 @@
 
 #define ROUNDING ((real)6755399441055744.0) /* 1.5 * 2^52: adding it rounds a number to a whole one */
 
-enum { SLACK = PARTS / 2 };
+enum { SLACK = PARTS / 2 }; /* of the cumulative sums: half a sigma a row */
 
-/* End a hop of innovations: test the window that ends with it. */
+/* End a hop of innovations, and test the window that ends with it. */
 static inline void end_hop(const settings_t *settings, monitor_t *state) {
     enum { BEFORE = WINDOW_HOPS - 1, WINDOW = WINDOW_HOPS * HOP };
     int64_t total = state->hop_total, squares = state->hop_squares;
@@ -25,8 +25,8 @@ static inline void end_hop(const settings_t *settings, monitor_t *state) {
     state->hops++;
 }
 
-/* Return the verdict on a normalised innovation, NaN where there is none: from Page's cumulative sums on either side
-   (1954), and from windows that are too quiet for a live sensor. */
+/* Return the verdict on a normalised innovation, NaN if there is none: DRIFT by Page's cumulative sums (1954) on either
+   side, DEAD while the last window is too quiet for a live sensor. */
 static inline int watch(const settings_t *settings, monitor_t *state, real nu) {
     const int64_t row = state->rows++;
     int64_t since = -1;

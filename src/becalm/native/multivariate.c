@@ -29,7 +29,7 @@
     default: function((int)(n), (int)(m), __VA_ARGS__);       \
     }
 
-/* Pointers to the arrays of a state. */
+/* Pointers to the arrays in `numbers` of a state. */
 typedef struct {
     real *x, *P;         /* (n), (n, n); while GATHERING right-hand side and root of the information */
     real *K;             /* (n, m) gain; zero columns for missing channels */
@@ -39,6 +39,7 @@ typedef struct {
     real *A, *g;         /* (n, n) closed loop (I - K H) F, and H F (m, n); they can be recomputed */
 } parts_t;
 
+/* Return the number of reals in all of them but A and g. */
 INLINE int64_t kept(const int64_t n, const int64_t m) { return n + 2 * n * n + 2 * n * m + 2 * m * m + 4 * m; }
 
 INLINE parts_t parts_of(const int n, const int m, knowledge_t *state) {
@@ -73,7 +74,7 @@ static int64_t numbers_in(const int64_t n, const int64_t m) { return n + n * n +
 static void lose_gain(knowledge_t *state, real *D_then) {
     state->settled = state->agreed = state->closed = 0;
     state->steady = -1, state->next_check = FIRST_CHECK, state->last_step = -1;
-    D_then[0] = -1; /* a check must not use the numbers of another stretch */
+    D_then[0] = -1; /* so that the next check finds a change */
 }
 
 void multivariate_start(const multivariate_t *model, const real *x, const real *P, knowledge_t *state) {
@@ -88,8 +89,8 @@ void multivariate_start(const multivariate_t *model, const real *x, const real *
     copy(n, x, p.x), copy(n * n, P, p.P);
 }
 
-/* Forget a state whose covariance has no digits left. A prior is of another time; without one, gathering again might
-   never end: nothing is known from here on. */
+/* Forget a state whose covariance has no digits left; it stays undetermined. Information is not gathered again: a prior
+   belongs to the first row, and without one, gathering might never end. */
 static void lose_state(const multivariate_t *model, knowledge_t *state) {
     const int64_t n = model->states, m = model->channels;
     const parts_t p = parts_of((int)n, (int)m, state);
@@ -158,11 +159,11 @@ INLINE int spread_of(const int n, const int m, const multivariate_t *model, cons
     return lost;
 }
 
-/* Compare with the last check, and store for the next; return what has settled. */
+/* Compare gain and covariance with those of the last check, and store them for the next; return what has settled. */
 static int compare(const int n, const int m, const multivariate_t *model, const parts_t *p) {
     const real *H = model->H;
     int gain = 1, covariance = 1;
-    real sigma[M_MAX], sigma_then[M_MAX]; /* a gain near 0 settles before they do */
+    real sigma[M_MAX], sigma_then[M_MAX]; /* a gain near 0 settles before the signals' sigma */
     spread_of(n, m, model, p->P, sigma), spread_of(n, m, model, p->P_then, sigma_then);
     for (int a = 0; a < m; a++) {
         real apart = 0; /* variance of the signal for independent states: the scale of rounding */
@@ -477,7 +478,7 @@ static int is_narrow(const int n, const int m, const multivariate_t *model, cons
     return 1;
 }
 
-/* Write the estimates that the information determines for a row; states are not among them. */
+/* Write the signals of a row that the information determines; NaN and inf for the other signals, and for the state. */
 static void write_opening(const int n, const int m, const multivariate_t *model, const knowledge_t *state,
                           const parts_t *p, const beliefs_t *beliefs, const int64_t row) {
     for (int c = 0; c < m; c++) {
@@ -534,7 +535,7 @@ static void open_row(const int n, const int m, const multivariate_t *model, know
     write_innovation(m, p, beliefs, row);
 }
 
-/* Return the run of a row; the search starts at a near run. */
+/* Return the run that a row belongs to; the search starts at a near run. */
 static int64_t run_of(const record_t *record, const int64_t row, int64_t run) {
     while (record->first[run + 1] <= row) run++;
     while (record->first[run] > row) run--;

@@ -31,16 +31,16 @@ typedef struct {
 /* Output arrays for the estimates; NULL: not written. */
 typedef struct {
     real *signal, *sigma;         /* (rows, m) H x; NaN and inf while it is undetermined */
-    real *innovation, *deviation; /* (rows, m) and its standard deviation; NaN without a measurement or prediction */
+    real *innovation, *deviation; /* (rows, m), and standard deviation; NaN without a measurement or a prediction */
     real *x, *P;                  /* (rows, n), (rows, n, n); NaN and inf while they are undetermined */
 } beliefs_t;
 
 /* Everything that later rows depend on. */
 typedef struct {
     int64_t phase;                /* UNKNOWN, GATHERING, DETERMINED, LOST */
-    int64_t rows, opened, settled_row; /* so far; until determined; the first with the steady-state gain, -1 */
-    int64_t settled, steady, next_check, agreed, proven; /* 0, GAIN or COVARIANCE; see filter_t */
-    real last_step;               /* its length; -1: none */
+    int64_t rows, opened, settled_row; /* rows; those until determined; first with the steady-state gain, -1: none */
+    int64_t settled, steady, next_check, agreed, proven; /* see filter_t; first and last: 0, GAIN or COVARIANCE */
+    real last_step;               /* length of the step before the last complete row; -1: none */
     int64_t closed;               /* whether A and g belong to the last step */
     score_t score;
     real numbers[];               /* x, P, K, L, D, nu, deviation; last check; A, g: see multivariate.c */

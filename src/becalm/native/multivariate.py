@@ -85,7 +85,7 @@ class Multivariate:
     foretells : bool
         Whether the prior determines the state, so that it predicts the first measurements.
     enough : int
-        GAIN or COVARIANCE.
+        What must reach its steady state before a gain is reused: GAIN or COVARIANCE.
 
     Raises
     ------
@@ -121,19 +121,19 @@ class Multivariate:
         kernel.multivariate_start(ctypes.byref(self._model), None, None, self.state.ctypes.data)
 
     def start(self, x: Floats, P: Floats) -> None:
-        """Set the state (n,) before the first row, and its covariance (n, n)."""
+        """Set the state (n,) and its covariance (n, n) before the first row."""
         n = self._size[1]
         x, P = _checked("x", x, (n,)), _checked("P", P, (n, n))
         kernel.multivariate_start(ctypes.byref(self._model), x.ctypes.data, P.ctypes.data, self.state.ctypes.data)
 
     @property
     def head(self) -> Any:
-        """The fields of the state that Python reads."""
+        """Return the fields of the state that Python reads."""
         return self.state[: _HEAD.itemsize].view(_HEAD)[0]
 
     @property
     def covariance(self) -> Floats:
-        """Covariance (n, n) of the state after the last row, once it is determined."""
+        """Return the covariance (n, n) of the state after the last row, once it is determined."""
         n = self._size[1]
         return self.state[_HEAD.itemsize :].view(np.float64)[n : n + n * n].reshape(n, n)
 
@@ -150,7 +150,9 @@ class Multivariate:
         kernel.multivariate_filter(model, self.state.ctypes.data, ctypes.byref(record), ctypes.byref(output))
 
     def smooth(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> None:
-        """Filter the last rows of a record and smooth them; needs a buffer for innovations, which stay the filter's.
+        """Filter and smooth the last rows of a record.
+
+        `beliefs` needs an array for innovations; they stay those of the filter.
 
         Raises
         ------

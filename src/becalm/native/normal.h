@@ -7,7 +7,7 @@
 
 #include "pair.h"
 
-#define LEAST_EXPONENT ((real)-708)    /* least argument of exp; below, the result is 0 */
+#define LEAST_EXPONENT ((real)-708)    /* least argument of exp; below it, the result is 0 */
 #define LEAST_TAIL ((real)1e-300)      /* a probability; its quantile is 37 */
 #define ROOT_2 ((real)1.41421356237309504880)
 #define ROOT_2_PI ((real)2.50662827463100050242)

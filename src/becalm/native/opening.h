@@ -8,7 +8,7 @@
 #include "information.h"
 
 #define WELL_DETERMINED ((real)1e-6) /* smallest eigenvalue of information scaled to a unit diagonal */
-#define FAR ((real)1e15)             /* covariance over R, or over Q: beyond, no digit of R is left */
+#define FAR ((real)1e15)             /* variance over R, or over one of Q: beyond it, none of their digits is left */
 #define BELOW_0 ((real)1e-6)         /* part of R: a variance that is negative by more has lost its digits */
 #define LIVE ((real)3e-5)            /* least diagonal element of U with information, over the length of its column */
 
@@ -24,7 +24,7 @@ static inline void begin_information(const int n, const real *prior, real *U, re
     for (int i = 0; i < n; i++) b[i] = 0;
 }
 
-/* Predict one step. If this leaves no digits, only the model's own information remains. */
+/* Predict one step. If it leaves no digits, only the model's own information remains. */
 static inline void carry_information(const int n, const real *F, const real *Q, const real *prior, real *U, real *b) {
     real back[NN_MAX], L[NN_MAX], joint[4 * NN_MAX], right[2 * N_MAX];
     covariance_root(n, Q, L);
@@ -45,7 +45,7 @@ static inline real column(const int n, const real *U, const int j) {
     return sqrt(s);
 }
 
-/* Estimate h x and its standard deviation from the information; NaN and inf if it does not determine h x. */
+/* Estimate h x and its standard deviation from the information; if it does not determine h x, do not write them. */
 static inline void estimate_from_information(const int n, const real *h, const real *U, const real *b, real *signal,
                                       real *sigma) {
     real w[N_MAX] = {0}, most = 0, variance = 0, value = 0;
@@ -93,14 +93,14 @@ static inline int is_determined(const int n, const real *U, const real *V) {
     return squares * WELL_DETERMINED < 1;
 }
 
-/* Return the largest variance from which a covariance may be measured with all of its digits: R, or one of Q. */
+/* Return the scale with which variances are compared: the largest of R and the variances in Q. */
 static inline real usual_variance(const int n, const real R, const real *Q) {
     real usual = R;
     for (int i = 0; i < n; i++) usual = Q[i * n + i] > usual ? Q[i * n + i] : usual;
     return usual;
 }
 
-/* Write V = U^-1; return whether the information determines the state, with some digits of R or Q. */
+/* Write V = U^-1; return whether the information determines the state, and leaves some digits of R or Q. */
 static inline int tells_state(const int n, const real R, const real *Q, const real *U, real *V) {
     const real usual = usual_variance(n, R, Q);
     if (!invert_root(n, U, V) || !is_determined(n, U, V)) return 0;
@@ -109,10 +109,10 @@ static inline int tells_state(const int n, const real R, const real *Q, const re
     return 1;
 }
 
-/* Return whether a variance of what is measured is negative, beyond rounding, or NaN. Without R it has no scale. */
+/* Return whether a variance of h x is NaN, or negative beyond rounding. If R is 0, rounding has no scale: return 0. */
 static inline int is_below_0(const real variance, const real R) { return R > 0 && !(variance >= -BELOW_0 * R); }
 
-/* Return whether a variance of what is measured, before or after a measurement, has no digit of R or Q left. */
+/* Return whether a variance of h x, before or after a measurement, has no digit of R or Q left. */
 static inline int loses_digits(const int n, const real R, const real *Q, const real variance) {
     return is_below_0(variance, R) || (R > 0 && variance >= FAR * usual_variance(n, R, Q));
 }
@@ -139,8 +139,8 @@ static inline real predicted_variance(const int n, const real *h, const real *F,
     return variance;
 }
 
-/* Do so if the next measurement is predicted with at most the variance `widest`; return whether the state is
-   determined. */
+/* Turn information into a state if it predicts the next measurement with at most the variance `widest` R; return
+   whether it does. */
 static inline int try_to_determine(const int n, const coefficients_t *model, const real *F, const real *Q, real *P,
                                    real *x) {
     real V[NN_MAX];

@@ -1,11 +1,11 @@
-/* Gross outliers of a record, by neighbours on both sides; `limits.h` decides in a stream, by those before. */
+/* Detect gross outliers of a record by neighbours on both sides; for streams, `limits.h` uses those before. */
 #include "limits.h"
 
 #define FEWEST_AFTER 2 /* least number of runs after a run; with fewer, those before decide */
 
-/* Collect the six nearest neighbours of a run between two rows; return how many. If one side has fewer than three, the
-   other has more. Write to `after` how many come after the run, and to `missing` whether more may come after the last
-   run. */
+/* Collect the six nearest neighbours of a run in the rows from `from` to `until`; return how many there are. If one
+   side has fewer than three, the other has more. Write to `after` how many come after the run, and to `missing` whether
+   more may come after the last run. */
 static int gather(const real *values, const int64_t *ends, const int64_t run, const int64_t runs, const int64_t from,
                   const int64_t until, real *neighbours, int *after, int *missing) {
     int before = 0;
@@ -22,8 +22,8 @@ static int gather(const real *values, const int64_t *ends, const int64_t run, co
     return left + right;
 }
 
-/* Write the measurements that are not NaN, and the first and the last row of each; return how many. Equal ones in a row
-   count as one if the settings say so, or if they are zeros that may mark missing measurements. */
+/* Write the runs of measurements that are not NaN: their values, first and last rows; return how many. Equal ones in a
+   row form one run if the settings say so, or if they are zeros that may mark missing measurements. */
 static int64_t find_runs(const settings_t *settings, const real *z, const int64_t rows, real *values, int64_t *ends) {
     int64_t runs = 0;
     for (int64_t row = 0; row < rows; row++) {
@@ -44,8 +44,8 @@ static int64_t count_measured(const real *z, const int64_t first, const int64_t 
     return count;
 }
 
-/* Return whether a single measurement is so near to each of three on either side, between two rows, that it is not an
-   outlier. Most measurements are, so that they need no median. */
+/* Return whether a single measurement is so near to each of three on either side, in the rows from `from` to `until`,
+   that it is not an outlier. Most measurements are, and need no median. */
 static int is_amid(const settings_t *settings, const real distance, const real *values, const int64_t *ends,
                    const int64_t run, const int64_t runs, const int64_t from, const int64_t until) {
     if (run < SIDE || run + SIDE >= runs || ends[2 * run] != ends[2 * run + 1]) return 0;
@@ -111,7 +111,7 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
                       const int64_t rows, const int64_t begun, const int whole, real *values, int64_t *ends,
                       int8_t *verdict) {
     const int64_t runs = find_runs(settings, z, rows, values, ends);
-    const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* longest run of a stand-in value, plus one */
+    const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* a run that is too long to stand in */
     const int64_t decided = stuck > longest ? stuck : longest;
     for (int64_t run = 0; run < runs; run++) {
         const int64_t first = ends[2 * run], last = ends[2 * run + 1];
@@ -142,7 +142,7 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
     for (int64_t row = begun; row < end; row++) {
         if (isnan(z[row])) continue;
         while (ends[2 * run + 1] < row) run++;
-        const int64_t from = row - REACH, until = row + ahead; /* the rows that decide, for any cut */
+        const int64_t from = row - REACH, until = row + ahead; /* the rows that decide, wherever a block ends */
         int64_t first = ends[2 * run] > from ? ends[2 * run] : from;
         int64_t last = ends[2 * run + 1] < until ? ends[2 * run + 1] : until;
         while (isnan(z[first])) first++;

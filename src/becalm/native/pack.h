@@ -7,7 +7,7 @@
 
 #include "linear.h"
 
-enum { HEAD = offsetof(filter_t, x) / sizeof(real) };
+enum { HEAD = offsetof(filter_t, x) / sizeof(real) }; /* numbers before the arrays */
 
 static inline int64_t packed_size(const int64_t n) { return HEAD + 6 * n + n * n; }
 

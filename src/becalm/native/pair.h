@@ -11,7 +11,7 @@ typedef real pair_t SIDE_BY_SIDE;
 typedef int64_t mask_t SIDE_BY_SIDE; /* the result of comparing pairs */
 typedef uint64_t bits_t SIDE_BY_SIDE;
 
-/* Return two numbers of an array as a pair. */
+/* Return a pointer to two numbers of an array as a pair. */
 INLINE pair_t *at(real *numbers) { return (pair_t *)numbers; }
 
 INLINE pair_t both(const real value) { return (pair_t){value, value}; }

@@ -61,7 +61,7 @@ class Hops(NamedTuple):
 
 
 def restored(kept: NDArray[np.int8], struct: np.dtype[np.void]) -> NDArray[np.void] | None:
-    """Return a state of measurements (LIMITS) or innovations (WATCHED) from its bytes; None if they are not valid."""
+    """Return a state of the limits (LIMITS) or the monitor (WATCHED) from its bytes; None if they are not valid."""
     if kept.dtype != np.int8 or kept.shape != (struct.itemsize,):
         return None
     state = np.frombuffer(bytearray(kept.tobytes()), struct).reshape(())
@@ -86,9 +86,9 @@ def _started() -> tuple[NDArray[np.void], NDArray[np.void]]:
 
 
 def scan_faults(settings: NDArray[np.void], limits: NDArray[np.void], z: Floats, elapsed: Floats, codes: Codes) -> int:
-    """Write faults of measurements (B,), in unit, with the steps before them, over their codes (B,).
+    """Write the verdicts on faulty measurements over the codes (B,); return how many codes are then not 0.
 
-    Return how many codes are then not 0. The state `limits` changes.
+    `z` (B,) holds the measurements, in unit, and `elapsed` (B,) the steps before them. The state `limits` changes.
     """
     _check(z, (z, elapsed), (codes,))
     pointers = [array.ctypes.data for array in (settings, limits, z, elapsed)]
@@ -105,7 +105,11 @@ def reduced_limits(settings: NDArray[np.void], limits: NDArray[np.void]) -> byte
 def scan_innovations(
     settings: NDArray[np.void], watched: NDArray[np.void], normalised: Floats, elapsed: Floats, codes: Codes
 ) -> Hops:
-    """Write alarms to the codes (B,) of innovations over their standard deviations (B,); return the completed hops."""
+    """Write alarms to the codes (B,), and return the complete hops, of innovations over their standard deviations.
+
+    `normalised` (B,) is NaN without an innovation; `elapsed` (B,) holds the steps before rows. The state `watched`
+    changes.
+    """
     _check(normalised, (normalised, elapsed), (codes,))
     most = len(normalised) // HOP + 1
     hops = Hops(*np.empty((2, most), np.int64), *np.empty((2, most)))
@@ -131,11 +135,11 @@ def scan_outliers(  # noqa: PLR0913  (keyword arguments)
     Parameters
     ----------
     settings : () structured array
-        They hold the plausible range, whether repeats count as one, and the distance from neighbours before.
+        They hold the plausible range, whether repeats count as one, and the distance from the measurements before.
     z : (N,) float array
         Measurements, in unit, NaN where missing.
     codes : (N,) int8 array
-        The codes of rows before `begun` are known; the others must be 0.
+        The codes of rows before `begun` are final; the others must be 0.
     distance : float
         Distance of an outlier from the median of its neighbours, in unit; inf: no outliers.
     stuck : int
@@ -163,7 +167,10 @@ def scan_outliers(  # noqa: PLR0913  (keyword arguments)
 
 
 def measure_distances(z: Floats) -> tuple[Floats, Floats]:
-    """Return the distance of measurements (N,) from the median of six neighbours, and their spread; 0 for N <= 6."""
+    """Return the distance of measurements from the median of six neighbours, and the spread of these, (N,) each.
+
+    Both are 0 for N <= 6.
+    """
     _check(z, (z,), ())
     if len(z) <= NEIGHBOURS:
         return np.zeros(len(z)), np.zeros(len(z))
@@ -174,7 +181,7 @@ def measure_distances(z: Floats) -> tuple[Floats, Floats]:
 
 
 def measure_jumps(z: Floats) -> Floats:
-    """Return the distance of measurements (N,) from the median of the six before them, from the seventh on."""
+    """Return the distance of measurements (N,), from the seventh on, from the median of the six before each."""
     _check(z, (z,), ())
     jumps = np.empty(max(len(z) - NEIGHBOURS, 0))
     kernel.measure_jumps(z.ctypes.data, len(z), jumps.ctypes.data)
@@ -184,7 +191,7 @@ def measure_jumps(z: Floats) -> Floats:
 def walk_stamps(clock: NDArray[np.void], stamps: Floats, doubled: Codes, elapsed: Floats, codes: Codes) -> None:
     """Write the steps before each row of a stream to `elapsed` (B,), and codes for its stamps, in s, to `codes` (B,).
 
-    `doubled` is not 0 for rows that repeat the measurements of the row before. The state `clock` changes.
+    `doubled` (B,) is not 0 for rows that repeat the measurements of the row before. The state `clock` changes.
     """
     _check(stamps, (stamps, elapsed), (doubled, codes))
     if not elapsed.flags.writeable:

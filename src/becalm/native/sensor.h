@@ -22,7 +22,7 @@ static inline void meet(faults_t *faults, const int verdict) {
     if (!faults->met[verdict]++) faults->first_row[verdict] = faults->rows, faults->first_step[verdict] = faults->steps;
 }
 
-/* Check measurements, and mark those before which the filter restarts. */
+/* Check measurements: write verdicts, those that may enter the filter, and the rows before which it restarts. */
 static inline void judge_rows(const settings_t *settings, sensor_t *state, const block_t *block, int8_t *verdicts,
                               pass_t *pass) {
     faults_t *faults = &state->faults;

@@ -5,8 +5,8 @@
 #include "filter.h"
 #include "linear.h"
 
-#define STEADY ((real)1e-9)    /* largest change of a variance, relative */
-#define FORGOTTEN ((real)0.9)  /* largest share of the spread before that the last eighth of a stretch may leave */
+#define STEADY ((real)1e-9)    /* largest relative change of a steady variance */
+#define FORGOTTEN ((real)0.9)  /* largest share of a spread that is left after an eighth of a stretch */
 
 /* Compare gain and sigma with those of the last check, and store them for the next; return whether they have
    settled. */
@@ -23,8 +23,8 @@ static inline int check_gain(const int n, filter_t *state) {
     return settled;
 }
 
-/* Return whether the filter reduces the spread before some rows by at least a tenth; a slow gain changes only
-   slowly. */
+/* Return whether some rows reduce the spread before them by a tenth or more; otherwise the gain is slow, and may still
+   change. */
 static inline int forgets(const int n, const int m, const real *H, const real *F, const real *K, const real *P, real rows) {
     real A[NN_MAX], squared[NN_MAX], g[M_MAX * N_MAX];
     see_through(n, m, H, F, g);
@@ -53,8 +53,8 @@ static inline void unsettle(filter_t *state) {
     state->last_step = -1, state->S_then = -1;
 }
 
-/* Check after a row whether the gain has settled. It must stay so for n rows, because an oscillating gain may come back
-   just at the checks. */
+/* Check after a row whether the gain has settled. It must stay so for n more rows, because an oscillating gain may have
+   the same value at two checks. */
 INLINE void notice(const int n, const real *h, const real *F, filter_t *state, const real elapsed, const int complete) {
     if (!complete || elapsed != state->last_step) {
         unsettle(state);

@@ -4,8 +4,8 @@
 
 enum { N_MAX = 72 };    /* largest number of states */
 enum { M_MAX = 32 };    /* largest number of channels that share one state */
-enum { MODES_MAX = 8 };
-enum { SMOOTHED = 64 }; /* rows in a block, which a smoother filters again at once */
+enum { MODES_MAX = 8 }; /* largest number of modes */
+enum { SMOOTHED = 64 }; /* rows in a block that a smoother filters again at once */
 
 /* Call a function whose first argument is the number of states; it is a constant up to 7, so that loops are
    unrolled. */

@@ -6,7 +6,7 @@
 #include "backward.h"
 #include "gap.h"
 
-enum { LONGEST_WAIT = 50 }; /* after more missing rows, a reject stays a spike */
+enum { LONGEST_WAIT = 50 }; /* missing rows in a row; after more, a reject stays a spike */
 
 enum { SKIPPED = 2 }; /* value of `only_future`: not even the last rows are smoothed */
 
@@ -41,8 +41,8 @@ static int64_t first_rejected(const block_t *block, const int8_t *verdict, const
     return first;
 }
 
-/* Filter SMOOTHED rows; return how many are final. Rows from the start of a jump on, which is marked, must be filtered
-   again. */
+/* Filter SMOOTHED rows from `row` on; return the first row that is not final. If it is before their end, a jump starts
+   there: it is marked, and rows from there on must be filtered again. */
 INLINE int64_t forward_part(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                             const block_t *block, const int64_t row, const estimate_t *estimate, real *room,
                             int8_t *starts) {
@@ -69,7 +69,7 @@ INLINE int64_t forward_rows(const int n, const settings_t *settings, const coeff
         int64_t stay = forward_part(n, settings, model, state, block, row, estimate, room, starts);
         if (stay == rows && !ends && settings->gated) {
             const int64_t first = first_rejected(block, estimate->verdict, rows);
-            if (first < rows) rows = stay = first / SMOOTHED * SMOOTHED; /* it may still become a jump */
+            if (first < rows) rows = stay = first / SMOOTHED * SMOOTHED; /* the rejects may still become a jump */
         }
         if (stay < filtered) {
             stay = stay / SMOOTHED * SMOOTHED;

@@ -63,8 +63,8 @@ class ForwardPass(NamedTuple):
     """The results of a forward pass that the backward pass needs."""
 
     taken: int  # number of filtered rows
-    room: NDArray[np.float64]
-    starts: NDArray[np.int8]
+    room: NDArray[np.float64]  # states of the filter before each block of 64 rows, and memory
+    starts: NDArray[np.int8]  # rows at which the filter restarts or jumps, see `filter.h`
     rows: dict[str, Any]  # the arrays of the block
 
 
@@ -101,7 +101,7 @@ class Smoother(_Forward):
         return np.frombuffer(bytearray(self._nothing.tobytes()), _FUTURE).reshape(())
 
     def backward(self, passed: ForwardPass, future: NDArray[np.void]) -> None:
-        """Pass back over a block with the information of all later rows; signal and sigma become smoothed.
+        """Pass back over a block with the information of all later rows; signal, sigma and x become smoothed.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Smoother(_Forward):
         self._pass_back(passed, future, passed.taken, only_future=False)
 
     def look_back(self, passed: ForwardPass, future: NDArray[np.void], count: int) -> None:
-        """Add the information of the first `count` rows of a block, a multiple of 64 or all, to `future`."""
+        """Add to `future` the information of the first `count` rows of a block, a multiple of 64 or all of them."""
         self._pass_back(passed, future, count, only_future=True)
 
     def _pass_back(self, passed: ForwardPass, future: NDArray[np.void], count: int, *, only_future: bool) -> None:

@@ -1,1 +1,1 @@
-"""Reports on cleaned recordings and fleets: HTML pages and printed figures."""
+"""Write reports on cleaned recordings and fleets: HTML pages and printed figures."""

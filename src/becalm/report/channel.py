@@ -1,4 +1,4 @@
-"""Draw all figures of one channel, in the order in which a reader looks at them."""
+"""Draw all figures of one channel, in the order in which a reader needs them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Pictured(NamedTuple):
     report: ChannelReport
     words: str  # a sentence that describes its filter; empty if the channel passes unchanged
     wide: tuple[Figure, ...]  # over time
-    narrow: tuple[Figure, ...]
+    narrow: tuple[Figure, ...]  # all others, two in a row
 
 
 class CleanedChannels(NamedTuple):
@@ -49,13 +49,13 @@ class CleanedChannels(NamedTuple):
 
     @property
     def lasts_s(self) -> float:
-        """Return the duration in seconds, gaps included."""
+        """Return the duration from the first row to a step after the last one, in seconds, gaps included."""
         times = self.gathering.times
         return float(times.high[-1] - times.low[0]) + self.step_s
 
 
 class Pictures:
-    """Draws the channels of a cleaned recording.
+    """Draws the figures of a cleaned recording, channel by channel.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Compare the classic filters with becalm: a table and two figures for each channel."""
+"""Show a comparison of classic filters with becalm: a table and up to two figures for each channel."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from becalm.report.description import Axis, Curve, Figure, Layer, Role
 from becalm.report.page import Addition, Cells
 from becalm.report.pictures import TIME, Title, slug_of
 
-_ROWS = 600
+_ROWS = 600  # rows of the outputs that are drawn
 _RIVALS = 2  # classic filters that are drawn with becalm
 
 

@@ -10,7 +10,7 @@ from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
 from becalm.metrics.whiteness import PIECE
 
-_ROWS = 600
+_ROWS = 600  # rows of a close-up
 
 
 class Closeup(Protocol):

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 from becalm.core.arrays import Floats
 
 Role = Literal["readings", "clean", "truth", "limit", "other"]
-"""Meaning of a layer. It decides the colour; each "other" layer gets a colour of its own."""
+"""Meaning of a layer. It determines the colour; each "other" layer gets a colour of its own."""
 
 Look = Literal["line", "dashed", "dotted", "points"]
 

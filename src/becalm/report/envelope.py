@@ -54,7 +54,7 @@ class Envelope:
     Attributes
     ----------
     low, high : (count,) float array
-        NaN where a stretch has no value.
+        Minimum and maximum of each stretch; NaN where a stretch has no value.
     """
 
     def __init__(self, count: int) -> None:
@@ -94,7 +94,7 @@ class Kinds:
             self.met[touched] |= np.bitwise_or.reduceat(bits, begins)
 
     def runs(self, code: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the first stretch of each run in which a code occurs, and the stretch after its last one."""
+        """Return the first stretch of each run of stretches in which a code occurs, and the stretch after the run."""
         inside = np.append(np.append(False, self.met & (1 << code) != 0), False)
         edges = np.flatnonzero(inside[1:] != inside[:-1])
         return edges[::2], edges[1::2]
@@ -113,7 +113,7 @@ class Means:
         self.seen, self._total = np.zeros(count), np.zeros(count)
 
     def add(self, touched: slice, begins: NDArray[np.intp], values: Floats) -> None:
-        """Add a block (B,) that `Stretches.next` has divided."""
+        """Add a block of values (B,) that `Stretches.next` has divided."""
         if not len(values):
             return
         sizes = np.diff(np.append(begins, len(values)))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from becalm.report.fleet_rows import FleetRow, counted, spaced
 
 DOUBTFUL = 2.0
-"""Factor by which a mean NIS may differ from 1. Beyond it, sigma is more than 1.4 times too small or too large."""
+"""Factor by which a mean NIS may differ from 1. Beyond it, sigma is wrong by a factor of more than 1.4."""
 
 _LOST = re.compile(r"\b(?:clipped|stuck|dead|drifting)\b")  # words of `faults_text` for `LOSSES`
 _DIGITS = re.compile(r"([0-9]+)")
@@ -43,18 +43,18 @@ def _number(value: float | None) -> float:
 
 
 def _wrong(row: FleetRow, usual: float = math.nan) -> float:
-    """Return the logarithm of the factor by which the mean NIS is wrong."""
+    """Return the magnitude of the logarithm of the mean NIS, which is 0 if sigma is right."""
     nis = _number(row.health)
     return math.inf if nis == 0 else abs(math.log(nis)) if nis > 0 else math.nan
 
 
 def _lost(row: FleetRow, usual: float = math.nan) -> float:
-    """Return the share of readings without information on the signal."""
+    """Return the share of readings that do not show the signal."""
     return 1 - _number(row.usable_share)
 
 
 def _noisy(row: FleetRow, usual: float) -> float:
-    """Return the logarithm of the factor by which a channel is noisier than usual."""
+    """Return the logarithm of a channel's noise over the usual noise; NaN if one of them is unknown."""
     noise_std = _number(row.noise_std)
     return math.log(noise_std) - math.log(usual) if 0 < noise_std < math.inf and usual > 0 else math.nan
 
@@ -90,7 +90,7 @@ TRAITS = (
     Trait("fits", "The model describes the signal.", lambda row: row.verdict == "fits", _noisy),
     Trait("kept", "Finished before, and unchanged since.", lambda row: row.state == "kept", lambda row, usual: 0.0),
 )
-"""All properties, the worst first. Every row has at least one; a row with "kept" always has another one too."""
+"""All properties, the worst first. Every row has at least one; a row that is "kept" always has another one too."""
 
 
 def badness(row: FleetRow, usual_noise_std: float = math.nan) -> tuple[int, float]:
@@ -152,7 +152,7 @@ def summary(rows: Sequence[FleetRow], done: str = "cleaned") -> str:
     rows : sequence of FleetRow
         Rows of every channel of every sensor.
     done : str
-        One word for what was done to the sensors.
+        Participle that says what was done to the sensors.
     """
     if not rows:
         return "There is no sensor."
@@ -171,7 +171,7 @@ def summary(rows: Sequence[FleetRow], done: str = "cleaned") -> str:
 
 
 _REMARKS = (
-    ("kept", "was finished before", "were finished before"),
+    ("kept", "was finished before", "were finished before"),  # property, and words for one and for several sensors
     ("does not fit", "does not fit", "do not fit"),
     ("faulty", "is faulty", "are faulty"),
     ("outlying", "is outlying", "are outlying"),

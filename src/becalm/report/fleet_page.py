@@ -17,7 +17,7 @@ from becalm.report.embedding import asset, packed, script
 from becalm.report.fleet_order import TRAITS, summary, worst_first
 from becalm.report.fleet_rows import FleetRow, spaced
 
-_TONES = {
+_TONES = {  # styles of the properties in `TRAITS`; the others have none
     "refused": "not",
     "does not fit": "not",
     "faulty": "not",
@@ -50,7 +50,7 @@ class FleetFacts:
     recipes : tuple of str
         Names of the recipes that were used.
     done : str
-        One word for what was done to the sensors.
+        Participle that says what was done to the sensors.
     """
 
     lake: str
@@ -68,8 +68,8 @@ class _Filter(NamedTuple):
     name: str
     says: str
     tone: str
-    rows: str
-    bit: int
+    rows: str  # number of such rows, as text
+    bit: int  # place of the property in `TRAITS`
 
 
 def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
@@ -101,7 +101,7 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
 
 
 def _unbroken(text: str) -> str:
-    """Return text that UTF-8 can encode, whatever a folder's name, with no line break inside numbers."""
+    """Return text that UTF-8 can encode, even if a folder's name cannot be, and whose numbers do not break."""
     encodable = text.encode("utf-8", "replace").decode()
     return re.sub(r"(?<=\d) (?=\d{3}\b)", "\u202f", encodable)
 
@@ -158,10 +158,10 @@ def _columns(rows: Sequence[FleetRow]) -> str:
 
 
 def _short(value: float | None) -> float | None:
-    """Return a number with six digits, more than the page shows; None if JSON cannot write it."""
+    """Return a number rounded to six digits, more than the page shows; None if JSON cannot represent it."""
     return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
 
 
 def _percent_down(share: float | None) -> float | None:
-    """Return a share in percent, rounded down to hundredths, so that 100 % means all."""
+    """Return a share in percent, rounded down to hundredths, so that only a share of 1 is 100 %; None if unknown."""
     return math.floor(share * 1e4 + 1e-9) / 100 if share is not None and math.isfinite(share) else None

@@ -11,11 +11,12 @@ from becalm.cleaning.judging import Decision
 from becalm.cleaning.report import ChannelReport
 
 State = Literal["cleaned", "kept", "refused"]
+"""What happened to a sensor; see `FleetRow.state`."""
 
 LOSSES = ("clipped", "stuck", "dead", "drift")
 """Faults during which the readings do not show the signal; they are listed first."""
 
-_USABLE = ("used", "step", "late", "repeated", "gap")  # verdicts on readings that do show the signal
+_USABLE = ("used", "step", "late", "repeated", "gap")  # verdicts on readings that show the signal
 _WORDS = {  # names of faults: singular and plural
     "spike": ("spike", "spikes"),
     "step": ("step", "steps"),
@@ -46,7 +47,7 @@ class FleetRow:
     verdict : Decision or ""
         Decision of `becalm.cleaning.judging.Judgement` on whether the model describes the channel; empty if not judged.
     health : float or None
-        Mean squared normalised innovation (NIS); 1 is right.
+        Mean square of the normalised innovations (NIS); 1 is right.
     noise_std : float or None
         Standard deviation of one reading's white noise, in unit.
     usable_share : float or None

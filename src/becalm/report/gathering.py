@@ -15,9 +15,9 @@ from becalm.report.closeup import Closeup, Farthest, Middle
 from becalm.report.envelope import Cut, Envelope, Kinds, Means, Stretches
 from becalm.report.spectra import RunningSpectrum
 
-_STRETCHES = 18_000  # all channels together
-_FEWEST, _MOST = 300, 3000  # for one channel
-_NIS_STRETCHES = 200
+_STRETCHES = 18_000  # of all channels together
+_FEWEST, _MOST = 300, 3000  # stretches of one channel
+_NIS_STRETCHES = 200  # most stretches over which the NIS is averaged
 
 WIDTH = 2.0
 """Half-width of the uncertainty band, in sigma."""
@@ -27,7 +27,7 @@ class FilteredRows(NamedTuple):
     """Some rows of one channel with their estimates."""
 
     times_s: Floats  # (B,) seconds since the first row
-    readings: Floats  # (B,) NaN where missing or impossible
+    readings: Floats  # (B,) NaN where missing, infinite or overrange
     estimates: EstimatedRows
 
 
@@ -50,7 +50,7 @@ class Gathering:
     rows_each : int
         Rows in each stretch.
     times, nis_times : Envelope
-        Begin and end of each stretch, in seconds since the first row. The stretches of the innovations are longer.
+        Begin and end of each stretch, in seconds since the first row; `nis_times` has the longer stretches of the NIS.
     channels : tuple of ChannelGathering
         Data of each channel, in order.
     """
@@ -109,7 +109,7 @@ class ChannelGathering:
     Attributes
     ----------
     readings, clean, band : Envelope
-        Envelopes of the readings, of the signal, and of `WIDTH` sigma around the signal, in unit.
+        Envelopes of the readings, of the signal, and of the band of ± `WIDTH` sigma around it, in unit.
     kinds : Kinds
         Verdicts on the readings.
     before : RunningSpectrum
@@ -160,7 +160,7 @@ def _parts(rows: int) -> list[slice]:
 
 
 def _plausible(z: Floats, estimates: EstimatedRows) -> Floats:
-    """Replace impossible readings by NaN: they would stretch the axis until all others look flat."""
+    """Replace infinite and overrange readings by NaN: they would stretch the axis until all others look flat."""
     if not estimates.verdicts.any():
         return z
     impossible = np.isin(estimates.verdicts, (Verdict.NONFINITE, Verdict.OVERRANGE))

@@ -12,7 +12,7 @@ from becalm.report.pictures import TIME, Title, parted
 
 _WITHIN = 1.96  # half-width of a 95 % limit, in standard deviations
 _SHARE = 0.025  # probability outside a 95 % limit, on each side
-_READINGS_A_LAG = 8  # an autocorrelation of few readings has few lags
+_READINGS_A_LAG = 8  # innovations for each lag: the autocorrelation of few innovations has few lags
 
 
 def innovation_figures(
@@ -23,13 +23,13 @@ def innovation_figures(
     Parameters
     ----------
     title : Title
-        Name of the channel.
+        Names of the channel.
     times : Envelope
-        Times of the stretches that `nis` is averaged over, in seconds.
+        Times of the stretches that `nis` is averaged over, in seconds since the first row.
     sums : LaggedSums or None
         Lagged sums of all normalised innovations; None if there are too few.
     nis : Means
-        Means of their squares.
+        Means of the squared normalised innovations over stretches.
     rate_hz : float
         Samples per second.
 
@@ -49,7 +49,7 @@ def innovation_figures(
 
 
 def _correlations(sums: LaggedSums) -> Floats:
-    """Return the autocorrelation of the innovations at lags 1 to 32, or at fewer lags if there are few innovations."""
+    """Return the autocorrelation (k,) of the innovations at lags 1 to 32, or to fewer if there are few innovations."""
     covariance = sums.about_mean(min(MOST_LAGS, sums.seen // _READINGS_A_LAG))
     return covariance[1:] / covariance[0] if covariance[0] > 0 else np.zeros(0)
 

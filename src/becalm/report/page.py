@@ -25,7 +25,7 @@ MOST_PICTURED = 8
 
 _HEADINGS = ("model", "noise", "bandwidth", "lag", "described by its model")
 _TONES = {"fits": "fits", "fits except": "except", "does not fit": "not"}
-_HASH_SHOWN = 16
+_HASH_SHOWN = 16  # hexadecimal digits
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,8 @@ class Addition(NamedTuple):
 
 
 class _Line(NamedTuple):
+    """A row of the table of channels."""
+
     anchor: str
     name: str
     cells: tuple[str, ...]
@@ -68,6 +70,8 @@ class _Line(NamedTuple):
 
 
 class _Section(NamedTuple):
+    """The part of the page about one channel."""
+
     anchor: str
     name: str
     tone: str
@@ -75,7 +79,7 @@ class _Section(NamedTuple):
     words: str
     tables: tuple[Cells, ...]
     numbers: tuple[tuple[str, str], ...]
-    figures: tuple[tuple[Figure, str, str], ...]  # each with its kind, and the key of the group that zooms together
+    figures: tuple[tuple[Figure, str, str], ...]  # each with "wide" or "narrow", and its zoom group
     printed: tuple[str, ...]
 
 
@@ -94,7 +98,7 @@ def page_of(
     recipe : Recipe
         Recipe that the recording was cleaned with.
     pictures : Pictures
-        Figures of its channels.
+        Figures of the channels.
     beside : sequence of Addition
         Additional tables and figures, one entry for each channel; none by default.
 
@@ -129,7 +133,7 @@ def page_of(
 
 
 def _pictured(reports: Sequence[ChannelReport]) -> list[int]:
-    """Choose the channels to draw: those whose model does not describe them come first. Return them in their order."""
+    """Return the channels to draw, in order; those that their models do not describe are preferred."""
     first = sorted(range(len(reports)), key=lambda number: reports[number].describes)
     return sorted(first[:MOST_PICTURED])
 

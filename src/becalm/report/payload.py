@@ -13,7 +13,7 @@ from becalm.core.arrays import Floats
 from becalm.report.description import Axis, Band, DrawnSurface, Figure, Lane, Layer, Rule
 
 _LEAST, _MOST = 1e-30, 1e30  # magnitudes that float32 can hold with full precision
-_NEAR = 0.1  # values whose range is below this share of the first one would lose digits, so the first is subtracted
+_NEAR = 0.1  # values whose range is below this share of the first one would lose digits: the first is subtracted
 
 
 class _Arrays:
@@ -24,7 +24,7 @@ class _Arrays:
         self._places: dict[tuple[int, bool], tuple[int, Floats]] = {}  # keeps each array alive: its id stays unique
 
     def place(self, values: Floats, *, exact: bool) -> int:
-        """Return the index of an array; exact ones are stored as float64, others as float32 if their range allows."""
+        """Return the index of an array; exact arrays are stored as float64, others as float32 if possible."""
         key = (id(values), exact)
         if key not in self._places:
             self._places[key] = len(self.encoded), values
@@ -33,7 +33,7 @@ class _Arrays:
 
 
 def _encoded(values: Floats, exact: bool) -> dict[str, object]:
-    """Return an array as text; a large common offset, which would cost digits in float32, is stored on its own."""
+    """Return an array as text; an offset that would cost digits in float32 is stored separately."""
     finite = values[np.isfinite(values)]
     largest = float(np.abs(finite).max(initial=0.0))
     if exact or (largest and not _LEAST < largest < _MOST):

@@ -18,8 +18,8 @@ from becalm.report.gathering import WIDTH, ChannelGathering
 
 TIME = Axis("time since the first row (s)")
 
-_LONGEST_SLUG, _LONGEST_NAME = 40, 40
-_PAUSE = 4.0  # a longer step in time, in usual steps, is a pause
+_LONGEST_SLUG, _LONGEST_NAME = 40, 40  # characters
+_PAUSE = 4.0  # longest step in time that is not a pause, in median steps
 _POINTS = 240  # points of a spectrum, evenly spaced in the logarithm of frequency
 
 
@@ -49,7 +49,7 @@ def _normalised(unit: str) -> str:
 
 
 def slug_of(number: int, name: str) -> str:
-    """Return the prefix of the names of a channel's figures; it is unique. The first channel has number 0."""
+    """Return the prefix of the names of a channel's figures, unique by the channel's number, from 0 on."""
     return f"{number + 1}-{re.sub('[^a-z0-9]+', '-', name.lower()).strip('-')[:_LONGEST_SLUG]}".strip("-")
 
 
@@ -59,9 +59,9 @@ def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) ->
     Parameters
     ----------
     title : Title
-        Name of the channel.
+        Names of the channel.
     times : Envelope
-        Times of the stretches, in seconds.
+        Times of the stretches, in seconds since the first row.
     gathered : ChannelGathering
         Data of the channel.
 
@@ -109,6 +109,7 @@ def parted(times_s: Floats, *heights: Floats) -> tuple[Floats, ...]:
 
 
 def _usual(times_s: Floats) -> float:
+    """Return the median step in time, in seconds; inf if there is none."""
     steps = np.diff(times_s)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
 
@@ -156,7 +157,7 @@ def spectrum_figure(title: Title, gathered: ChannelGathering) -> Figure | None:
 
 
 def _drawn(name: str, spectrum: Spectrum, role: Role) -> Curve:
-    """Average a spectrum in bins of equal width in the logarithm of frequency."""
+    """Return a spectrum as a curve, averaged in bins of equal width in the logarithm of frequency."""
     f, density = spectrum
     edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), _POINTS + 1)
     first = np.unique(np.searchsorted(f, edges[:-1]))

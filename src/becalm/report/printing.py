@@ -38,12 +38,12 @@ _WIDTH, _HEIGHT, _SQUARE, _LANE = 7.5, 1.85, 2.6, 0.16  # inches: sheet width; h
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.15, 0.3, 0.45  # margins around the axes of a figure, in inches
 _SCALE = 0.55  # room for the colour bar of a surface, in inches
 _ENTRY, _MARK, _LETTER = 0.16, 0.42, 0.062  # inches in a legend: height of an entry, width of its mark, of a letter
-_NARROW = 100.0  # a logarithmic axis with a smaller ratio of its limits shows more than powers of ten
+_NARROW = 100.0  # ratio of the limits below which a logarithmic axis shows more than powers of ten
 _EDGE = 0.15  # share of the axes' width that counts as near an edge
-_ABOVE = 1.05  # height of the axis, relative to the highest value
+_ABOVE = 1.05  # height of the axis, relative to that of the highest value
 _STRETCHES = 400  # stretches of a band; print cannot show more
 _TAG = re.compile(rb"<[^<>]*>")
-_TOO_FINE = re.compile(rb"(\d\.\d\d)\d+")  # less than a hundredth of a point
+_TOO_FINE = re.compile(rb"(\d\.\d\d)\d+")  # digits below a hundredth of a point
 _SETTINGS: Any = {
     "svg.hashsalt": "becalm",  # the same figure gives the same bytes
     "svg.fonttype": "none",
@@ -70,7 +70,7 @@ def can_print() -> bool:
 
 
 def load_meanwhile() -> None:
-    """Load matplotlib in a thread, if it is installed: that takes a second, during which other work can go on."""
+    """Load matplotlib in a thread, if it is installed; loading takes a second, and other work goes on meanwhile."""
     if can_print():
         Thread(target=import_module, args=["matplotlib.figure"], daemon=True).start()
 
@@ -128,7 +128,7 @@ def printed(figures: Sequence[Figure], kind: Kind = "svg", columns: int = 1) -> 
 
 @contextmanager
 def _nothing_collected() -> Iterator[None]:
-    """Switch off garbage collection: among the many small objects of a sheet it takes a seventh of the time."""
+    """Switch off garbage collection, which takes a seventh of the time: a sheet has many small objects."""
     was = gc.isenabled()
     gc.disable()
     try:
@@ -236,7 +236,7 @@ def _leave_room_above(axes: Axes, low: float | None, high: float | None) -> None
 
 
 def _number(axis: Axis) -> None:
-    """Put numbers along a logarithmic axis."""
+    """Choose the numbers along a logarithmic axis."""
     from matplotlib.ticker import LogLocator
 
     axis.set_major_formatter("{x:g}")  # mathematical typesetting of powers takes a third of the time

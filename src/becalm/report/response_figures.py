@@ -1,4 +1,4 @@
-"""Draw the response of a filter: noise against lag, and a step."""
+"""Draw the response of a filter: its noise against its lag, and its step response."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from becalm.identification.wishes.noise_against_lag import TradeOffCurve, noise_
 from becalm.report.description import Axis, Curve, Figure, Layer
 from becalm.report.pictures import Title
 
-_ORDERS = (1, 2, 3)
+_ORDERS = (1, 2, 3)  # of the kinematic models on the trade-off curve
 _CUTOFFS = np.geomspace(1e-4, 3.0, 20)  # radians per row
 _HEIGHT = 10.0  # height of a step, in standard deviations of a reading's noise
-_POINTS = 600
-_MOST_ROWS = 200_000
+_POINTS = 600  # about, of a step response
+_MOST_ROWS = 200_000  # that a step response may need
 
 
 class Behaviour(NamedTuple):
@@ -33,16 +33,16 @@ class Behaviour(NamedTuple):
 
     channel: ChannelRecipe
     report: ChannelReport
-    response: Response | None
-    waits: tuple[Wait, ...]  # gain from waiting for later readings, the limit last; only for one kinematic model alone
+    response: Response | None  # of the causal filter or the smoother; with several modes, of the most frequent one
+    waits: tuple[Wait, ...]  # the curve of waiting, the smoother last; only for one kinematic model alone
 
     def noise_left(self, wait_s: float | None) -> float | None:
-        """Return the standard deviation of the remaining noise in unit, or None if it is unknown.
+        """Return the standard deviation of the remaining noise, in unit; None if it is unknown.
 
         Parameters
         ----------
         wait_s : float or None
-            How long the estimate waits for later readings, in seconds; None for the causal filter.
+            How long the estimate waits for later readings, in seconds; None for the noise of `response`.
         """
         if self.response is None or self.report.noise_std is None:
             return None
@@ -53,7 +53,7 @@ class Behaviour(NamedTuple):
 
 
 def front_of(step_s: float) -> TradeOffCurve:
-    """Return the trade-off curve (noise against lag) of all causal filters, for readings with noise 1."""
+    """Return the trade-off curve (noise against lag) of causal filters of order 1 to 3, for readings with noise 1."""
     points = [
         noise_lag_front(1.0, step_s, (order,), [cutoff_to_ratio(order, float(cutoff)) for cutoff in _CUTOFFS]).points
         for order in _ORDERS
@@ -62,7 +62,7 @@ def front_of(step_s: float) -> TradeOffCurve:
 
 
 def front_figure(title: Title, found: Behaviour, front: TradeOffCurve, mode: str) -> Figure | None:
-    """Draw the trade-off curve of remaining noise against delay, and mark this filter on it."""
+    """Draw the trade-off curve of remaining noise against delay, and mark this filter; None if it is unknown."""
     noise_std = found.report.noise_std
     if noise_std is None or found.response is None:
         return None
@@ -73,7 +73,7 @@ def front_figure(title: Title, found: Behaviour, front: TradeOffCurve, mode: str
         layers.append(Curve(f"causal, order {order}", x[::-1], y[::-1], "other", "dashed"))
     layers += _of_modes(found)
     late_s = found.response.lag_s
-    later = found.waits[1:-1]  # empty if readings after the next one add nothing
+    later = found.waits[1:-1]  # empty if the filter is so fast that later readings add nothing
     if mode != "causal" and later:
         x, y = np.array([(one.wait_s, one.noise_std) for one in later]).T
         layers.append(Curve("this filter, with a delay", x, y, "clean"))
@@ -100,7 +100,7 @@ def _of_modes(found: Behaviour) -> list[Layer]:
 
 
 def step_figure(title: Title, found: Behaviour, recipe: Recipe, step_s: float) -> Figure | None:
-    """Run the filter on a step and draw its output; None if it passes all unchanged, or would need too many rows."""
+    """Run the filter on a step and draw its output; None if its response is unknown, or takes too many rows."""
     rows = _rows_to_show(found, step_s)
     if rows is None:
         return None
@@ -127,7 +127,7 @@ def step_figure(title: Title, found: Behaviour, recipe: Recipe, step_s: float) -
 
 
 def _rows_to_show(found: Behaviour, step_s: float) -> int | None:
-    """Return the number of rows to show before the step, which is also that after it; None if it cannot be shown."""
+    """Return the number of rows to show before the step, and after it; None if the step cannot be shown."""
     response = found.response
     if response is None or not response.bandwidth_hz > 0:
         return None

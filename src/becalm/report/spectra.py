@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from becalm.core.arrays import Floats
 from becalm.metrics.spectrum import Spectrum
 
-_LONGEST, _SHORTEST = 4096, 16
+_LONGEST, _SHORTEST = 4096, 16  # samples in a segment
 _FEWEST = 8  # segments of a short record
 _MOST = 256  # segments of a long record
 
@@ -16,8 +16,8 @@ _MOST = 256  # segments of a long record
 class RunningSpectrum:
     """Welch's estimate of the spectrum of a sequence that arrives in blocks.
 
-    A long sequence contributes 256 segments at equal distances. Segments with a missing value, and segments across the
-    border of two blocks, are left out.
+    A long sequence contributes about 256 segments at equal distances, or one for each block if it has more blocks.
+    Segments with a missing value, and segments across the border of two blocks, are left out.
 
     Parameters
     ----------
@@ -28,7 +28,8 @@ class RunningSpectrum:
 
     Notes
     -----
-    Welch, IEEE Transactions on Audio and Electroacoustics 15 (1967) 70: Hann windows, half overlapping.
+    Welch, IEEE Transactions on Audio and Electroacoustics 15 (1967) 70: Hann windows; in a short sequence, half
+    overlapping.
     """
 
     def __init__(self, rows: int, rate_hz: float) -> None:

@@ -1,4 +1,4 @@
-"""Load uPlot, which draws the figures of a report. `hatch_build.py` copies it into this package during a build."""
+"""Load uPlot, which draws the figures of a report. `hatch_build.py` copies its files into this package."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from becalm.errors import BecalmError
 
 
 def uplot() -> tuple[str, str]:
-    """Return the files of uPlot as text.
+    """Return the JavaScript and the CSS of uPlot as text.
 
     Returns
     -------

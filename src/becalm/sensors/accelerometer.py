@@ -15,13 +15,13 @@ from becalm.sensors.checks import finite_array, positive
 CLIPPED = 0.999
 """Fraction of full scale at and above which a reading counts as clipped."""
 
-_MOST_BITS = 64
+_MOST_BITS = 64  # of a converter
 _SINGULAR = 1e-6  # smallest over largest singular value; below it the axes do not span the space
 
 
 @dataclass(frozen=True, eq=False)
 class Accelerometer:
-    """The axes of one accelerometer: readings v = S a + b, acceleration a = S^-1 (v - b).
+    """An accelerometer of m axes with readings v = S a + b: the acceleration is a = S^-1 (v - b).
 
     Attributes
     ----------
@@ -64,11 +64,11 @@ class Accelerometer:
         return cls(frozen(np.linalg.inv(own)), frozen(bias))
 
     def zeroed_at(self, reading: float) -> Accelerometer:
-        """Return a copy in which each axis has this reading at zero acceleration."""
+        """Return a copy in which each axis gives this reading at zero acceleration."""
         return Accelerometer(self.sensitivity, np.full(len(self.bias), reading))
 
     def acceleration(self, readings: Floats) -> Floats:
-        """Return the acceleration (n, m) of readings (n, m); NaN where a needed axis is NaN."""
+        """Return the acceleration (n, m) from readings (n, m); NaN where the reading of a needed axis is NaN."""
         unbiased, inverse = readings - self.bias, np.linalg.inv(self.sensitivity)
         needed = np.abs(inverse) > np.finfo(float).eps * np.abs(inverse).max()
         sums = [(unbiased[:, need] * row[need]).sum(axis=1) for row, need in zip(inverse, needed, strict=True)]
@@ -89,7 +89,7 @@ def sensitivity_matrix(sensitivities: ArrayLike, cross_axis_percent: ArrayLike |
     Raises
     ------
     SensorError
-        If shapes do not fit, or a sensitivity is zero.
+        If shapes do not fit, a sensitivity is zero, or a number is not finite.
 
     Notes
     -----

@@ -1,10 +1,10 @@
-"""Convert the output of a Wheatstone bridge to strain, exactly, with corrections for lead wires and shunt.
+"""Convert the output of a Wheatstone bridge to strain, exactly, and correct for lead wires and a shunt.
 
 For every circuit here, with r = V / V_excitation minus the ratio of the unstrained bridge,
 
     strain = - c r / (G (d0 + d1 r))
 
-where c, d0, d1 depend on the circuit and G is the gauge factor. Signs as in NI-DAQmx: tension lowers the ratio.
+where c, d0, d1 depend on the circuit and G is the gauge factor. Signs are those of NI-DAQmx: tension lowers the ratio.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ Configuration = Literal["quarter I", "quarter II", "half I", "half II", "full I"
 
 CONFIGURATIONS: tuple[Configuration, ...] = get_args(Configuration)
 
-_WITH_POISSON = ("half I", "full II", "full III")
+_WITH_POISSON = ("half I", "full II", "full III")  # configurations with gauges across the strain
 
 
 class _Terms(NamedTuple):
-    """Coefficients of the equation of one circuit, see the module."""
+    """Coefficients of the strain equation of one circuit, see the module."""
 
     c: float
     d0: float
@@ -69,7 +69,8 @@ class Bridge:
     gain_adjustment : float
         Factor of the strain, see the function of this name.
     shunt : Shunt or None
-        Shunt calibration that replaces `gain_adjustment`; evaluated when needed, because it depends on the zero.
+        Shunt calibration that replaces `gain_adjustment`; the gain is computed when needed, because it depends on the
+        zero.
     initial_ratio : float
         Ratio of the unstrained bridge, in V/V; see `becalm.sensors.tare`.
     tension_lowers : bool
@@ -139,7 +140,7 @@ class Bridge:
         bare, sign = replace(self, shunt=None, gain_adjustment=1.0), self._sign()
         changed = self.gauge_factor * shunt_strain(self.gauge_ohm, self.shunt.shunt_ohm, self.gauge_factor)
         balanced = replace(bare, lead_ohm=0.0, initial_ratio=0.0)
-        # one gauge changes its resistance by this share
+        # the shunt changes the resistance of one gauge by the share `changed`
         simulated = balanced.strain(np.array([-sign * changed / (4 + 2 * changed)]))
         return gain_adjustment(float(simulated[0]), float(bare.strain(np.array([self.shunt.ratio]))[0]))
 
@@ -175,7 +176,7 @@ class Bridge:
         return np.asarray(self._sign() * (ratio - self.initial_ratio))
 
     def _factor(self) -> float:
-        """Return the factor of the strain that does not depend on the terms of the circuit."""
+        """Return the factor of the strain that does not depend on the circuit's coefficients."""
         lead_factor = 1.0 if self.configuration.startswith("full") else 1 + self.lead_ohm / self.gauge_ohm
         return self.gain * lead_factor / self.gauge_factor
 
@@ -211,7 +212,7 @@ def shunt_strain(gauge_ohm: float, shunt_ohm: float, gauge_factor: float) -> flo
 
 
 def gain_adjustment(simulated: float, read: float) -> float:
-    """Return the factor of the strain with which the reading of a shunt equals the strain that it simulates.
+    """Return the factor with which the strain read with a shunt equals the strain that the shunt simulates.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Checks of the numbers that describe a sensor, with messages for the user."""
+"""Check the numbers that describe a sensor, with messages for the user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A calibration curve: a polynomial from readings to the measured quantity."""
+"""Define a calibration curve: a polynomial from readings to the measured quantity."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
 """Calibrate a triaxial accelerometer at rest: the magnitude of gravity is the same in every pose.
 
 No equipment is needed: the sensor rests in many poses, and scale, bias and skew of its axes are fitted so that |a| is
-the same in all poses. Gravity does not show how the axes are oriented in space. Therefore the third axis is kept, and
-the second lies in a plane with it (the upper triangular matrix of Tedaldi, Pretto and Menegatti, ICRA 2014).
-If directions are known, as for the six faces of a cube, linear least squares gives all parameters (IEEE 1293).
+the same in all poses. Gravity does not show how the axes are oriented in space. Therefore the third axis keeps its
+direction, and the second keeps its plane with the third (the upper triangular matrix of Tedaldi, Pretto and Menegatti,
+ICRA 2014). If directions are known, as for the six faces of a cube, linear least squares gives all parameters (IEEE
+1293).
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ FEWEST_POSES = 10
 FEWEST_DIRECTIONS = 5
 """Least number of rests in known directions: one more than the number of unknowns per axis."""
 
-_UPPER = np.triu_indices(3)
-_UNKNOWNS = 9
-_UNKNOWNS_AN_AXIS = 4
-_POOR = 0.005  # least singular value over root of rests: 0.1 to 0.2 for a full sphere, 0.04 for half
-_ROUNDS = 3
+_UPPER = np.triu_indices(3)  # entries of the matrix that are fitted
+_UNKNOWNS = 9  # six entries of the matrix, three of the bias
+_UNKNOWNS_AN_AXIS = 4  # three sensitivities and a bias
+_POOR = 0.005  # limit of the least singular value over root of rests: 0.1 to 0.2 for a full sphere, 0.04 for half of it
+_ROUNDS = 3  # fits, each with weights from the one before
 
 
 class Rests(NamedTuple):
@@ -54,8 +55,8 @@ class PoseCalibration(NamedTuple):
     bias, bias_std : (3,) float array
         Bias and its standard errors, in the unit of readings.
     excess : float
-        Root mean square of the residuals over the standard errors of the rests; if it is above 1, the standard
-        errors of matrix and bias contain it as a factor.
+        Root mean square of the residuals, in standard errors of the rests; if it is above 1, the standard errors of
+        matrix and bias contain it as a factor.
     """
 
     matrix: Floats
@@ -65,7 +66,7 @@ class PoseCalibration(NamedTuple):
     excess: float
 
     def acceleration(self, readings: Floats) -> Floats:
-        """Return accelerations (n, 3) of readings (n, 3)."""
+        """Return accelerations (n, 3), in unit of gravity, from readings (n, 3)."""
         return np.asarray((readings - self.bias) @ self.matrix.T)
 
     def spread(self, means: Floats) -> float:
@@ -148,13 +149,13 @@ def calibrate_by_direction(rests: Rests, accelerations: Floats) -> PoseCalibrati
     rests : Rests
         At least five rests; usually six, one per face.
     accelerations : (k, 3) float array
-        True acceleration of each rest, in the unit of the result: (0, 0, g) with the third axis up.
+        True acceleration at each rest, in the unit of the result: (0, 0, g) with the third axis up.
 
     Raises
     ------
     SensorError
-        If there are fewer than five rests, the directions do not span the space, or the readings of an axis depend
-        on those of another.
+        If there are fewer than five rests, the directions do not span the space, the readings of an axis depend on
+        those of another, or a number is impossible.
     """
     means, stds = _checked(rests, FEWEST_DIRECTIONS, "known directions")
     a = finite_array("accelerations", accelerations, means.shape)
@@ -177,8 +178,8 @@ def calibrate_by_direction(rests: Rests, accelerations: Floats) -> PoseCalibrati
 class _Line(NamedTuple):
     """Sensitivity of one axis to the three directions, and its bias."""
 
-    row: Floats
-    covariance: Floats
+    row: Floats  # (4,) sensitivities and bias, in readings
+    covariance: Floats  # (4, 4) of the row
     squares: float  # sum of squared residuals, in standard errors
 
 
@@ -232,7 +233,7 @@ def _length(p: Floats, u: Floats) -> Floats:
 
 
 def _slopes(p: Floats, u: Floats) -> Floats:
-    """Return the derivatives (k, 9) of |M (u - b)| by the six entries of M and the three of b."""
+    """Return the derivatives (k, 9) of |M (u - b)| with respect to the six entries of M and the three of b."""
     M, b = _unpacked(p)
     a = (u - b) @ M.T
     along = a / np.linalg.norm(a, axis=1, keepdims=True)
@@ -247,7 +248,7 @@ def _length_std(p: Floats, u: Floats, u_std: Floats) -> Floats:
 
 
 def _require_variety(design: Floats) -> None:
-    """Raise an error if poses (k rows) hardly determine some combination of the unknowns, which have size 1."""
+    """Raise an error if k poses, the rows, hardly determine some combination of the unknowns, which are of size 1."""
     strengths = np.linalg.svd(design, compute_uv=False) / np.sqrt(len(design))
     if not strengths[-1] > _POOR:
         raise SensorError(

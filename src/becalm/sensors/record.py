@@ -1,4 +1,4 @@
-"""Calibration records: the data of a sensor's data sheet, and the conversion of its readings."""
+"""Define calibration records, which hold the data of a sensor's data sheet, and convert its readings."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ class SensorRecord:
         The stretch without load for the zero, in seconds after the first row; None keeps the zero of the data
         sheet.
     temperature : GaugeTemperature or None
-        Effect of temperature on the gauges of a bridge; None means no correction.
+        Effect of temperature on the gauges of a bridge; with None nothing is corrected.
     sheet : Sheet
         All other data.
     """
@@ -170,7 +170,7 @@ class SensorRecord:
 
     @property
     def needed(self) -> tuple[str, ...]:
-        """Return the channels of the sensor and the temperature channel, if there is one."""
+        """Return the names of the channels of the sensor and of the temperature channel, if there is one."""
         channel = None if self.temperature is None else self.temperature.channel
         return self.channels if channel is None else (*self.channels, channel)
 

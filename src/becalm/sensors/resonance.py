@@ -1,7 +1,7 @@
-"""The response of a spring, mass and damper to acceleration: the model of every sensor with a proof mass.
+"""Compute the response of a spring, mass and damper to acceleration, the model of every sensor with a proof mass.
 
-The displacement of the mass is dx = (m/k) a at low frequencies; it resonates near sqrt(k/m) / 2 pi, and is insensitive
-far above.
+At low frequencies the displacement of the mass is dx = (m/k) a; near sqrt(k/m) / 2 pi the mass resonates, and far above
+it hardly responds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Resonance:
     natural_hz : float
         f_N, the resonance frequency without damping.
     damping_ratio : float
-        zeta: 1 is critical, 0.7 gives the flattest response, most piezo sensors are below 0.05.
+        zeta: 1 is critical, 0.7 gives the flattest response, and most piezo sensors have less than 0.05.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class Resonance:
 
     @property
     def ringing_hz(self) -> float:
-        """Return the frequency of free oscillation, f_N sqrt(1 - zeta^2); NaN from critical damping on."""
+        """Return the frequency of free oscillation, f_N sqrt(1 - zeta^2), in Hz; NaN from critical damping on."""
         return float(self.natural_hz * np.sqrt(1 - self.damping_ratio**2)) if self.damping_ratio < 1 else np.nan
 
     def acceleration(self, displacement_m: Floats) -> Floats:
@@ -65,7 +65,7 @@ class Resonance:
         return np.asarray((2 * np.pi * self.natural_hz) ** 2 * displacement_m)
 
     def response(self, frequency_hz: Floats) -> tuple[Floats, Floats]:
-        """Return magnitude (k,), 1 at 0 Hz, and phase (k,) in degrees, negative for a lag, at frequencies (k,).
+        """Return magnitude (k,), 1 at 0 Hz, and phase (k,) in degrees, negative for a lag, at frequencies (k,) in Hz.
 
         Without damping the magnitude at the natural frequency is inf.
         """
@@ -76,7 +76,7 @@ class Resonance:
         return np.asarray(magnitude), np.asarray(-np.degrees(np.arctan2(imaginary, real)))
 
     def right_to_hz(self, percent: float) -> float:
-        """Return the frequency up to which amplitudes are correct within some percent.
+        """Return the frequency, in Hz, up to which amplitudes are correct within some percent.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class Resonance:
         if not error < 1:
             raise SensorError(f"percent = {percent!r} is not an error of an amplitude; give less than 100, e.g. 5.0.")
         half = 1 - 2 * self.damping_ratio**2
-        below = half + np.sqrt(half**2 - 1 + (1 - error) ** -2)  # its product with the other root is negative
+        below = half + np.sqrt(half**2 - 1 + (1 - error) ** -2)  # positive, as the product of both roots is < 0
         above = half**2 - 1 + (1 + error) ** -2
         peaks = half > 0 and above >= 0
         first = half - np.sqrt(above) if peaks else below

@@ -10,18 +10,18 @@ from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.errors import SensorError
 
-BLOCKS = 8
+BLOCKS = 8  # into which a stretch is cut
 FEWEST = 4 * BLOCKS
 """Least number of readings in a stretch."""
 
 MOST_WANDER = 1 / 3
-"""Largest standard deviation of the block means beyond chance, over the noise; a linear drift of 1.1 sigma has it."""
+"""Largest standard deviation of the block means, less chance, over that of the noise: a linear drift of 1.1 sigma."""
 
 MOST_UNEVEN = 4.0
 """Largest power of one block over that of the others."""
 
 MOST_READINGS = 1 << 24
-"""Largest number of readings in a stretch, which is held in memory."""
+"""Largest number of readings in a stretch; it is held in memory."""
 
 _CHANCE = 1e-3  # probability that noise alone fails a test
 
@@ -34,8 +34,8 @@ class Zero(NamedTuple):
     value : float
         Mean of the readings, in their unit.
     std : float
-        Standard uncertainty of the value: that of the mean of white noise and, if the readings drift more than white
-        noise does, the whole drift, since it may continue; NaN if all readings are equal.
+        Standard uncertainty of the value: that of a mean of white noise and, if the block means vary more than white
+        noise explains, the whole drift, since it may continue; NaN if all readings are equal.
     readings : int
         Number of readings in the mean.
     """
@@ -46,14 +46,14 @@ class Zero(NamedTuple):
 
 
 class Tare(NamedTuple):
-    """A measured zero: its time, its value and the temperature.
+    """A measured zero: the stretch, the value and the temperature.
 
     Attributes
     ----------
     start_s, stop_s : float
         Start and end of the stretch, in seconds after the first row.
     reading, reading_std : float, float or None
-        The zero and its standard uncertainty, in raw_unit; None if all readings are equal.
+        The zero and its standard uncertainty, in raw_unit; the latter is None if all readings are equal.
     raw_unit : str
         Unit of the readings.
     readings : int
@@ -82,12 +82,14 @@ def zero_of(stretch: Floats) -> Zero:
     Raises
     ------
     SensorError
-        If fewer than 32 readings came, if they drift or step by more than their noise, or if their noise changes.
+        If there are fewer than 32 readings, they drift or step by too much compared with their noise, or their noise
+        changes.
 
     Notes
     -----
-    Eight blocks are compared by analysis of variance: their means with the noise within them, and the largest power
-    of a block with that of the others. An error is raised if a difference is significant (one in a thousand) and large.
+    Eight blocks are compared by analysis of variance: the variance of their means with the noise within them, and the
+    largest power of a block with that of the others. An error is raised if a difference is significant (one in a
+    thousand) and large.
     """
     from scipy.special import fdtrc
 

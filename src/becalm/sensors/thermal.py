@@ -1,4 +1,4 @@
-"""Effects of temperature on a strain gauge and its lead wires; filters cannot remove them, as they are slow."""
+"""Correct strain for the temperature of a gauge and its lead wires; filters cannot remove such slow effects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COPPER_PER_K = 0.0039
 REFERENCE_DEGC = 24.0
 """Temperature for which data sheets give the gauge factor, and at which thermal output is 0."""
 
-_MOST_COEFFICIENTS = 5
+_MOST_COEFFICIENTS = 5  # of the polynomial of the thermal output
 
 
 @dataclass(frozen=True)
@@ -30,18 +30,19 @@ class GaugeTemperature:
     Attributes
     ----------
     output_um : tuple of up to 5 floats
-        Thermal output, see `thermal_output`; empty if it is unknown or the bridge compensates for it.
+        Coefficients of the thermal output, see `thermal_output`; empty if they are unknown or the bridge compensates
+        for it.
     percent_per_100_k : float
-        Increase of the gauge factor.
+        Increase of the gauge factor, in percent per 100 K.
     reference_degc : float
         Temperature for which the data sheet gives the gauge factor.
     constant_degc : float or None
         Temperature of the gauge, if it is constant.
     channel : str or None
-        Channel with the temperature of the gauge otherwise, in degC.
+        Name of the channel with the temperature of the gauge, in degC, if it is not constant.
     zero_degc : float or None
-        Temperature at the measured zero of the bridge, which contains the thermal output there; with None the whole
-        thermal output is subtracted.
+        Temperature at which the zero of the bridge was measured. That zero contains the thermal output at this
+        temperature; with None the whole thermal output is subtracted.
 
     Raises
     ------
@@ -102,7 +103,7 @@ class GaugeTemperature:
 
 
 def thermal_output(coefficients_um: Sequence[float], temperature_degc: Floats, gauge_factor: float) -> Floats:
-    """Return the strain, in m/m, that a gauge shows from temperature alone; subtract it from the readings.
+    """Return the strain (n,), in m/m, that a gauge shows from temperature alone; subtract it from the readings.
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def thermal_output(coefficients_um: Sequence[float], temperature_degc: Floats, g
         Coefficients of the polynomial of the data sheet, in um/m per degC to the power of 0, 1, 2, 3, 4; valid for
         one lot of gauges on one material.
     temperature_degc : (n,) float array
-        Temperature of the gauge.
+        Temperature of the gauge, in degC.
     gauge_factor : float
         Gauge factor setting of the instrument that read the strain.
 
@@ -129,7 +130,7 @@ def thermal_output(coefficients_um: Sequence[float], temperature_degc: Floats, g
 def gauge_factor_at(
     temperature_degc: Floats, gauge_factor: float, percent_per_100_k: float, reference_degc: float = REFERENCE_DEGC
 ) -> Floats:
-    """Return the gauge factor (n,) at temperatures (n,), linear about the reference temperature.
+    """Return the gauge factor (n,) at temperatures (n,), in degC; it is linear, and known at the reference.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Repeat the car paper (Sensors 2001): its filter, an RLS canceller and becalm on a simulated drive and a real car.
+"""Repeat the car paper (Sensors 2001) with its filter, an RLS canceller and becalm: a simulated drive, a real car.
 
-`car_drive` simulates the drive, `car_filters` has the paper's filter, and `car_real` uses recordings of a real car. The
-page and its figures are written from the result of `study`.
+`car_drive` simulates the drive, `car_filters` has the paper's filter, and `car_real` uses recordings of a real car.
+`car_page` and `car_figures` write the page and its figures from the result of `study`.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ class CarScore(NamedTuple):
     axis: str
     snr_db: float  # signal-to-noise ratio of the output, (14), in usual decibels
     snr_paper_db: float  # the same in the paper's decibels
-    described_lag_s: float  # for a slow signal, computed from the model; only for a_z, NaN otherwise
+    described_lag_s: float  # delay of a slow signal, computed from the model; only for a_z, NaN if unknown
     measured_lag_s: float  # by cross-correlation with the truth
     rms_error: float  # m/s^2
 
 
 class Left(NamedTuple):
-    """The parts of the mean square error of a filter in one acceleration, (m/s^2)^2."""
+    """The parts of the mean square error of a filter's output for one acceleration, in (m/s^2)^2."""
 
     filter: str
     axis: str
@@ -74,11 +74,11 @@ class Left(NamedTuple):
 
 
 class Other(NamedTuple):
-    """Rms errors, in m/s^2 along and up, for other shares of the kinds of noise."""
+    """The rms errors along and up, in m/s^2, for other shares of the kinds of noise."""
 
     shares: dict[str, float]
-    printed: tuple[float, float]
-    own: tuple[float, float]
+    printed: tuple[float, float]  # with the paper's matrices
+    own: tuple[float, float]  # with Q and R by likelihood
 
 
 class CarStudy(NamedTuple):
@@ -86,17 +86,17 @@ class CarStudy(NamedTuple):
 
     drive: CarDrive
     input_snr_paper_db: tuple[float, float]
-    estimates: dict[str, Floats]  # (N, 3) speed, a_x, a_z by filter, and as measured and as simulated
+    estimates: dict[str, Floats]  # (N, 3) speed, a_x, a_z, by filter; also `TRUTH` and `MEASURED`
     scores: tuple[CarScore, ...]
     left: tuple[Left, ...]
     forms: Apart
-    gain: Floats  # (3, 3)
+    gain: Floats  # (3, 3) steady-state gain with the paper's matrices
     gain_apart: float  # largest difference from `CHECKED_GAIN`
-    white_left: Floats  # (2,) share of power, from the steady-state gain
+    white_left: Floats  # (2,) noise gain with the paper's matrices, computed
     white_measured: Floats  # (2,) the same, measured
     reach: tuple[Reach, Reach]
-    bands: dict[str, tuple[dict[str, float], dict[str, float]]]  # power in each band, for each axis, by filter
-    own: TunedModel
+    bands: dict[str, tuple[dict[str, float], dict[str, float]]]  # by filter and axis: (m/s^2)^2 in each band
+    own: TunedModel  # the paper's model with Q and R by likelihood
     others: tuple[Other, ...]
     real: RealCar | None
 
@@ -111,7 +111,7 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
     seed : int
         Seed of the simulated drive.
     channel_by_channel : bool
-        Whether to clean also each channel alone, without any settings.
+        Whether to clean each channel alone too, without any settings.
     """
     drive = simulate(seed)
     z, truth = drive.measured.samples, drive.truth.samples
@@ -160,7 +160,7 @@ def _filtered(model: Model, z: Floats) -> Floats:
 
 
 def _alone(measured: Recording) -> dict[str, Floats]:
-    """Clean each channel alone: without settings, and with tones above the body's motion set as disturbances."""
+    """Clean each channel alone: without settings, and with tones above the body's band set as disturbances."""
     recipe = tune(measured, causal=True)
     channels = []
     for channel in recipe.channel:
@@ -175,7 +175,7 @@ def _filters(estimates: dict[str, Floats]) -> list[str]:
 
 
 def _input_ratios(drive: CarDrive) -> tuple[float, float]:
-    """Return the input signal-to-noise ratios of the drive, (12), computed from the added noise."""
+    """Return the input signal-to-noise ratios of the drive by (12), from the added noise, in the paper's dB."""
     signal, noise = drive.truth.samples[:, 1:], sum(drive.noise.values(), np.zeros(1))
     along, up = (snr_paper_db(signal[:, k], noise[:, k]) for k in (0, 1))
     return along, up
@@ -197,7 +197,7 @@ def _score(name: str, axis: int, estimates: dict[str, Floats], model: Model | No
 
 
 def _left(name: str, model: Model, axis: int, drive: CarDrive) -> Left:
-    """Filter each kind of noise and the signal alone; the filter is linear, so the sum of the results is the output."""
+    """Filter each kind of noise and the signal alone; the filter is linear, so that their outputs sum to its output."""
 
     def after(values: Floats) -> Floats:
         return _filtered(model, values)[:, axis]
@@ -213,7 +213,7 @@ def _left(name: str, model: Model, axis: int, drive: CarDrive) -> Left:
 
 
 def _bands(samples: Floats) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the power in the vehicle's bands, over the rows in which all values are finite."""
+    """Return the power of both accelerations in the vehicle's bands, over the rows in which all values are finite."""
     finite = samples[np.isfinite(samples).all(axis=1)]
     along, up = (band_powers(welch(finite[:, axis], RATE_HZ, _SEGMENT), VEHICLE_BANDS_HZ) for axis in (1, 2))
     return along, up

@@ -1,8 +1,8 @@
 """Simulate the drive of the car paper (Sensors 2001), with the voltages of its accelerometers and the true signal.
 
-Rate, calibration, bands and signal-to-noise ratios are the paper's; its recordings are not public. The paper does not
-print the manoeuvres, the noise of the speedometer and the shares of the kinds of noise; these are chosen here. Body
-motion counts as signal, vibrations of wheels and masses as disturbances.
+Rate, calibration, bands and signal-to-noise ratios are the paper's; its recordings are not public. The paper prints
+neither the manoeuvres nor the noise of the speedometer nor the shares of the kinds of noise; these are chosen here.
+Body motion counts as signal, vibrations of wheels and masses as disturbances.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from becalm.studies.drive import NAMES, RATE_HZ, UNITS, band_noise
 DURATION_S = 60.0
 GRAVITY_MPS2 = 9.81
 SENSITIVITY_V_PER_G = (0.9856, 1.0025)  # longitudinal, vertical
-TRANSVERSE = (0.0067, 0.0078)
-RANGE_G = 2.0
-INPUT_SNR_PAPER_DB = (-17.9, -1.6)
-OUTPUT_SNR_PAPER_DB = (17.0, 39.0)
-KMH = 3.6
+TRANSVERSE = (0.0067, 0.0078)  # sensitivity to the other acceleration, as a share of the sensor's own
+RANGE_G = 2.0  # on each side of 0
+INPUT_SNR_PAPER_DB = (-17.9, -1.6)  # along, up; 20 log10 of a ratio of powers
+OUTPUT_SNR_PAPER_DB = (17.0, 39.0)  # likewise
+KMH = 3.6  # km/h in 1 m/s
 
 SHARES = {"white": 0.7, "coloured": 0.2, "disturbances": 0.1}
 """Shares of the power of an accelerometer's noise; the paper names the kinds, but not their shares."""
@@ -36,13 +36,13 @@ OTHER_SHARES = (
 )
 """Shares for drives with more white noise, with more disturbances, and with more coloured noise."""
 
-COLOURED_HZ = (40.0, 80.0)
+COLOURED_HZ = (40.0, 80.0)  # band of the coloured noise
 SPEED_NOISE_MPS = 0.3 / KMH
 
 BODY_HZ, _WHEELS_HZ, _MASSES_HZ = VEHICLE_BANDS_HZ.values()
 _KNOTS_S = (0, 4, 4.5, 9, 9.3, 9.7, 10, 16, 16.3, 16.7, 17, 26, 27, 34, 35, 40, 41, 45, 45.5, 52, 53, 60)
 _PULLS_MPS2 = (0, 0, 2.8, 2.4, 0, 0, 2, 1.6, 0, 0, 1.2, 0.8, 0, 0, -1, -1, 0, 0, -3, -2.8, 0, 0)
-_PITCH_MPS2, _HEAVE_MPS2 = 0.2, 1.0  # standard deviations of the body's motion, along and up
+_PITCH_MPS2, _HEAVE_MPS2 = 0.2, 1.0  # standard deviations of the body's acceleration, along and up
 
 
 class CarDrive(NamedTuple):
@@ -51,8 +51,8 @@ class CarDrive(NamedTuple):
     volts: Floats  # (N, 2) accelerometer voltages minus those at rest
     speed_kmh: Floats  # (N,) logged speed
     truth: Recording  # speed, acceleration along and up
-    noise: dict[str, Floats]  # (N, 2) in m/s^2 at the sensor, for each kind
-    beyond_range: int  # readings that were clipped at the end of the sensor's range
+    noise: dict[str, Floats]  # (N, 2) at the sensor in m/s^2, by kind
+    beyond_range: int  # number of readings that were clipped at the ends of the sensor's range
 
     @property
     def measured(self) -> Recording:
@@ -67,9 +67,9 @@ def simulate(seed: int = 1, shares: Mapping[str, float] = SHARES) -> CarDrive:
     Parameters
     ----------
     seed : int
-        Seed of road and noise.
+        Seed of the body's motion and of the noise.
     shares : mapping of str to float
-        Share of the power of an accelerometer's noise, by kind.
+        Shares of the power of an accelerometer's noise, by kind.
     """
     rng = np.random.default_rng(seed)
     count = round(DURATION_S * RATE_HZ)

@@ -10,9 +10,9 @@ from becalm.report.description import Axis, Curve, DrawnSurface, Figure, Role
 from becalm.studies.car import MEASURED, OWN, PRINTED, TRUTH, CarStudy
 from becalm.studies.sheets import SheetContents
 
-_CLOSE_S = (20.0, 25.0)  # part of the vertical acceleration, which is too fast to show a whole minute
-_SEGMENT = 512
-_HIGHEST_HZ, _FAINTEST = 30.0, 1e-5  # (m/s²)²/Hz
+_CLOSE_S = (20.0, 25.0)  # part of the vertical acceleration that is shown; a whole minute would be unreadable
+_SEGMENT = 512  # samples in a segment of a spectrogram
+_HIGHEST_HZ, _FAINTEST = 30.0, 1e-5  # highest frequency and lowest density, in (m/s²)²/Hz, of a spectrogram
 _TIME, _SPEED = Axis("time (s)"), Axis("speed (km/h)")
 _ALONG, _UP = Axis("longitudinal acceleration (m/s²)"), Axis("vertical acceleration (m/s²)")
 

@@ -1,4 +1,4 @@
-"""The car paper's filter: its printed matrices, the one-step prediction of Appendix B, and the steady-state gain."""
+"""Run the car paper's filter: its printed matrices, the one-step prediction of Appendix B, the steady-state gain."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from becalm.core.model.model import Model
 from becalm.core.reference import kalman as reference
 from becalm.studies.drive import RATE_HZ
 
-T = 1 / RATE_HZ
+T = 1 / RATE_HZ  # step in seconds
 CHECKED_GAIN = ((0.00199524, 0.00187742, 0.0), (0.00187742, 0.06124743, 0.0), (0.0, 0.0, 0.06127717))
-"""Steady-state gain of the filtered form, computed independently from the printed matrices before this project."""
+"""Steady-state gain of the filtered form, computed from the printed matrices, independently of this code."""
 
 
 def printed_model(known_start: bool = True) -> Model:
@@ -25,7 +25,7 @@ def printed_model(known_start: bool = True) -> Model:
     Parameters
     ----------
     known_start : bool
-        Whether to start from x0 and P0, as the paper does; otherwise from the first readings.
+        Whether to start from x0 and P0, as the paper does; otherwise the filter starts from the first readings.
     """
     F = ((1, T, 0), (0, 1, 0), (0, 0, 1))
     G = ((T**2 / 2, 0), (T, 0), (0, T))
@@ -36,7 +36,7 @@ def printed_model(known_start: bool = True) -> Model:
 
 
 def vertical_alone(model: Model) -> Model:
-    """Return the part of a three-sensor model for the vertical acceleration, which is independent of the rest."""
+    """Return the part of the three-sensor model for the vertical acceleration, which is independent of the rest."""
     return Model(model.F[2:, 2:], [[1.0]], model.process_covariance[2:, 2:], model.R[2:, 2:])
 
 
@@ -67,10 +67,10 @@ def run_one_step(model: Model, z: Floats) -> OneStep:
 
 
 class Apart(NamedTuple):
-    """The largest relative differences between the one-step form and the filtered form."""
+    """The largest relative differences between the one-step-prediction form and the filtered form."""
 
     state: float  # of x(n+1 | n), relative to the largest value of each state
-    filtered_cov: float  # of P, relative to its largest entry at the time
+    filtered_cov: float  # of P(n), relative to its largest entry in the same row
     ahead_cov: float  # of P(n+1, n), likewise
 
 
@@ -95,7 +95,7 @@ def settled_gain(model: Model) -> Floats:
 
 
 def white_noise_left(model: Model) -> Floats:
-    """Return the noise gain (m,): output over input power of white noise, equal on all channels, in steady state."""
+    """Return the noise gain (m,) in steady state: output over input power, for equal white noise on all channels."""
     K = settled_gain(model)
     A = (np.eye(model.states) - K @ model.H) @ model.F
     left: Floats = np.diag(model.H @ solve_discrete_lyapunov(A, K @ K.T) @ model.H.T)
@@ -103,7 +103,7 @@ def white_noise_left(model: Model) -> Floats:
 
 
 def white_noise_measured(model: Model, count: int = 1_000_000, seed: int = 3) -> Floats:
-    """Return the noise gain (m,), measured on random noise."""
+    """Return the noise gain (m,), measured on `count` rows of random noise."""
     z = np.random.default_rng(seed).normal(size=(count, model.channels))
     settled = slice(count // 100, None)
     after = kalman_filter(model, z, sigma=False, innovations=False).signal[settled]
@@ -112,7 +112,7 @@ def white_noise_measured(model: Model, count: int = 1_000_000, seed: int = 3) ->
 
 
 def response(model: Model, frequency_hz: Floats) -> Complexes:
-    """Return the frequency response (k, m, m) from each reading to each output, with the steady-state gain."""
+    """Return the frequency response (k, m, m) with the steady-state gain; [:, i, j] is from reading j to output i."""
     K = settled_gain(model)
     A = (np.eye(model.states) - K @ model.H) @ model.F
     delay = np.exp(-2j * np.pi * np.asarray(frequency_hz) * T)[:, np.newaxis, np.newaxis]
@@ -122,14 +122,23 @@ def response(model: Model, frequency_hz: Floats) -> Complexes:
 class Reach(NamedTuple):
     """The frequencies at which the printed matrices reach the printed output signal-to-noise ratio of a channel."""
 
-    noise_above_hz: float  # noise above this frequency is reduced at least as much as printed; inf if none is
+    noise_above_hz: float  # noise above this frequency is reduced at least as much as printed; inf if no noise is
     signal_below_hz: float  # noiseless motion below this frequency is followed at least as well as printed
 
 
 def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_paper_db: float) -> Reach:
-    """Return the noise and the motion that would have the paper's ratios, with a model's steady-state gain.
+    """Return the frequencies at which noise and motion have the paper's ratios, with a model's steady-state gain.
 
     Motion along appears in the speed too, so that both sensors measure it.
+
+    Parameters
+    ----------
+    model : Model
+        The three-sensor model.
+    channel : int
+        1 for the acceleration along, 2 for that up.
+    input_snr_paper_db, output_snr_paper_db : float
+        Printed signal-to-noise ratios of that acceleration, 20 log10 of a ratio of powers.
     """
     f = np.geomspace(0.01, RATE_HZ / 2, 20_000)
     G = response(model, f)

@@ -37,7 +37,7 @@ def page(found: CarStudy, drawn: Sequence[Path] = ()) -> str:
     found : CarStudy
         Numbers of the study.
     drawn : sequence of Path
-        Figures in the page's folder; if there are none, the page says why.
+        Paths of the figures in the page's folder; if there are none, the page says why.
     """
     parts = [
         _opening(),
@@ -272,6 +272,11 @@ def run(folder: Path, recordings: Path = RECORDINGS) -> str:
         Folder for the page; created if it does not exist.
     recordings : Path
         Folder of real recordings.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
     """
     make_folder(folder)
     found = study(recordings)

@@ -21,12 +21,12 @@ from becalm.files.opening import read
 
 FOLDER = "comma2k19"
 _SLOPE_S = 0.25  # half-width of the window for the slope of the speed
-_HIDDEN_S, _PERIOD_S = 1.0, 4.0  # the speed is hidden for one second of every four
-_EVALUATIONS = 1200
+_HIDDEN_S, _PERIOD_S = 1.0, 4.0  # the speed is hidden for the last second of every four
+_EVALUATIONS = 1200  # most evaluations of the likelihood
 
 
 class CarRecord(NamedTuple):
-    """The readings of a car; NaN where a sensor has no reading at a time; N rows."""
+    """The readings of a car, N rows; NaN where a sensor has no reading at that time."""
 
     times_s: Floats  # (N,)
     readings: Floats  # (N, 3) speed m/s, acceleration along and up m/s^2
@@ -46,20 +46,20 @@ class RealCar(NamedTuple):
     record: CarRecord
     fitted: Fitted
     estimate: Floats  # (N, 3) causal estimates
-    slope: Floats  # (N,) derivative of the speed alone, not causal; NaN at the ends
+    slope: Floats  # (N,) derivative of the measured speed, m/s^2, not causal; NaN at the ends and in gaps
     raw_rms: float  # m/s^2, readings of the acceleration along against the slope
     estimate_rms: float  # m/s^2, the same for the estimate
     accelerometer_rms: float  # m/s^2, the same for the estimate without the speed
-    raw_correlation: float
-    estimate_correlation: float
-    alone_correlation: float
+    raw_correlation: float  # of the same readings with the slope
+    estimate_correlation: float  # of the estimate
+    alone_correlation: float  # of the estimate without the speed
     hidden_rms: float  # m/s, error of the speed where it was hidden, estimated from the accelerometer
     held_rms: float  # m/s, error of holding the last speed instead
-    hidden_count: int
+    hidden_count: int  # number of hidden speeds
 
 
 def load(recordings: Path) -> CarRecord | None:
-    """Read the car of `comma2k19` in a folder; None if it is absent."""
+    """Read the car of `comma2k19` from a folder of recordings; None if it is absent."""
     paths = [recordings / FOLDER / name for name in ("accelerometer.csv", "can_speed.csv")]
     if not all(path.exists() for path in paths):
         return None
@@ -119,7 +119,7 @@ def _component(jerk_density: Floats) -> Component:
 
 
 def run_three_sensors(times_s: Floats, readings: Floats, fitted: Fitted, *, all_of_it: bool = True) -> Estimate:
-    """Filter readings (N, 3) at times (N,) causally; without `all_of_it`, compute only the likelihood."""
+    """Filter readings (N, 3) at times (N,), in seconds, causally; without `all_of_it`, compute only the likelihood."""
     elapsed = np.diff(times_s, prepend=times_s[0])
     timeline = elapsed_timeline(_component(fitted.jerk_density), 1.0, elapsed)
     R = np.diag(fitted.noise_std**2)
@@ -145,7 +145,7 @@ def fit(times_s: Floats, readings: Floats) -> Fitted:
 
 
 def slope_of_speed(times_s: Floats, speed: Floats) -> Floats:
-    """Return the slope (N,) of a line through the speeds (N,) around each time; NaN at the ends and in gaps."""
+    """Return the slope (N,) of a line fitted to the speeds (N,) around each time; NaN at the ends and in gaps."""
     seen = np.isfinite(speed)
     t, v = times_s[seen], speed[seen]
     first, last = (np.searchsorted(t, times_s + side * _SLOPE_S) for side in (-1, 1))
@@ -165,7 +165,7 @@ class _Hidden(NamedTuple):
 
 
 def _hide(times_s: Floats, readings: Floats, fitted: Fitted) -> _Hidden:
-    """Hide the speed for the last second of every four, and estimate it from the accelerometer."""
+    """Hide the speed for the last second of every four, and estimate it by the filter, and by holding the last one."""
     phase = np.mod(times_s - times_s[0], _PERIOD_S)
     hidden = np.isfinite(readings[:, 0]) & (phase >= _PERIOD_S - _HIDDEN_S)
     shown = readings.copy()

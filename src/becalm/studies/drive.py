@@ -1,7 +1,7 @@
 """Simulate a test drive: speed, longitudinal and vertical acceleration of a car, with the true signal.
 
-Rates, bands and noise follow the car paper (Sensors 2001): 500 Hz, body motion at 1 to 3 Hz, wheels
-at 4 to 8 Hz; white measurement noise.
+Rate and bands follow the car paper (Sensors 2001): 500 Hz, body motion at 1 to 3 Hz, wheels at 4 to 8 Hz. The
+measurement noise is white.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from becalm.core.recording import Recording
 
 RATE_HZ = 500.0
 DURATION_S = 60.0
-NOISE_STD = (0.15, 0.8, 0.6)  # m/s, m/s^2, m/s^2
+NOISE_STD = (0.15, 0.8, 0.6)  # of the sensors in `NAMES`; m/s, m/s^2, m/s^2
 NAMES = ("speed (m/s)", "acceleration_x (m/s^2)", "acceleration_z (m/s^2)")
 UNITS = ("m/s", "m/s^2", "m/s^2")
 
@@ -44,7 +44,7 @@ def simulate(seed: int = 1) -> Drive:
 
 
 def band_noise(rng: np.random.Generator, low_hz: float, high_hz: float, count: int, std: float) -> Floats:
-    """Return Gaussian noise in a frequency band, (count,), with standard deviation `std`."""
+    """Return Gaussian noise in a frequency band at `RATE_HZ`, (count,), with standard deviation `std`."""
     sos = butter(2, [low_hz, high_hz], "bandpass", fs=RATE_HZ, output="sos")
     noise: Floats = sosfilt(sos, rng.normal(size=count))
     noise *= std / noise.std()

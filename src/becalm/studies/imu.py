@@ -1,4 +1,4 @@
-"""Repeat the IMU paper (Kownacki 2010): filters tuned on a motionless record are too slow; find better tunings.
+"""Repeat the IMU paper (Kownacki 2010): filters with R and Q of a motionless record are too slow; find better ones.
 
 `study` computes the results, `becalm.studies.imu_figures` describes the figures, and `becalm.studies.imu_page` writes
 the page.
@@ -31,7 +31,7 @@ from becalm.studies.imu_switching import Contest, contest
 from becalm.studies.imu_valley import ColouredRecord, Optimum, colours, optimise
 from becalm.studies.recordings import RECORDINGS
 
-_FINE = 8192
+_FINE = 8192  # samples in a segment of Welch's method
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class SensorStudy:
     identified : tuple of Identified
         Table 1, one entry for each simulated record of two minutes.
     answers : tuple of FilterResponse
-        Panels of figure 5 or 6.
+        Responses in the panels of figure 5 or 6.
     optimum : Optimum
         Table 2 and figure 8.
     tuned : tuple of FilterResponse

@@ -14,11 +14,11 @@ from becalm.studies.imu_switching import Contest
 from becalm.studies.sheets import SheetContents
 
 _BLOCK = 100  # readings in a mean
-_QUICKEST_MS = 1e3 / RATE_HZ
-_CLOSE_S = (4.5, 6.5)
+_QUICKEST_MS = 1e3 / RATE_HZ  # one row; a logarithmic axis cannot show 0
+_CLOSE_S = (4.5, 6.5)  # part of a response that figure 9 shows
 _TIME = Axis("time (s)")
 _QUANTITIES: dict[Sensor, str] = {"accelerometer": "acceleration", "gyroscope": "angular rate"}
-_LOOKS: tuple[Look, ...] = ("line", "dashed", "dotted")
+_LOOKS: tuple[Look, ...] = ("line", "dashed", "dotted")  # of the orders of fixed gains
 
 
 def sheets(study: Study) -> tuple[SheetContents, ...]:
@@ -108,7 +108,7 @@ def _optimum(sensor: Sensor, held: SensorStudy) -> Figure:
 
 
 def _contest(held: Contest) -> Figure:
-    """Draw noise at rest against the time to nine tenths, for fixed gains, the paper's filters, and an IMM."""
+    """Draw noise at rest against the time to nine tenths of a step: fixed gains, the paper's filters, an IMM."""
     times_ms = np.array([max(each.reached_ms, _QUICKEST_MS) for each in held.switched])
     gains = np.array([each.rest_gain for each in held.switched])
     labels = tuple(f"{each.step_std:.2g} std" for each in held.switched)

@@ -23,7 +23,7 @@ _FIGURE: dict[Sensor, int] = {"accelerometer": 5, "gyroscope": 6}
 
 
 def write_page(study: Study, drawn: Sequence[Path]) -> str:
-    """Return the page; `drawn` are the figures in its folder, empty if none could be drawn."""
+    """Return the page as Markdown; `drawn` are the paths of the figures in its folder, empty if there are none."""
     names = {path.stem: path.name for path in drawn}
 
     def figure(name: str, caption: str) -> str:

@@ -1,9 +1,9 @@
-"""Motionless records of an accelerometer and a gyroscope: simulated from table 1 of the IMU paper, and real rests.
+"""Make motionless records of an accelerometer and a gyroscope from table 1 of the IMU paper, and find real rests.
 
 The paper (Kownacki 2010) takes the variance after a 1 Hz high-pass for R and that after a 1 Hz low-pass for Q. Its
-records are not public, but R and Q together show how the noise of each sensor was distributed. White noise has a known
-share of its variance below 1 Hz. The accelerometer had less: the rest of its noise is in the harmonics that the paper
-shows. The gyroscope had more: it drifts in addition to its white noise.
+records are not public, but R and Q together show how the noise of each sensor was distributed over frequency. White
+noise has a known share of its variance below 1 Hz. The accelerometer's noise has less there: only a part is white, and
+the rest is in the harmonics that the paper shows. The gyroscope's has more: there is drift in addition.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from becalm.identification.several.step_spectrum import Sensor
 RATE_HZ = 1e4
 SENSORS: tuple[Sensor, ...] = ("accelerometer", "gyroscope")
 HARMONICS_HZ = np.arange(50.0, 501.0, 50.0)
-RECORDS = range(10)
+RECORDS = range(10)  # seeds of the simulated records for table 1
 RECORD_S = 120.0
-"""Length of the simulated records for table 1; the others last 10 s."""
+"""Duration of the simulated records for table 1; the others last 10 s."""
 
-SPLIT_HZ = 1.0
+SPLIT_HZ = 1.0  # cutoff of the paper's high-pass and low-pass
 SPLIT_ORDER = 2
 """Order of both Butterworth filters; the paper prints their cutoff, but not their order."""
 
 DRIFT_HZ = 0.1
 """Corner frequency of the simulated drift."""
 
-_SETTLED_S = 2.0
-_INDEPENDENT_HZ = 1.48 * SPLIT_HZ  # (int |H|^2 df)^2 / int |H|^4 df of the low-pass
+_SETTLED_S = 2.0  # time in which both filters settle
+_INDEPENDENT_HZ = 1.48 * SPLIT_HZ  # (int |H|^2 df)^2 / int |H|^4 df of the low-pass, over f from 0 to inf
 
 
 class Printed(NamedTuple):
@@ -67,7 +67,7 @@ class Makeup(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """R and Q of a motionless record by the paper's method, in unit^2; `white_process` is the Q of white noise."""
+    """R and Q of a motionless record by the paper's method, and the Q of white noise with the same R, in unit^2."""
 
     noise_variance: float
     process_variance: float
@@ -75,7 +75,7 @@ class Identified(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """A rest in a real recording: its begin and end, and R and Q of each channel by the paper's method."""
+    """A rest in a real recording: its source, begin and end, and R and Q of each channel by the paper's method."""
 
     source: str
     start_s: float
@@ -85,15 +85,15 @@ class Rest(NamedTuple):
 
     @property
     def chance(self) -> float:
-        """Return the relative standard deviation of Q if all noise is white."""
+        """Return the relative standard deviation of Q that chance causes if all noise is white."""
         return float(1 / np.sqrt(_INDEPENDENT_HZ * (self.stop_s - self.start_s - _SETTLED_S)))
 
 
 def makeup(printed: Printed) -> Makeup:
-    """Return the parts of a record for which the paper's method gives the paper's table 1."""
+    """Return the parts of a record for which the paper's method gives its R and Q of table 1."""
     kept = butterworth_noise_gain(SPLIT_ORDER, SPLIT_HZ / RATE_HZ)
     white = min(printed.measured_noise, printed.measured_process / kept)
-    passes = 2 / np.pi * np.arctan(SPLIT_HZ / DRIFT_HZ)  # share of the drift, approximately
+    passes = 2 / np.pi * np.arctan(SPLIT_HZ / DRIFT_HZ)  # share of the drift that passes the low-pass, approximately
     drift = max(0.0, printed.measured_process - kept * white) / passes
     return Makeup(white, printed.measured_noise - white, drift)
 
@@ -115,7 +115,7 @@ def motionless(sensor: Sensor, seed: int, duration_s: float = 10.0) -> Floats:
 
 
 def harmonics(count: int, rng: np.random.Generator) -> Floats:
-    """Return equal harmonics of 50 Hz up to 500 Hz, (count,), with random phases and a total variance of 1."""
+    """Return the sum (count,) of equal harmonics of 50 to 500 Hz, with random phases and a variance of 1."""
     period = round(RATE_HZ / HARMONICS_HZ[0])
     turns = np.outer(np.arange(period) / RATE_HZ, HARMONICS_HZ) + rng.uniform(size=len(HARMONICS_HZ))
     tones = np.sin(2 * np.pi * turns).sum(axis=1)
@@ -133,7 +133,7 @@ def _drift(count: int, rng: np.random.Generator) -> Floats:
 
 
 def identify(z: Floats, rate_hz: float) -> Identified:
-    """Return R and Q of a motionless record (N,) by the paper's method: variances after 1 Hz high- and low-pass.
+    """Return R and Q of a motionless record (N,) by the paper's method: variances after a 1 Hz high-pass and low-pass.
 
     The first two seconds, in which the filters settle, are left out.
     """
@@ -151,7 +151,7 @@ def identify(z: Floats, rate_hz: float) -> Identified:
 
 
 def find_rests(data: Path) -> tuple[tuple[Rest, ...], tuple[str, ...]]:
-    """Return the longest rest of each real recording, and a sentence for each recording that is left out."""
+    """Return the longest rest of each sensor in real recordings, and a sentence for each one that is left out."""
     rests, skipped = list[Rest](), list[str]()
     for source, reader in _READERS.items():
         path = data / source
@@ -183,7 +183,7 @@ def _rest_of(source: str, recording: Recording) -> Rest | None:
 
 
 def _columns_of_text(path: Path) -> Iterator[Recording]:
-    """Read time and three axes, in counts."""
+    """Read time and three axes, in counts, from a text file."""
     table = np.loadtxt(path)
     kind = path.name.split("_")[1].split(".")[0]
     names = [f"{kind} {axis}" for axis in "xyz"]

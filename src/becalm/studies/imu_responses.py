@@ -12,12 +12,12 @@ from becalm.core.steady.response import describe
 from becalm.identification.several.step_spectrum import Sensor, StepTrial
 from becalm.studies.imu_records import PRINTED, RATE_HZ
 
-STEP = 0.2
+STEP = 0.2  # height, in unit
 STEP_AT_S = 5.0
 EVERY = 50
 """A figure shows every 50th row of a response."""
 
-_LAST = round(0.1 * RATE_HZ)
+_LAST = round(0.1 * RATE_HZ)  # rows at the end over which the output is averaged
 
 
 class NoiseSetting(NamedTuple):
@@ -39,15 +39,15 @@ class FilterResponse(NamedTuple):
     output : (k,) float array
         Every `EVERY`-th row of the output, in unit, from the first on.
     reached_ms : float
-        Time from the step until the output first exceeds nine tenths of it; inf if it never does.
+        Time from the step until the output first reaches nine tenths of it; inf if it never does.
     rest_noise : float
         Standard deviation of the output over the last second before the step, in unit.
     rest_offset : float
-        Mean of the output over that second, in unit; the mean of the record is subtracted.
+        Mean of the output over that second, in unit; the record had its mean subtracted.
     risen : float
-        Output five seconds after the step, averaged over the last tenth of a second, relative to the step.
+        Output at the end of the record, averaged over a tenth of a second, relative to the step.
     differs : float
-        Largest difference of output and input from the second reading on, in unit.
+        Largest difference between output and input from the second reading on, in unit.
     """
 
     setting: NoiseSetting
@@ -60,7 +60,7 @@ class FilterResponse(NamedTuple):
 
 
 def settings(sensor: Sensor) -> tuple[NoiseSetting, ...]:
-    """Return the panels of figure 5 (accelerometer) or 6 (gyroscope)."""
+    """Return R, Q and P0 in the panels of figure 5 (accelerometer) or 6 (gyroscope)."""
     R, Q, *_ = PRINTED[sensor]
     panels = (
         NoiseSetting("a", 0.0, Q),
@@ -72,7 +72,7 @@ def settings(sensor: Sensor) -> tuple[NoiseSetting, ...]:
 
 
 def answer(sensor: Sensor, record: Floats, setting: NoiseSetting) -> FilterResponse:
-    """Filter a motionless record (N,) plus a step of 0.2 after 5 s."""
+    """Return the response of one filter to a motionless record (N,), in unit, plus a step of 0.2 after 5 s."""
     P0 = np.full((2, 2), setting.start)
     trial = StepTrial(record, RATE_HZ, sensor, step=STEP, step_at_s=STEP_AT_S, initial_covariance=P0)
     model = trial.model(setting.noise_variance, setting.process_variance)
@@ -99,7 +99,7 @@ def answers(sensor: Sensor, record: Floats) -> tuple[FilterResponse, ...]:
 
 
 def reached_ms(sensor: Sensor, ratio: float) -> float:
-    """Return the time in ms at which the steady-state filter of a Q/R reaches nine tenths of a step, from its model."""
+    """Return how many ms the steady-state filter of a Q/R takes to nine tenths of a step, computed from its model."""
     any_record = np.zeros(2 * round(STEP_AT_S * RATE_HZ))
     step = describe(StepTrial(any_record, RATE_HZ, sensor).model(1.0, ratio), 1 / RATE_HZ).step
     assert step is not None  # a kinematic model passes 0 Hz

@@ -1,7 +1,7 @@
-"""Compare an IMM, becalm's own choice, with the fixed gain of the IMU paper's optimum.
+"""Compare the filter that becalm identifies, an IMM, with the fixed gain of the IMU paper's optimum.
 
-The record is white noise of variance 1 at 10 kHz, then a step. becalm does not depend on units, so that the noise at
-rest relative to that of a reading, and the time to follow the step, hold for both of the paper's sensors.
+A record is white noise of variance 1 at 10 kHz, with a step after a rest. becalm does not depend on units, so that the
+noise at rest relative to that of a reading, and the time to follow the step, hold for both of the paper's sensors.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from becalm.identification.wishes.noise_against_lag import noise_lag_front
 from becalm.studies.imu_records import PRINTED, RATE_HZ, SENSORS
 from becalm.studies.imu_responses import reached_ms
 
-REST_S = 8.0
-SETTLED_S = 4.0
-AFTER_S = 2.0
+REST_S = 8.0  # before the step
+SETTLED_S = 4.0  # noise at rest is measured from here on
+AFTER_S = 2.0  # from the step on
 SEEDS = range(2)
 STEPS = (0.2, 0.05, 0.02, 0.005)
-"""Steps of the accelerometer in its unit; for the simulation they are divided by its standard deviation."""
+"""Steps of the accelerometer in its unit; the simulation divides them by the standard deviation of its noise."""
 
 
 class SwitchedStep(NamedTuple):
@@ -46,7 +46,7 @@ class SwitchedStep(NamedTuple):
 
 
 class PrintedOptimum(NamedTuple):
-    """The results of the paper's optimum for one sensor, on the same records."""
+    """The results of the paper's optimum for one sensor, on records of the same kind; fields as in `SwitchedStep`."""
 
     sensor: Sensor
     reached_ms: float
@@ -54,7 +54,7 @@ class PrintedOptimum(NamedTuple):
 
 
 class GainCurve(NamedTuple):
-    """All fixed gains of one kinematic order: noise gain against the time to nine tenths."""
+    """The fixed gains of one kinematic order: noise at rest against the time to nine tenths, as in `SwitchedStep`."""
 
     order: int
     reached_ms: Floats  # (k,)
@@ -62,7 +62,7 @@ class GainCurve(NamedTuple):
 
 
 class Contest(NamedTuple):
-    """The results of all filters."""
+    """The results of the IMM, of the paper's optimum, and of other fixed gains."""
 
     switched: tuple[SwitchedStep, ...]
     fixed: tuple[PrintedOptimum, ...]
@@ -70,12 +70,12 @@ class Contest(NamedTuple):
 
     @property
     def rest_gain(self) -> float:
-        """Return the noise gain of the IMM at rest, median over all steps."""
+        """Return the noise of the IMM at rest relative to that of a reading, median over all steps."""
         return float(np.median([each.rest_gain for each in self.switched]))
 
 
 def contest() -> Contest:
-    """Run both filters over all records."""
+    """Run the IMM on records with each step, and the paper's optimum for each sensor on records at rest."""
     std = np.sqrt(PRINTED["accelerometer"].measured_noise)
     switched = tuple(_switched(step / std) for step in STEPS)
     fixed = tuple(_fixed(sensor) for sensor in SENSORS)
@@ -92,7 +92,7 @@ def contest() -> Contest:
 
 
 def _record(step_std: float, seed: int) -> Floats:
-    """Return noise of variance 1, with a step at the end of the rest."""
+    """Return noise (N,) of variance 1, with a step at the end of the rest; the random numbers depend on its height."""
     rest, after = round(REST_S * RATE_HZ), round(AFTER_S * RATE_HZ)
     z = np.random.default_rng([seed, round(1e3 * step_std)]).normal(size=rest + after)
     z[rest:] += step_std
@@ -112,7 +112,7 @@ def _switched(step_std: float) -> SwitchedStep:
 
 
 def _fixed(sensor: Sensor) -> PrintedOptimum:
-    """Run the paper's optimum; its time is computed from the model, without noise."""
+    """Run the paper's optimum on records at rest; compute its time to follow a step from the model, without noise."""
     rest, settled, ratio = round(REST_S * RATE_HZ), round(SETTLED_S * RATE_HZ), PRINTED[sensor].ratio
     records = [_record(STEPS[0], seed)[:rest] for seed in SEEDS]
     model = StepTrial(records[0], RATE_HZ, sensor).model(1.0, ratio)

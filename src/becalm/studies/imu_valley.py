@@ -1,4 +1,4 @@
-"""Minimise the cost of the IMU paper (figure 8, table 2): over R and Q it is a valley, only Q/R is determined."""
+"""Minimise the cost of the IMU paper (figure 8, table 2): over R and Q it is a valley, and only Q/R is determined."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from becalm.identification.several.step_tuning import StepTuning, tune_by_simple
 from becalm.studies.imu_records import PRINTED, RATE_HZ, harmonics, makeup, motionless, white
 from becalm.studies.imu_responses import reached_ms
 
-SEEDS = range(5)
+SEEDS = range(5)  # of the records of white noise
 STARTS = ((1e-3, 1.0), (1.0, 1e-3))
-"""Starts (R, Q) in unit^2 of the search over both, in addition to table 1."""
+"""Starts (R, Q), in unit^2, of the search over both, in addition to R and Q of table 1."""
 
-_DECADES = np.arange(-13.0, 2.0)
+_DECADES = np.arange(-13.0, 2.0)  # log10 R on the surface
 _RAISED = 2  # the grid of Q begins this many decades above that of R
-_BELOW_HZ = (5.0, 500.0)
-_SHOWN_HZ = (50.0, 500.0)
+_BELOW_HZ = (5.0, 500.0)  # a band that begins below the harmonics
+_SHOWN_HZ = (50.0, 500.0)  # the band of the harmonics that the paper shows
 
 
 class ValleySurface(NamedTuple):
@@ -40,7 +40,7 @@ class ValleySurface(NamedTuple):
 
     @property
     def floor_decade(self) -> int:
-        """Return log10(Q/R), an integer, at which the average cost is least."""
+        """Return the integer log10(Q/R) at which the average cost is least."""
         offsets = range(-len(self.cost) + 3, len(self.cost) - 2)
         return _RAISED + min(offsets, key=lambda offset: float(np.mean(np.diagonal(self.cost, offset))))
 
@@ -61,9 +61,9 @@ class Optimum(NamedTuple):
     excess : float
         J at the paper's ratio relative to the least J, median over the records.
     ends : tuple of StepTuning
-        Ends of the search over Q/R, and then of those over R and Q, all on the first record.
+        End of the search over Q/R, then those of the searches over R and Q, all on the first record.
     reached_ms, paper_reached_ms : float
-        Time to nine tenths of a step at the median ratio, and at the paper's.
+        Time to nine tenths of a step at the median ratio, and at the paper's ratio.
     surface : ValleySurface
         Cost over R and Q for the first record.
     """
@@ -77,12 +77,12 @@ class Optimum(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Return the median of Q/R."""
+        """Return the median of the Q/R of least cost."""
         return float(np.median(self.ratios))
 
 
 class ColouredRecord(NamedTuple):
-    """A record and its Q/R of least cost."""
+    """The composition of a record, and its Q/R of least cost."""
 
     made_of: str
     ratio: float
@@ -109,7 +109,7 @@ def _surface(trial: StepTrial) -> ValleySurface:
 
 
 def colours() -> tuple[ColouredRecord, ...]:
-    """Tune the accelerometer on records of equal variance and different spectra, to explain its printed ratio."""
+    """Find Q/R for the accelerometer on records of equal variance and different spectra, to explain the printed one."""
     sensor: Sensor = "accelerometer"
     variance, rng = PRINTED[sensor].measured_noise, np.random.default_rng(0)
     share = makeup(PRINTED[sensor]).harmonic / variance
@@ -128,7 +128,7 @@ def colours() -> tuple[ColouredRecord, ...]:
 
 
 def least_ratio(low_hz: float = _SHOWN_HZ[0], high_hz: float = _SHOWN_HZ[1], step: float = 0.2) -> float:
-    """Return about the smallest optimal Q/R over all noise spectra in a band with the accelerometer's variance.
+    """Return approximately the smallest Q/R that is optimal for any noise in a band with the accelerometer's variance.
 
     Notes
     -----

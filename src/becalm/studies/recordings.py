@@ -1,4 +1,4 @@
-"""The folder of the real recordings for the studies; a study continues without absent ones and says so."""
+"""Name the folder of the real recordings for the studies; a study leaves out what is absent, and says so."""
 
 from __future__ import annotations
 

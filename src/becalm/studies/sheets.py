@@ -23,7 +23,7 @@ class SheetContents(NamedTuple):
 
 
 def draw(sheets: Iterable[SheetContents], folder: Path) -> tuple[Path, ...]:
-    """Draw sheets into an existing folder and return their paths; none if matplotlib is not installed.
+    """Draw each sheet as an SVG file in an existing folder; return the paths, none if matplotlib is not installed.
 
     Raises
     ------

@@ -17,16 +17,16 @@ from becalm.studies.recordings import RECORDINGS
 from becalm.studies.strain_gauge import Gauge, absent, measure_gauge
 from becalm.studies.strain_methods import METHODS, STEP_S, MethodOutcome, Records
 
-NOISES = (0.02, 0.05, 0.1)
+NOISES = (0.02, 0.05, 0.1)  # standard deviations; the strain rises from 0 to 1
 SHOWN = 0.05
 """Noise of the record in the figures."""
 
-RUNS = 20
+RUNS = 20  # records for each noise
 DURATION_S = 100.0
 KNOTS_S, KNOTS = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0), (0.0, 0.0, 1.0, 1.0, 0.0, 0.0)
 SLOPE = 0.05  # slope of the ramps, in unit/s
 
-_SETTLED_S = ((30.0, 40.0), (70.0, 80.0))  # halves of the ramps in which the filters have settled
+_SETTLED_S = ((30.0, 40.0), (70.0, 80.0))  # second halves of the ramps, in which the filters have settled
 
 
 class Measured(NamedTuple):
@@ -37,9 +37,9 @@ class Measured(NamedTuple):
     rms, rms_error : float
         Mean of the runs' rms errors, and the standard error of this mean, in unit.
     noise_share : float
-        Share of the mean square error that differs between runs; the rest, lag and overshoot, is the same in all.
+        Share of the mean square error that differs between runs; the rest, from lag and overshoot, is the same in all.
     ramp_lag_s : float
-        Lag of the output for the noiseless signal at the end of the ramps.
+        Lag of the output for the noiseless signal in the second halves of the ramps.
     record_lag_s : float
         Delay at which that output differs least from the signal over the whole record.
     overshoot : float
@@ -76,7 +76,7 @@ class StrainStudy(NamedTuple):
 
 
 def ramps() -> tuple[Floats, Floats]:
-    """Return seconds (N,) and the strain of the paper's simulation (N,): zero, rise, hold, fall, zero."""
+    """Return times (N,), in seconds, and the strain (N,) of the paper's simulation: zero, rise, hold, fall, zero."""
     time_s: Floats = np.arange(round(DURATION_S / STEP_S), dtype=np.float64) * STEP_S
     return time_s, np.asarray(np.interp(time_s, KNOTS_S, KNOTS), dtype=np.float64)
 

@@ -21,10 +21,10 @@ from becalm.studies.strain_model import Noise, likeliest, strain_model
 AT_REST = "munich_bridge/reference_state_strain.csv.gz"
 LOADED = "munich_bridge/support_load_strain.csv.gz"
 CUTOFF_HZ = 1.0
-"""At rest, variation below this frequency is called drift."""
+"""Frequency below which variation at rest counts as drift."""
 
 DRIFT_S = 10.0
-"""Residuals are averaged over this time to show their drift."""
+"""Time over which residuals are averaged to show drift."""
 
 
 class QuietStretch(NamedTuple):
@@ -33,25 +33,25 @@ class QuietStretch(NamedTuple):
     begin_s: float
     end_s: float
     std: float  # standard deviation in unit; the paper's R is its square
-    noise_std: float  # the part above the cutoff
-    drift_std: float  # the part below it
+    noise_std: float  # standard deviation of the part above `CUTOFF_HZ`, in unit
+    drift_std: float  # that of the part below it
 
     @property
     def moved_share(self) -> float:
-        """Return the share of the variance that is drift, not noise."""
+        """Return the share of the variance that is drift."""
         return self.drift_std**2 / (self.drift_std**2 + self.noise_std**2)
 
 
 class Trial(NamedTuple):
     """The results of one filter on the loaded record."""
 
-    jerk_variance: float  # G of the paper's filter; NaN for becalm's own
+    jerk_variance: float  # G of the paper's filter, in unit^2/s^6; NaN for becalm's own
     noise_std: float  # root of R, in unit
-    tones_hz: tuple[float, ...]  # vibrations that becalm's own filter counts as signal
-    output: Floats  # (N,)
+    tones_hz: tuple[float, ...]  # vibrations that becalm's own filter counts as signal; empty for others
+    output: Floats  # (N,) in unit
     judgement: Judgement
     residual_std: float  # standard deviation of readings minus output, in unit
-    residual_drift: float  # largest mean of readings minus output over ten seconds, in unit
+    residual_drift: float  # largest magnitude of a mean of readings minus output over ten seconds, in unit
 
 
 class Gauge(NamedTuple):
@@ -60,9 +60,9 @@ class Gauge(NamedTuple):
     unit: str
     rate_hz: float
     rest: QuietStretch
-    time_s: Floats
-    readings: Floats
-    trials: dict[str, Trial]
+    time_s: Floats  # (N,)
+    readings: Floats  # (N,) loaded, in unit
+    trials: dict[str, Trial]  # by filter
 
 
 def absent(recordings: Path) -> str:
@@ -72,7 +72,7 @@ def absent(recordings: Path) -> str:
 
 
 def measure_gauge(recordings: Path) -> Gauge:
-    """Measure R at rest, filter the loaded bridge with it, and judge every filter by its innovations."""
+    """Measure R at rest, filter the record of the loaded bridge, and judge every filter by its innovations."""
     rest = measure_rest(read(recordings / AT_REST))
     loaded = read(recordings / LOADED)
     loaded = loaded.select(loaded.names[:1])

@@ -1,4 +1,4 @@
-"""The filters that the strain study compares, each applied to many noisy records of one signal."""
+"""Apply each filter that the strain study compares to many noisy records of one signal."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from becalm.core.model.model import Model
 from becalm.core.recording import Recording
 from becalm.studies.strain_model import Noise, likeliest, strain_model
 
-STEP_S = 0.1
+STEP_S = 0.1  # time between readings
 TRIED = 1e-4
-"""G of the simulation in unit^2/s^6. It was found by trial, because the exponent is illegible in the paper."""
+"""G of the simulation, in unit^2/s^6. It was found by trial, because the exponent is illegible in the paper."""
 
-CUTOFF_HZ, ORDER, AVERAGED = 0.3, 4, 100
+CUTOFF_HZ, ORDER, AVERAGED = 0.3, 4, 100  # of the Butterworth filter; readings in the average
 
 
 class Records(NamedTuple):
@@ -43,8 +43,8 @@ class MethodOutcome(NamedTuple):
     followed : (N, runs) float array
         Outputs of the same filters for the signal without noise; their error is lag and overshoot.
     identified : (runs, 3) float array
-        For a filter that was tuned on the record: G or, for becalm's filters, the process noise density; the standard
-        deviation of the noise; and the kinematic order. NaN for other filters.
+        For a filter that was identified from the record: G or, for becalm's filters, the process noise density; the
+        standard deviation of the noise; and the kinematic order. NaN for other filters.
     """
 
     outputs: Floats
@@ -53,6 +53,7 @@ class MethodOutcome(NamedTuple):
 
 
 Method = Callable[[Records], MethodOutcome]
+"""Function that applies a filter to all records."""
 
 
 def _each(records: Records, apply: Callable[[Floats], Floats]) -> MethodOutcome:
@@ -136,4 +137,4 @@ METHODS: dict[str, Method] = {
     BUTTERWORTH: _butterworth,
     AVERAGE: _average,
 }
-"""Every filter, by its name and its given settings."""
+"""Every filter, by its name, which includes its given settings."""

@@ -1,4 +1,4 @@
-"""The strain paper's model, and its process noise by maximum likelihood instead of trial and error."""
+"""Build the strain paper's model, and estimate its noise by maximum likelihood instead of trial and error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NEAR = 0.01  # tolerance of the search, in decades
 
 
 class Noise(NamedTuple):
-    """The settings of the paper's filter."""
+    """Both variances of the paper's filter."""
 
     jerk_variance: float  # G, in unit^2/s^6
     noise_variance: float  # R, in unit^2
@@ -33,8 +33,8 @@ def strain_model(noise: Noise, step_s: float, *, from_zero: bool = False) -> Mod
     step_s : float
         Time between readings, in seconds.
     from_zero : bool
-        Whether strain and its first two derivatives are zero before the first reading, each with the variance R (the
-        paper does not print a start); by default the initial state is unknown.
+        Whether the prior of strain and its first two derivatives is zero, each with the variance R (the paper does not
+        print a start); by default the initial state is unknown.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def strain_model(noise: Noise, step_s: float, *, from_zero: bool = False) -> Mod
 
 
 def likeliest(readings: Floats, step_s: float, noise_variance: float | None = None) -> Noise:
-    """Return the maximum-likelihood estimate of the noise.
+    """Return the maximum-likelihood estimate of G, and of R if it is not given.
 
     Parameters
     ----------

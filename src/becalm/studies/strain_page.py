@@ -24,7 +24,7 @@ from becalm.studies.strain_methods import (
     TRIED,
 )
 
-REFERENCE_RUNS = 20
+REFERENCE_RUNS = 20  # that the errors in `REFERENCE` are averaged over
 REFERENCE = {
     KALMAN: (0.0089, 0.0184, 0.0309),
     BUTTERWORTH: (0.0433, 0.0453, 0.0494),
@@ -34,7 +34,7 @@ REFERENCE = {
 
 
 def page(study: StrainStudy, drawn: Mapping[str, str]) -> str:
-    """Return the page.
+    """Return the page as Markdown.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ becalm's judgement of each filter:
 
 
 def _vibrations(gauge: Gauge) -> str:
-    """Name the filters that follow vibrations: they fit, but their output is not smoother."""
+    """Return sentences about the filters that count vibrations as signal; empty if there are none."""
     sentences = [
         f'"{name}" counts a vibration near {", ".join(f"{tone:.1f}" for tone in trial.tones_hz)} Hz as signal, which a'
         " quasi-static filter does not want: its residual is therefore smaller. "

@@ -17,10 +17,10 @@ from becalm.errors import BecalmError, UsageError
 
 LOOPBACK = "127.0.0.1"
 COOKIE = "becalm-"  # prefix of the cookie's name; the port follows
-_DEFAULT_PORT = 80  # browsers leave it out of the Host header
-_ANYWHERE = ("0.0.0.0", "::")
-_TICKET_S = 30.0  # a browser has this long to start
-_WATCHED_S = 600.0  # a used ticket that comes again within this time was stolen; later it is harmless
+_DEFAULT_PORT = 80  # browsers leave this one out of the Host header
+_ANYWHERE = ("0.0.0.0", "::")  # hosts that mean all addresses of this machine
+_TICKET_S = 30.0  # a ticket is valid for this long; a browser starts in less
+_WATCHED_S = 600.0  # age up to which a used ticket that comes again counts as stolen; later it is harmless
 _STOLEN = (
     "The address that becalm gave the browser was used twice: another user of this machine may have opened the page."
     " The page is now closed to everyone; end becalm, remove the file of --token-file if it has one, and start again."
@@ -29,7 +29,7 @@ _TOKEN = re.compile(r"[A-Za-z0-9_-]{22,256}")  # at least 128 bits, and safe in 
 
 
 class AccessOptions(NamedTuple):
-    """Names of the command-line options for the host and the port of a page."""
+    """The names of the command-line options for the host and the port of a page."""
 
     host: str
     port: str
@@ -50,13 +50,13 @@ OPTIONS = AccessOptions("--host", "--port")
 def address_of(host: str) -> str:
     """Return the address to listen at.
 
-    "localhost" becomes one address: it may stand for two, and a program that listens at the other would get our token.
+    "localhost" becomes one address. It may stand for two, and a program that listens at the other would get the token.
     """
     return LOOPBACK if host.lower() == "localhost" else host.lower()
 
 
 class StolenError(BecalmError):
-    """An address that opens the page once was used twice."""
+    """A ticket, which opens the page once, was used twice."""
 
 
 class Access:
@@ -71,15 +71,15 @@ class Access:
     token : str
         Secret that the browser must send.
     options : AccessOptions
-        Names of the options for host and port, for messages.
+        Names of the options for host and port, for error messages.
     """
 
     def __init__(self, host: str, port: int, token: str, options: AccessOptions = OPTIONS) -> None:
         self._options = options
         self.host, self.port = address_of(host), port
         self._token = token
-        self._tickets: dict[str, float] = {}  # with the time at which each was made
-        self._spent: dict[str, float] = {}
+        self._tickets: dict[str, float] = {}  # tickets, with the time at which each was made
+        self._spent: dict[str, float] = {}  # used tickets, with the same times
         self.cookie = f"{COOKIE}{port}"
         own = {self.host} | ({"localhost", LOOPBACK, "::1"} if self.loopback or self.anywhere else set())
         self._names = {_in_url(name) for name in (own | {socket.gethostname().lower()} if self.anywhere else own)}
@@ -114,18 +114,19 @@ class Access:
         )
 
     def ticket(self) -> str:
-        """Return an address that opens the page once, and only soon: other users can see a browser's arguments."""
+        """Return an address that opens the page once, within 30 s; other users can see the arguments of a browser."""
         ticket = secrets.token_urlsafe()
         self._tickets[ticket] = time.monotonic()
         return f"http://{LOOPBACK if self.anywhere else _in_url(self.host)}:{self.port}/?token={ticket}"
 
     def admits(self, brought: str) -> bool:
-        """Return whether this is the token or a valid ticket.
+        """Return whether a text from a request is the token or a valid ticket.
 
         Raises
         ------
         StolenError
-            If a ticket comes for the second time: one of the two was not the browser. From now on nobody is admitted.
+            If a ticket comes for the second time: one of the two senders was not the browser. From then on nobody is
+            admitted.
         """
         now = time.monotonic()
         if any(_same(brought, ticket) and now - made < _WATCHED_S for ticket, made in self._spent.items()):
@@ -139,20 +140,20 @@ class Access:
         return self.knows(brought)
 
     def knows(self, brought: str) -> bool:
-        """Return whether this is the token, which the cookie contains."""
+        """Return whether a text from a request is the token, which the cookie contains."""
         return _same(brought, self._token)
 
     def set_cookie(self) -> str:
-        """Return the header that sets the cookie; other sites cannot use it and scripts cannot read it."""
+        """Return the value of the header that sets the cookie; other sites cannot use it, scripts cannot read it."""
         return f"{self.cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
 
     def ours(self, host: str) -> bool:
-        """Return whether a Host header has one of our names; another name may be a DNS rebinding attack.
+        """Return whether a Host header has a name of this page; another name may be a DNS rebinding attack.
 
         Parameters
         ----------
         host : str
-            The Host header. If we listen at every address, every numeric address is ours: it cannot be rebound.
+            The Host header. If the page listens at every address, every numeric one is accepted: it cannot be rebound.
         """
         name = host.lower().removesuffix(f":{self.port}")
         if name == host.lower() and self.port != _DEFAULT_PORT:
@@ -175,7 +176,7 @@ def token_of(path: Path | None) -> str:
     Raises
     ------
     UsageError
-        If others may read the file, or it does not contain a token.
+        If the file cannot be read or written, other users may read it or own it, or it does not contain a token.
     """
     new = secrets.token_urlsafe(32)
     if path is None:
@@ -215,7 +216,7 @@ def _same(brought: str, wanted: str) -> bool:
 
 
 def _in_url(name: str) -> str:
-    """Return a host as an address contains it, with brackets around IPv6."""
+    """Return a host in the form of a URL: with brackets around an IPv6 address."""
     return f"[{name}]" if ":" in name else name
 
 

@@ -1,4 +1,4 @@
-"""Encode the frames that go to a page: text frames are JSON; binary frames are a JSON header followed by arrays."""
+"""Encode the frames for a page: a text frame is JSON, a binary frame is a JSON header followed by arrays."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 UNFORESEEN = "An unexpected error occurred in becalm; its error output shows the cause."
 """Message to a page after a fault of becalm itself."""
 
-_ALIGNED = 8  # bytes: a page reads a frame through typed arrays, which need this alignment
-_LENGTH = struct.Struct("<I")
+_ALIGNED = 8  # bytes: alignment of each array, which the typed arrays of a page need
+_LENGTH = struct.Struct("<I")  # length of the header, in bytes
 _TYPES = {"f4": "<f4", "f8": "<f8", "u2": "<u2"}
-_WIDEST = 1e38  # a magnitude whose differences still fit into float32
+_WIDEST = 1e38  # limit of magnitudes, so that differences fit into float32
 
 Values = NDArray[np.float32] | NDArray[np.float64] | NDArray[np.uint16]
 
 
 class Relative(NamedTuple):
-    """Numbers as differences from a common offset, so that float32 has enough digits for a picture.
+    """Numbers as differences from a common offset, for which float32 has enough digits.
 
     Attributes
     ----------
@@ -66,9 +66,9 @@ def frame(header: Mapping[str, Any], arrays: Mapping[str, Values | Relative]) ->
     Parameters
     ----------
     header : mapping
-        Entries of the header other than "arrays"; numbers that are not finite become null.
+        Entries of the header without "arrays"; numbers that are not finite become null.
     arrays : mapping of str to array or Relative
-        Arrays of float32, float64 or uint16 and of any shape, which are written in row-major order.
+        Arrays of float32, float64 or uint16, of any shape; they are written in row-major order.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def unframed(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     header : dict
         Header without "arrays".
     arrays : dict of str to array
-        Arrays; those with an offset have it added and are float64.
+        Flat arrays; to those with an offset it is added, and they are float64.
     """
     (length,) = _LENGTH.unpack_from(data)
     begin = _LENGTH.size + length

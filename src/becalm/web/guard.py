@@ -13,10 +13,10 @@ from becalm.web.access import Access, StolenError
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-MOST_VIEWERS = 32
-_OWN_SITE = ("same-origin", "none")  # none: a person typed the address
-_TRY_AGAIN_LATER = 1013  # close codes of a WebSocket
-_BROKEN = 1011
+MOST_VIEWERS = 32  # open WebSockets
+_OWN_SITE = ("same-origin", "none")  # values of Sec-Fetch-Site; none: a person typed the address
+_TRY_AGAIN_LATER = 1013  # close code of a WebSocket
+_BROKEN = 1011  # close code of a WebSocket
 _SECURITY = {
     b"content-security-policy": b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:;"
     b" connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
@@ -46,7 +46,7 @@ class Guard:
         self._answering: set[asyncio.Task[object]] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, refuse it or pass it on; nothing is raised."""
+        """Answer a request, refuse it or pass it on; exceptions of the application are logged, not raised."""
         request = _Request(scope)
 
         async def secured(message: Message) -> None:
@@ -74,7 +74,7 @@ class Guard:
             await self._pass_on(scope, receive, secured)
 
     def _foreign(self, request: _Request) -> str | None:
-        """Return why a request is foreign, or None if it comes from our page."""
+        """Return a sentence on why a request is foreign, or None if it comes from this page."""
         host, origin, site = request.header(b"host"), request.header(b"origin"), request.header(b"sec-fetch-site")
         if host is None or not self._access.ours(host):
             return "The host name of this request is not one of the page's; open the address that becalm printed."
@@ -101,7 +101,7 @@ class Guard:
         await _answer(request, send, 303, "", headers)
 
     def _end_all(self, why: str) -> None:
-        """End all requests that were admitted before, and log why."""
+        """Cancel all requests that are being answered, and log why."""
         for task in self._answering:
             task.cancel()
         _log.warning(why)
@@ -148,12 +148,12 @@ class _Request:
         return self._tokens[0]
 
     def header(self, name: bytes) -> str | None:
-        """Return a header, or None; "" if it occurs twice, which no browser sends and which equals no name of ours."""
+        """Return the value of a header, or None; "" (which is never valid) if it occurs twice, as from no browser."""
         values = [value for key, value in self._headers if key == name]
         return None if not values else values[0].decode("latin-1") if len(values) == 1 else ""
 
     def cookies(self, name: str) -> list[str]:
-        """Return the values of all cookies with a name; other ports of this machine may have set cookies too."""
+        """Return the values of all cookies with this name; other ports of this machine may have set some too."""
         joined = "; ".join(value.decode("latin-1") for key, value in self._headers if key == b"cookie")
         pairs = (part.strip().partition("=") for part in joined.split(";"))
         return [value for key, _, value in pairs if key == name]
@@ -162,7 +162,7 @@ class _Request:
 async def _answer(
     request: _Request, send: Send, status: int, says: str, headers: list[tuple[bytes, bytes]] | None = None
 ) -> None:
-    """Answer with a sentence and close the connection, so that the rest of a request's body is not read."""
+    """Answer with a sentence and close the connection, so that the rest of the request's body is not read."""
     kind = "websocket.http.response" if request.is_websocket else "http.response"
     body = says.encode()
     own = [

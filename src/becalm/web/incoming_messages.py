@@ -14,13 +14,13 @@ from becalm.errors import UsageError
 Number = Annotated[int, Field(ge=0, le=1 << 53, strict=True)]
 """An integer that a browser can hold exactly."""
 
-_LONGEST = 200  # characters of a message that an error repeats
+_LONGEST = 200  # most characters of each part of an error message that come from a page
 
 T = TypeVar("T")
 
 
 class Numbered(BaseModel):
-    """A message of a page, with a number that answers to it repeat."""
+    """A message of a page; an answer to it repeats its number."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -28,7 +28,7 @@ class Numbered(BaseModel):
 
 
 def parse_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
-    """Parse a frame that a WebSocket received.
+    """Parse a frame that a WebSocket has received.
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ def parse_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        The JSON object. Its numbers are finite; its names are not checked yet.
+        The JSON object. All numbers are finite; names are not checked yet.
 
     Raises
     ------
     UsageError
-        If it is not text, not JSON or not an object, or contains NaN or an infinite number.
+        If the frame is not text, not JSON or not an object, or contains NaN or an infinite number.
     """
     content = frame.get("text")
     if content is None:
@@ -58,7 +58,7 @@ def parse_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def number_of(said: Mapping[str, Any]) -> int | None:
-    """Return the number of a message, even an invalid one; None if it has no number."""
+    """Return the number of a message, which may not be valid otherwise; None if it has no number."""
     number = said.get("number")
     return number if type(number) is int else None  # in Python, true is an int too
 
@@ -69,14 +69,14 @@ def checked_message(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
     Parameters
     ----------
     messages : TypeAdapter
-        Types of the messages that are allowed.
+        Types of the allowed messages.
     said : mapping
         JSON object from `parse_frame`.
 
     Raises
     ------
     UsageError
-        If it is not one of them; the message says what is wrong.
+        If it is not one of these messages.
     """
     try:
         return messages.validate_python(said)

@@ -10,7 +10,7 @@ _NEEDED = ("starlette", "uvicorn", "websockets")
 
 
 def need_app() -> None:
-    """Check the libraries, before any module that needs them is loaded.
+    """Check the libraries; call this before a module that needs them is loaded.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Serve a page from a thread. The port is taken before anyone learns the address."""
+"""Take a port, and serve a page there from a thread. The port is taken before its address is shown."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 MAX_MESSAGE_BYTES = 1 << 20  # size limit of a message from a page
 PING_S = 20.0  # time between two pings, and time that a page has to answer one
-_PORTS = 1 << 16
-_HEADERS_BYTES = 1 << 16  # browsers send the cookies of all ports
-_ENDING_S = 1  # grace for unfinished answers when the server ends
-_PATIENCE_S = 4.0  # grace for the server's thread, which may be computing
+_PORTS = 1 << 16  # number of ports
+_HEADERS_BYTES = 1 << 16  # size limit of headers; browsers send the cookies of all ports
+_ENDING_S = 1  # how long the server waits for unfinished answers when it ends
+_PATIENCE_S = 4.0  # how long `close` waits for the thread of the server, which may be computing
 
 
 class TakenError(UsageError):
@@ -30,7 +30,7 @@ class TakenError(UsageError):
 
 
 def listen(host: str, port: int, options: AccessOptions = OPTIONS) -> socket.socket:
-    """Take a port.
+    """Return a socket that listens at a port.
 
     Parameters
     ----------
@@ -39,12 +39,12 @@ def listen(host: str, port: int, options: AccessOptions = OPTIONS) -> socket.soc
     port : int
         Port number; 0 takes any free port.
     options : AccessOptions
-        Names of the options for host and port, for messages.
+        Names of the options for host and port, for error messages.
 
     Raises
     ------
     UsageError
-        If the port cannot be taken; a TakenError if another program has it.
+        If the port cannot be taken: a TakenError if another program has it.
     """
     wanted = f"No page can be served at {host}, port {port}"
     way_out = f"give another port with {options.port}, or 0 for any free one."

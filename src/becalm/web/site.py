@@ -33,9 +33,9 @@ class Page(NamedTuple):
     Attributes
     ----------
     html : str
-        HTML of the page.
+        Text of the page.
     wire : callable
-        Accepts a WebSocket, and exchanges messages with it until it is closed.
+        Function that accepts a WebSocket, and exchanges messages with it until it is closed.
     routes : sequence of routes
         Other routes, such as downloads.
     """
@@ -46,7 +46,7 @@ class Page(NamedTuple):
 
 
 def html_of(name: str) -> str:
-    """Return the HTML of a page from its name in web/assets."""
+    """Return the HTML of a page; `name` is that of its file in web/assets."""
     return (files("becalm.web") / "assets" / name).read_text(encoding="utf-8")
 
 
@@ -81,12 +81,12 @@ def site(page: Page, access: Access) -> Guard:
 
 
 def as_file(name: str) -> dict[str, str]:
-    """Return the header that makes a browser save an answer as a file; the name may contain invalid Unicode."""
+    """Return the header that makes a browser save a response as a file; the name may contain invalid Unicode."""
     return {"content-disposition": f"attachment; filename*=UTF-8''{quote(os.fsencode(name))}"}
 
 
 def assets() -> dict[str, bytes]:
-    """Return the files that pages load, by name. As it is a table, a name cannot lead to other files."""
+    """Return the files that pages load, by name. Names are only looked up in this table, and cannot lead elsewhere."""
     javascript, css = uplot()
     table = {"uPlot.iife.min.js": javascript.encode(), "uPlot.min.css": css.encode()}
     for room in ("becalm.report", "becalm.web"):  # pages use the scripts of the report's figures too
@@ -103,17 +103,17 @@ def _gather(folder: Traversable, before: str, table: dict[str, bytes]) -> None:
 
 
 def _refused(request: Request, cause: Exception) -> Response:
-    """Answer with the message of an error that a person can correct."""
+    """Return a response with the message of an error that a person can correct."""
     status = cause.status if isinstance(cause, RefusedError) else 400
     says = str(cause).encode("utf-8", "replace")  # names of files may contain invalid Unicode
     return PlainTextResponse(says, status, {"connection": "close"})
 
 
 def _gone(request: Request, cause: Exception) -> Response:
-    """Return an answer that is not sent: the page has disconnected."""
+    """Return a response that is not sent, because the page has disconnected."""
     return Response(status_code=400)
 
 
 def _unforeseen(request: Request, cause: Exception) -> Response:
-    """Answer with a sentence; the guard logs the exception."""
+    """Return a response with a sentence about an unexpected error; the guard logs the exception."""
     return PlainTextResponse(UNFORESEEN, 500)

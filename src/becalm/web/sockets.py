@@ -11,15 +11,15 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from becalm.web.access import COOKIE
 
-REQUEST_S = 10.0  # from a connection, or a request's first byte, to the end of its headers or the open WebSocket
-MOST_SOCKETS = 200  # every system allows a process at least 256 open files
+REQUEST_S = 10.0  # limit from a connection, or a later request's first byte, to complete headers or an open WebSocket
+MOST_SOCKETS = 200  # most connections; every system allows a process at least 256 open files
 
 
 class HurriedProtocol(H11Protocol):
-    """uvicorn's HTTP protocol with a time limit; uvicorn waits for a first request without end.
+    """The HTTP protocol of uvicorn with a time limit for requests; uvicorn has none for the first one.
 
     A client that sends no request, or sends its headers byte by byte, is disconnected after `REQUEST_S`. If there are
-    more than `MOST_SOCKETS` connections, the one that has been idle longest is closed first.
+    more than `MOST_SOCKETS` connections, the one whose time limit ends first is closed; if none has one, the new one.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -39,7 +39,7 @@ class HurriedProtocol(H11Protocol):
         self._look()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Switch to a WebSocket, without the cookies of other pages: it accepts only a few kilobytes of headers."""
+        """Switch to a WebSocket; remove cookies of other pages, because it accepts only a few kilobytes of headers."""
         self.headers = [(name, _own(value) if name == b"cookie" else value) for name, value in self.headers]
         super().handle_websocket_upgrade(event)
 
@@ -70,9 +70,9 @@ class HurriedProtocol(H11Protocol):
 
 
 class HurriedWebSocket(WebSocketsSansIOProtocol):
-    """uvicorn's WebSocket protocol with time limits for the handshake and for pings, which uvicorn lacks.
+    """The WebSocket protocol of uvicorn with time limits for the handshake and for pings, which uvicorn lacks.
 
-    Its requests are valid HTTP, but their tokens are not checked yet.
+    The requests that it gets are valid HTTP, but their tokens are not checked yet.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -94,7 +94,7 @@ class HurriedWebSocket(WebSocketsSansIOProtocol):
             self.transport.close()
 
     def start_keepalive(self) -> None:
-        """Cancel the time limit: the WebSocket is open."""
+        """Cancel the time limit, because the WebSocket is open."""
         self._cancel()
         super().start_keepalive()
 

@@ -18,15 +18,15 @@ from starlette.requests import Request
 from becalm.errors import BecalmError
 
 PATIENCE_S = 60.0
-"""Time limit for each part of a file."""
+"""Time limit for the arrival of each part of a file."""
 
-_OVER_ALL = 2  # limit of all files together, as a multiple of that of one file
-_LONGEST_NAME = 255  # bytes, the limit of most file systems
+_OVER_ALL = 2  # size limit of all files together, as a multiple of that of one file
+_LONGEST_NAME = 255  # bytes of a file name, the limit of most file systems
 _MEBIBYTE = 1 << 20
 
 
 class RefusedError(BecalmError):
-    """A request of a page was refused; `status` is the HTTP status of the answer."""
+    """A request of a page was refused; `status` is the HTTP status of the response."""
 
     def __init__(self, says: str, status: int) -> None:
         super().__init__(says)
@@ -39,7 +39,7 @@ class Uploads:
     Parameters
     ----------
     limit_bytes : int
-        Size limit of one file; all files together may have twice as much.
+        Size limit of one file, in bytes; all files together may have twice as much.
     """
 
     def __init__(self, limit_bytes: int) -> None:
@@ -48,11 +48,13 @@ class Uploads:
 
     @cached_property
     def folder(self) -> Path:
-        """Return the folder of the files, which only its owner may enter; it is created with the first file."""
+        """Return the folder of the files; it is created at the first call, and only its owner may enter it."""
         return Path(tempfile.mkdtemp(prefix="becalm-"))
 
     async def take(self, request: Request, name: str) -> Path:
-        """Store the body of a request as a file of that name, in a folder of its own.
+        """Store the body of a request as a file of that name, in a folder of its own; return its path.
+
+        After an exception, nothing of the file is left.
 
         Raises
         ------
@@ -60,8 +62,6 @@ class Uploads:
             If the name is not a plain file name, the file is too large, the disk is full, or the data stop coming.
         ClientDisconnect
             If the page disconnects before the file is complete.
-
-        After an exception, nothing of the file is left.
         """
         checked_name(name)
         self._check_fits(name, int(request.headers.get("content-length", "0")), 0)
@@ -116,7 +116,7 @@ class Uploads:
 
 
 async def _soon(stream: AsyncIterator[bytes], name: str) -> bytes | None:
-    """Return the next part of a file, or None at its end."""
+    """Return the next part of a file, or None at its end; raise a RefusedError if it does not arrive in time."""
     try:
         async with asyncio.timeout(PATIENCE_S):
             return await anext(stream, None)

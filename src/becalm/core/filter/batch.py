@@ -34,7 +34,7 @@ class FilteredBatch:
     innovations, innovation_sigma : (B, N, m) float array
         Reading minus its prediction, and the expected standard deviation of this difference; no rows if not requested.
     mean : (B, N, n) float array or None
-        States, on request.
+        Filtered states, on request.
     log_likelihood : (B,) float array
         Exact Gaussian log-likelihood of each record.
     used : (B,) int array

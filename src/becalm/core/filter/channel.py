@@ -35,7 +35,7 @@ class Sums(NamedTuple):
 
     @property
     def log_likelihood(self) -> float:
-        """The Gaussian log-likelihood of the readings used, equation (8)."""
+        """Return the Gaussian log-likelihood of the readings used, equation (8)."""
         return float(-0.5 * (self.squares + self.log_det + self.used * np.log(2 * np.pi)))
 
     def plus(self, other: Sums) -> Sums:
@@ -95,7 +95,7 @@ def log_densities(innovation: Floats, deviation: Floats) -> Floats:
 
 
 def parts_of(component: Component, found: Estimates) -> Floats:
-    """Return the contribution (p, B) of each part of the component; `found` needs the states. The first has the level.
+    """Return the contribution (p, B) of each part of the component; the level is in that of the first part.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class Channel:
     Parameters
     ----------
     settings : ChannelSettings
-        Its model, noise, limits and gate.
+        The model, the noise, the limits and the gate.
 
     Raises
     ------
@@ -169,41 +169,41 @@ class Channel:
 
     @property
     def counts(self) -> dict[Verdict, int]:
-        """Count of each verdict so far."""
+        """Return the count of each verdict so far."""
         return dict(zip(Verdict, self._state["counts"].tolist(), strict=True))
 
     @property
     def faults(self) -> dict[Verdict, FaultCount]:
-        """Faults of the measurements and of their times, by verdict; independent of what the filter estimated there."""
+        """Return the faults of measurements and of their times, by verdict; they do not depend on the estimates."""
         met, rows, steps = (self._state[name].tolist() for name in ("met", "first_row", "first_step"))
         return {verdict: FaultCount(met[verdict], rows[verdict], steps[verdict]) for verdict in Verdict if met[verdict]}
 
     @property
     def timing_share(self) -> float:
-        """The largest relative increase of sigma by uncertain times."""
+        """Return the largest relative increase of sigma by uncertain times."""
         return float(self._state["timing_share"])
 
     @property
     def powers(self) -> Floats:
-        """Sums of squared innovations of the last hops, in sigma^2, not in order of time."""
+        """Return the sums of squared innovations of the last hops, in sigma^2, not in order of time."""
         powers: Floats = self._state["powers"][: int(self._state["hops"])].copy()
         return powers
 
     @property
     def drift_since(self) -> int | None:
-        """The row in which the first detected drift began; None without a drift."""
+        """Return the row where the first detected drift began; None without a drift."""
         since = int(self._state["drift_since"])
         return None if since < 0 else since
 
     @property
     def settled_row(self) -> int | None:
-        """The first row with the steady-state gain; None before that."""
+        """Return the first row with the steady-state gain; None before that."""
         row = int(self._state["settled_row"])
         return None if row < 0 else row
 
     @property
     def is_silent(self) -> bool:
-        """Whether the last window of innovations was as quiet as that of a dead sensor."""
+        """Return whether the last window of innovations was as quiet as that of a dead sensor."""
         return bool(self._state["silent"])
 
     def set_history(self, before: History) -> None:
@@ -226,7 +226,7 @@ class Channel:
     def comparable_state(self) -> dict[str, Codes]:
         """Return the part of the state that determines all later estimates, bit for bit.
 
-        The entry `HOPS` also holds what matters only if the sensor may be dead.
+        The entry `HOPS` also has the part that matters only if the sensor may be dead.
         """
         if_alive, complete = (reduced(self._settings, self._state, alive=alive).tobytes() for alive in (True, False))
         return {"channel": np.frombuffer(if_alive, np.int8), HOPS: np.frombuffer(complete, np.int8)}
@@ -293,7 +293,7 @@ class ChannelRecord:
 
     @property
     def process_noise(self) -> Floats:
-        """Q (u, n, n) for each of the u different step lengths of the record."""
+        """Return Q (u, n, n) for the u different step lengths of the record."""
         return np.asarray(self._rows["Q"])
 
     def filtered(self) -> Estimates:

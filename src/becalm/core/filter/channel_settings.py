@@ -40,7 +40,7 @@ _LEAST = 2.0  # steps: two rows one even step apart are not a gap, even with lar
 class GapLimit(NamedTuple):
     """The gaps that a filter may bridge, as time since the last reading that arrived."""
 
-    longest: float  # steps
+    longest: float  # in steps
     spans: float = np.inf  # longest gap over the time that the earlier readings span, once they determine the state
     readings: int = 1  # number of readings that determine the state
 
@@ -112,7 +112,7 @@ _GATE_FIELDS = {"states", "largest_accepted", "gated", "gate_threshold", "gate_a
 class Widening(NamedTuple):
     """How the sigma of a signal is widened beyond the filter's: by a factor, uncertain times and a calibration."""
 
-    factor: float = 1.0
+    factor: float = 1.0  # sigma with the uncertainty of the tuning, over sigma without it
     time_std_s: float | None = None  # standard uncertainty of a measurement's time
     included_std: float = 0.0  # the part of its effect that R already includes, in unit
     calibration: tuple[float, float] | None = None  # standard uncertainties: relative, of sensitivity; of zero, in unit
@@ -132,7 +132,7 @@ class ChannelSettings(NamedTuple):
 
     @property
     def disturbed(self) -> bool:
-        """Whether the signal leaves out disturbances that are part of the measurement."""
+        """Return whether the signal leaves out disturbances that are part of the measurement."""
         return any(part.disturbance for part in self.component.parts)
 
 
@@ -154,11 +154,11 @@ class StepTable:
 
     @property
     def matrices(self) -> tuple[Floats, Floats]:
-        """F and Q (u, n, n) of the last call of `before`; at first those of one step."""
+        """Return F and Q (u, n, n) of the last call of `before`; at first those of one step."""
         return self._matrices
 
     def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
-        """Return the index of the step before each row, and the matrices F and Q of these steps; keep the last ones."""
+        """Return the index of the step before each row, and the matrices F and Q of these steps, which are cached."""
         lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
         if not (elapsed == lengths).all():
             lengths, rows = np.unique(elapsed, return_inverse=True)

@@ -51,7 +51,7 @@ def checked_lag(lag: int) -> int:
     return rows
 
 
-_MOST_NUMBERS = 1 << 19  # largest size of the state matrices of the rows that are processed at once
+_MOST_NUMBERS = 1 << 19  # numbers in the state matrices of the rows that are processed at once
 _FEW = 8 * BLOCK  # rows that are processed at once in any case
 
 
@@ -99,12 +99,12 @@ class LateRows:
 
     @property
     def state(self) -> NDArray[np.void]:
-        """The state before the waiting rows."""
+        """Return the state before the waiting rows."""
         return self._smoother.state
 
     @property
     def waiting(self) -> int:
-        """Number of waiting rows."""
+        """Return the number of waiting rows."""
         return len(self._waiting.z)
 
     def set_history(self, reading: float, readings: int, steps: float) -> None:
@@ -125,8 +125,8 @@ class LateRows:
     def stepper(self) -> Callable[[float], tuple[float, float]]:
         """Return a fast function that takes one reading, one step after the last, and returns signal and sigma.
 
-        They are those of the oldest waiting row. The function checks nothing. It needs as many waiting rows as the lag
-        has, and no gate; once it is in use, rows must not come in another way.
+        Both numbers belong to the oldest waiting row. The function checks nothing. It needs `lag` waiting rows and no
+        gate; once it is in use, rows must not come in another way.
         """
         now = self._waiting
         z, elapsed, verdicts = np.append(now.z, 0.0), np.append(now.elapsed, 1.0), np.append(now.verdicts, np.int8(0))
@@ -220,12 +220,12 @@ class FixedLagFlow:
 
     @property
     def settled_row(self) -> int | None:
-        """The first row with the steady-state gain; None before that."""
+        """Return the first row with the steady-state gain; None before that."""
         return self._late.settled_row
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the rows in each mode; empty, because there are no modes."""
+        """Return the share of the rows in each mode: empty, because there are no modes."""
         return {}
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:

@@ -13,7 +13,7 @@ from becalm.errors import ModelError
 from becalm.native.library import CONSTANTS
 
 GOES_ON, WIDE = CONSTANTS["GOES_ON"], float(CONSTANTS["WIDE"])
-"""`GOES_ON`: number of readings used since a jump, before which a reject counts as the same motion and is used at once.
+"""`GOES_ON`: a reject after fewer used readings since a jump belongs to the jump, if it is not far larger, and is used.
 `WIDE`: the largest variance that a jump adds, over R; a larger covariance would lose the digits of the readings."""
 
 LEAST_THRESHOLD = 4.0
@@ -61,7 +61,7 @@ class Gate:
     Attributes
     ----------
     threshold : float
-        z: a reading whose innovation exceeds z of its standard deviations is a spike, and counts as missing.
+        z: a reading whose innovation exceeds z expected standard deviations is a spike, and counts as missing.
         A *small* threshold trusts the model. `threshold_for` gives the threshold for a rate of false alarms.
     agree : int
         This many rejects in a row that agree with each other, within z times their noise, are a step, and the filter

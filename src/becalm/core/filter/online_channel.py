@@ -135,7 +135,10 @@ class OnlineChannel:
         return signal, sigma
 
     def _first_state(self) -> tuple[int, Floats, Floats] | None:
-        """Return phase, mean and covariance before the first reading, or the root of Y; None for a flat prior."""
+        """Return phase, x and P before the first reading; None for a flat prior.
+
+        For a wide prior x and P are the right-hand side and the root of the prior information.
+        """
         model, prior = self.model, wide_prior(self.model)
         if prior is not None and model.x0 is not None:
             self._coefficients["widest"] = WIDE

@@ -1,4 +1,4 @@
-"""Restart the filter of a channel after a gap that is too long for float64; `gap_limit` explains the limit."""
+"""Restart the filter of a channel after a gap that is too long for float64; `channel_settings` explains the limit."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class PartialFlow(Protocol):
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood of its measurements so far."""
+        """Return the log-likelihood of the measurements so far."""
         ...
 
     @property
     def settled_row(self) -> int | None:
-        """The first row of the part with the steady-state gain; None if there is none."""
+        """Return the first row of the part with the steady-state gain; None if there is none."""
         ...
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
@@ -50,7 +50,7 @@ class PartialFlow(Protocol):
         ...
 
     def set_level(self, reading: float) -> None:
-        """Set the level that readings count from to the first reading of the record, before any push."""
+        """Set the level, which is subtracted from readings, to the record's first reading; call it before any push."""
         ...
 
 
@@ -67,8 +67,8 @@ class _Part(NamedTuple):
 class RestartingFlow:
     """A filter or smoother of one channel that restarts after a gap beyond its limit.
 
-    Before the first such gap the inner filter gets every push as it is. After it, pushes are joined into stretches as
-    long as the first push, counted from the restart, so that the bits are those of a separate record.
+    Before the first such gap the inner filter gets every push as it is. After it, rows are regrouped into stretches as
+    long as the first push, in whole blocks from the restart, so that the bits are those of a separate record.
 
     Parameters
     ----------
@@ -87,8 +87,8 @@ class RestartingFlow:
         self._gaps = Gaps(gap_limit)
         self._flow = open_flow()
         self._finished: list[_Part] = []
-        self._rows = self._weight = 0  # those of the current part
-        self._stretch: int | None = None
+        self._rows = self._weight = 0  # of the current part
+        self._stretch: int | None = None  # rows in a stretch; None before the first row
         self._incomplete = np.empty((2, 0))  # readings, and the steps before them, of an incomplete stretch
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
@@ -126,7 +126,7 @@ class RestartingFlow:
         self._flow.restore(arrays)
 
     def set_level(self, reading: float) -> None:
-        """Set the level that readings count from to the first reading of the record, before any push."""
+        """Set the level, which is subtracted from readings, to the record's first reading; call it before any push."""
         self._flow.set_level(reading)
 
     def set_history(self, reading: float, readings: int, steps: float) -> None:
@@ -136,12 +136,12 @@ class RestartingFlow:
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood of all measurements so far, except the first of each part."""
+        """Return the log-likelihood of all measurements so far, except the first of each part."""
         return sum(part.log_likelihood for part in self._parts())
 
     @property
     def settled_row(self) -> int | None:
-        """The first row with the steady-state gain; None if there is none."""
+        """Return the first row with the steady-state gain; None if there is none."""
         begin = 0
         for part in self._parts():
             if part.settled_row is not None:
@@ -151,7 +151,7 @@ class RestartingFlow:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the rows so far in each mode of an IMM; empty for a single model."""
+        """Return the share of the rows so far in each mode of an IMM; empty for a single model."""
         parts = self._parts()
         if len(parts) == 1:
             return parts[0].shares
@@ -197,7 +197,7 @@ class Gaps:
         self._readings = 0
 
     def starts(self, arrived: Booleans, elapsed: Floats) -> Iterator[int]:
-        """Yield those of the next B rows at which the filter restarts."""
+        """Yield the rows, of the next B rows, at which the filter restarts."""
         unusual = np.append(np.flatnonzero(~arrived | (elapsed != 1.0)), len(arrived))
         begin = 0
         while begin < len(arrived):
@@ -222,7 +222,7 @@ class Gaps:
         self._now, self._last, self._readings = float(moved[0]), float(moved[1]), int(moved[2])
 
     def _bridges(self, rows: int) -> bool:
-        """Advance over rows in even time of which none is missing, the usual case; return whether this was possible."""
+        """Advance over rows in even time, none of them missing, if no step can be too long; return whether it did."""
         near = min(self._limit.longest, self._limit.spans * self._last) >= 1.0 and self._now.is_integer()
         in_gap = self._now != self._last  # the last rows had no reading
         if in_gap or not (near and self._readings >= self._limit.readings):

@@ -28,12 +28,12 @@ from becalm.core.steady.steady_filter import NEGLIGIBLE_SHARE, rows_until_decaye
 from becalm.native import DETERMINED
 from becalm.native.smoothers import ForwardPass, Smoother
 
-_LONGEST = 1 << 14  # rows of a stretch
-_MOST_NUMBERS = 1 << 21  # largest size of a stretch's step matrices, if each row has its own
+_LONGEST = 1 << 14  # largest number of rows in a stretch
+_MOST_NUMBERS = 1 << 21  # numbers in a stretch's step matrices, if each row has its own
 _DIFFERENT = 1e14  # two futures start this far apart ...
 _SAME = 1e-12  # ... and must come this close; the ratio is the square of `NEGLIGIBLE_SHARE`
-_STRETCHES = 4  # stretches that are smoothed at once, if memory allows
-_FAR = 1 << 40  # rows
+_STRETCHES = 4  # least number of stretches that are held before a backward pass
+_FAR = 1 << 40  # rows; in place of an endless memory
 
 
 class _Stretch(NamedTuple):
@@ -93,13 +93,13 @@ class SmoothedFlow:
 
     @property
     def settled_row(self) -> int | None:
-        """The first row with the steady-state gain; None before that."""
+        """Return the first row with the steady-state gain; None before that."""
         row = int(self._smoother.state["settled_row"])
         return None if row < 0 else row
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the rows in each mode; empty, because there are no modes."""
+        """Return the share of the rows in each mode: empty, because there are no modes."""
         return {}
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
@@ -215,5 +215,5 @@ class SmoothedFlow:
 
     @cached_property
     def _usual_reach(self) -> int:
-        """Rows after which the steady-state filter no longer depends on its start, in whole blocks."""
+        """Return the number of rows, in whole blocks, after which the steady-state filter has forgotten its start."""
         return BLOCK * (1 + int(min(rows_until_decayed(NEGLIGIBLE_SHARE, self._model), _FAR) // BLOCK))

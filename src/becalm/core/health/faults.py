@@ -26,8 +26,8 @@ LONGEST = float(1 << 31)
 
 _TICKS = 1 << 20  # ticks in a step; deviations from even time are counted in them
 _LATEST = 0.75  # of a step: a row that is later than this is the next one, and the expected one was lost
-_REFERENCES = (16, 32, 48)  # rows before; the median of their deviations is the even time
-_ON_TIME = 0.1  # steps: a row this close to a whole number of steps off has the time of another row; it is not late
+_REFERENCES = (16, 32, 48)  # rows back: the median of the deviations of these three rows is the even time
+_ON_TIME = 0.1  # steps: a row this close to the even time of another row is not late
 
 
 def possible_steps(elapsed: Floats) -> Floats:
@@ -58,7 +58,7 @@ class TimeFaults:
 
     @property
     def undisturbed(self) -> bool:
-        """Whether none of the last rows deviates from even time."""
+        """Return whether none of the last rows deviates from even time."""
         return not self.offsets.any()
 
     def write(self, codes: Codes, elapsed: Floats) -> None:
@@ -69,9 +69,10 @@ class TimeFaults:
         codes[elapsed == 0] = Verdict.REPEATED
 
     def _is_late(self, elapsed: Floats) -> Booleans:
-        """Return which rows deviate from even time by more than half a step; lost rows before them do not count.
+        """Return which rows deviate from even time by more than half a step, but not by whole steps.
 
-        Even time follows the median of earlier rows, so that a clock may run a little fast or slow.
+        Lost rows before a row are no deviation. Even time follows the median of earlier rows, so that a clock may run a
+        little fast or slow.
         """
         due = np.where(elapsed > self._limits.gap_steps, np.ceil(elapsed - _LATEST), 1.0)
         off = np.where(elapsed > 0, elapsed - due, 0.0)
@@ -90,14 +91,14 @@ def _middle(three: list[Integers]) -> Integers:
     return np.asarray(np.maximum(least, np.minimum(most, three[2])))
 
 
-_TIME = 1 << 10  # of a step, for the time since the first row
+_TIME = 1 << 10  # parts of a step in which the time since the first row is counted
 
 
 class FaultCount(NamedTuple):
     """How often, and where first, a fault was detected."""
 
-    readings: int
-    first_row: int  # 0 is the first row pushed
+    readings: int  # number of readings with the fault
+    first_row: int  # row of the first one; 0 is the first row pushed
     first_step: float  # steps from the first row to there
 
 
@@ -117,7 +118,8 @@ class Faults:
     Notes
     -----
     A run of 0 is not stuck, however long, if 0 is the least or the greatest reading so far: speeds and loads rest
-    there. A 0 held for 128 readings is not stuck either, unless 0 lies in the middle of the plausible range.
+    there. A 0 held for 128 readings is not stuck either, if the plausible range is known and its middle third does not
+    include 0.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -138,7 +140,7 @@ class Faults:
         elapsed : (B,) float array
             Steps since the row before; ignored for the very first row.
         beside : (B,) int8 array, optional
-            Verdicts from a comparison with neighbours on both sides, as of `LookAhead`; 0 where the reading is good.
+            Verdicts of `LookAhead`, from neighbours on both sides; 0 where the reading is good.
 
         Returns
         -------
@@ -170,7 +172,7 @@ class Faults:
         return codes
 
     def set_history(self, rows: int, steps: float, least: float, most: float) -> None:
-        """Set how many rows and steps went before, and the least and greatest of their readings, in unit."""
+        """Set the number of earlier rows and steps, and the least and the greatest of their readings, in unit."""
         self._rows, self._ticks = rows, round(steps * _TIME)
         self._state["least"], self._state["most"] = least, most
 

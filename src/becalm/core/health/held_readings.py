@@ -20,7 +20,7 @@ _ONE_CODE = 1.5  # codes: a step up to this size counts as one code
 _OFTENER = 3.0  # least number of equal neighbours, over that expected by chance
 _CODES = 3.0  # codes: least median step between different readings
 _MOST_ALIKE = 0.25  # largest share of runs with the same value
-_SINGLE = 0.1  # share of runs of one reading from which on they show how large steps are
+_SINGLE = 0.1  # least share of single readings among the runs, for a comparison with their steps
 _LIKE_SINGLES = 0.5  # least step at the end of a run, over the median step of single readings
 _REGULAR = 1.5  # largest ratio of long runs to short ones, for a sensor that is slower than its log
 

@@ -3,8 +3,8 @@
 The lengths of runs of equal readings have a geometric tail. With noise, a reading equals the one before with a
 probability p of about LSB / (2 sqrt(pi) sigma), and a slow signal leaves its code at about one rate. So the runs beyond
 a threshold give p, and p^n is the probability of a run of n more. Coarse codes hide the worst case: a level in the
-middle of a code stays there longer than one at its edge. The spread of the codes gives sigma, and sigma this worst
-case.
+middle of a code stays there longer than one at its edge. The spread of the codes gives sigma, and sigma gives the
+length of such runs.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from becalm.errors import UsageError
 from becalm.native.library import SETTINGS
 from becalm.native.scans import EVERY_REPEAT
 
-_MARGIN = 2.0  # a limit over the largest value in the record
+_MARGIN = 2.0  # a limit over the longest run, or the longest usual wait, in the record
 _WIDE_MARGIN = 10.0  # the same, where only the signal ends a run
-_FEWEST_RUNS = 50  # runs of equal readings; fewer do not determine the tail
+_FEWEST_RUNS = 50  # least number of runs, single readings included, that determine the tail
 _MOST_FAULTS = 10  # stretches of a record in which the channel may have been stuck
 _TAIL, _FEWEST_IN_TAIL = 0.05, 20  # share and least number of the runs that make the tail
 _UNSEEN = 3.0  # 95 % limit of Poisson's law for the number of events if none was seen
@@ -36,9 +36,9 @@ _LATTICE = 1e-5  # of a step: text and arithmetic may round a reading off its co
 _ROUNDED = 1e-4  # of a step: the same for a distance, while the step is not yet accurate
 _FEWEST_CODES = 3  # two codes lie on any lattice
 _MOST_CODES = 1 << 16  # values that are searched for a lattice
-_MOST_ALIKE = 0.95  # share of readings that have a value of another, and so determine the step
-_EVEN, _EVEN_SHARE = 0.1, 0.95  # steps off whole ones, and the share of rows that come so close, in even time
-_SLOW = 1e-3  # of a step: largest mean deviation of even time
+_MOST_ALIKE = 0.95  # least share of readings whose value comes more than once; then only such values give the step
+_EVEN, _EVEN_SHARE = 0.1, 0.95  # in even time: distance from whole steps, and least share of rows within it
+_SLOW = 1e-3  # of a step: largest mean deviation from whole steps, in even time
 _LEAVES = 1 / 36  # share of the plausible range: if noise leaves a value by larger jumps, it marks missing readings
 _ENDLESS = 1 << 53  # equal readings in a row: more than any record has
 
@@ -76,7 +76,7 @@ class Limits(NamedTuple):
 
     @property
     def rails(self) -> SaturationLimits:
-        """The saturation limits alone."""
+        """Return the saturation limits."""
         return SaturationLimits(self.low, self.high)
 
     def packed(self) -> NDArray[np.void]:
@@ -163,7 +163,7 @@ def _isolated(steps: Floats) -> Booleans:
 
 
 def stuck_at_once(limits: Limits) -> int:
-    """Return how many equal readings in a row count as stuck from the first one on, if rows may wait; 0 for none.
+    """Return how many equal readings in a row are stuck from the first one on, if rows may wait; 0: any may be equal.
 
     This applies to a channel that hardly ever repeats a reading. In other channels the first of them may be good.
     """
@@ -214,7 +214,7 @@ def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outli
     """Return the run length that healthy readings (N,) exceed less than `alarms` times; None if it is unknown.
 
     A few of the longest runs are first compared with the others: if they are far longer, they are faults and are left
-    out. If the noise is below the codes, only the signal ends a run, and its law is unknown: then the margin is wider.
+    out. If the noise is smaller than a code, only the signal ends a run, with an unknown law; then the margin is wider.
     """
     runs = run_lengths(z)
     if len(runs) < _FEWEST_RUNS or not alarms > 0:
@@ -237,8 +237,8 @@ def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outli
 def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outliers: Outliers) -> bool:
     """Return whether the runs that end at the rows `last` (k,) are faults and not a signal at rest.
 
-    A 0 at an end of the range is rest, and so is a value that several runs share; but if noise leaves the values by
-    jumps, they mark missing readings.
+    A 0 at an end of the range is rest if 0 is a reading. So is a value that several runs share, unless the readings are
+    noisy and leave it by jumps: then it marks missing readings.
     """
     run_values = z[last]
     if 0.0 in run_values and (z.min() == 0 or z.max() == 0) and not outliers.far_from_0:
@@ -260,7 +260,7 @@ def _longest_run(runs: Integers, alarms: float) -> float:
 
 
 def _longest_hold(z: Floats, alarms: float) -> float:
-    """Return the longest run of a noisy level in the middle of a code, exceeded `alarms` times; inf if unknown.
+    """Return the run length that a noisy level in the middle of a code exceeds `alarms` times; inf if unknown.
 
     The edges of a code are LSB / sigma apart in quantiles of the normal distribution; motion only brings them closer.
     """
@@ -284,9 +284,10 @@ def _times(p: float, count: float) -> float:
 
 
 def _rhythm(elapsed: Floats) -> tuple[float, bool]:
-    """Return the steps beyond which rows were lost, and whether time is even; uneven time has its own limit.
+    """Return the number of steps beyond which rows were lost, and whether time is even.
 
-    In even time nearly all rows come a whole number of steps after the one before, and other deviations cancel.
+    In even time nearly all rows come a whole number of steps after the one before, and other deviations cancel. In
+    uneven time the number follows from the longest usual steps.
     """
     off = elapsed - np.maximum(np.round(elapsed), 1.0)
     near = np.abs(off[elapsed > 0])

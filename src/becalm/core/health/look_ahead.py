@@ -13,11 +13,11 @@ from becalm.core.health.outlier_rule import plausible
 from becalm.errors import ModelError
 from becalm.native.scans import REACH, SIDE, scan_outliers
 
-_SMOOTHED_BY = 10  # rows of a lag that are left for smoothing, if it has that many: they help more than outlier tests
+_SMOOTHED_BY = 10  # first rows of a lag that only the smoother uses: there they help more than in outlier tests
 
 
 def rows_ahead(lag: int | None) -> int:
-    """Return how many rows of a lag the outlier test may wait for; smoothing has the others. None: a full smoother."""
+    """Return how many rows the outlier test may wait for, of a lag in rows; `REACH` for a full smoother, lag None."""
     if lag is None:
         return REACH
     return min(SIDE, max(lag - _SMOOTHED_BY, 0))
@@ -41,8 +41,9 @@ class LookAhead:
     def __init__(self, limits: Limits, ahead: int = REACH) -> None:
         self._rule, self._largest, self._stuck = limits.outliers, limits.largest, stuck_at_once(limits)
         self._settings, self._ahead = plausible(self._rule), ahead
-        self._z = self._seen = np.empty(0)  # the last rows that were returned, and the waiting ones
-        # Verdicts of the same rows, and the steps before the waiting rows only.
+        # Readings, readings that are possible, and verdicts of the last returned and of the waiting rows; the steps
+        # before the waiting rows only.
+        self._z = self._seen = np.empty(0)
         self._codes, self._elapsed = np.empty(0, np.int8), np.empty(0)
         self._returned = 0  # how many of the rows in `_z` were returned
 

@@ -24,7 +24,7 @@ from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, ne
 # This excludes motion that comes and goes.
 
 _LEAST = 4  # hops in a block at first
-_MOST = 2048  # largest number of blocks; then each two become one
+_MOST = 2048  # number of blocks at which each two become one
 _FEWEST = 8  # smallest number of blocks on either side of a change
 _RATIO = 1.5  # smallest ratio of standard deviations that is reported
 _UNEVEN = 4.0  # largest variance of block means, over that of Gaussian noise; heavy tails have up to three
@@ -105,7 +105,7 @@ def noise_change_message(change: NoiseChanged | None, step_s: float) -> list[str
 # window. So if it is above the threshold for every three hops, no window can be dead, wherever the hops begin.
 
 _WHOLE = WINDOW // HOP - 1
-"""Whole hops within any window."""
+"""Number of whole hops within any 64 innovations in a row."""
 
 
 class Aliveness:
@@ -119,7 +119,7 @@ class Aliveness:
     Attributes
     ----------
     sure : bool
-        Whether no window so far can have been that of a dead sensor, wherever hops begin.
+        True if no window so far can have been that of a dead sensor, wherever hops begin.
     """
 
     def __init__(self, dead_variance: float) -> None:
@@ -176,9 +176,9 @@ HOPS = "hops"
 NEVER = 1e12
 """Threshold, in sigma, that no cumulative sum reaches."""
 
-_DEAD = 0.05  # of the expected variance: a quieter window is dead; one above it may be a sensor at rest
-_THAN_REST = 0.25  # of the variance of the quietest window of a healthy record
-_ALARMS = 3  # kinds of alarm, which share the false alarms: drift up, drift down, dead
+_DEAD = 0.05  # largest variance of a dead window, over the expected one; with more a sensor may be at rest
+_THAN_REST = 0.25  # the same, over the variance of the quietest window of a healthy record
+_ALARMS = 3  # divides the rate of false alarms: one part for drift to both sides, one for dead sensors
 
 
 class Alarms(NamedTuple):
@@ -198,12 +198,12 @@ class Alarms(NamedTuple):
 
     @property
     def drift_delay(self) -> float:
-        """Mean number of readings until the monitor detects a shift of one sigma."""
+        """Return the mean number of readings until the monitor detects a shift of one sigma."""
         return cusum_delay(self.drift_threshold, 1.0)
 
     @property
     def dead_delay(self) -> int:
-        """Largest number of readings without noise until the monitor calls the sensor dead, if the signal rests."""
+        """Return the largest number of readings without noise until a sensor is dead, if the signal rests."""
         return WINDOW + HOP
 
 
@@ -256,7 +256,7 @@ def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | N
 
 
 class _Watch:
-    """The pass over innovations; its state continues from push to push."""
+    """A pass over innovations whose state continues from push to push."""
 
     def __init__(self, drift_threshold: float) -> None:
         self.state, self._settings = new_watched(), np.zeros((), SETTINGS)
@@ -282,16 +282,16 @@ def _window_spreads(sums: Integers) -> Integers:
 
 
 def _variances(spreads: Integers) -> Floats:
-    """Return the variances about the mean of each window, in sigma^2."""
+    """Return the variance of each window about its mean, in sigma^2."""
     return np.asarray(spreads / float(WINDOW * (WINDOW - 1) * PARTS**2))
 
 
 class InnovationMonitor:
     """A monitor of the normalised innovations nu / sqrt(S) of one channel, in constant memory.
 
-    A two-sided cumulative sum with k = 0.5 detects drift, the best choice for a shift of one sigma (Page, Biometrika 41
-    (1954) 100). The alarm repeats as long as the drift lasts. Innovations only show what the filter does *not* follow:
-    every model that does not keep a level follows the slow drift of a strain gauge as signal, and its innovations
+    A two-sided cumulative sum detects drift; its k = 0.5 is the best choice for a shift of one sigma (Page, Biometrika
+    41 (1954) 100). The alarm repeats as long as the drift lasts. Innovations only show what the filter does *not*
+    follow: every model whose level may move follows the slow drift of a strain gauge as signal, and its innovations
     stay white. Such a drift shows only against a reference without drift: push (reading - reference) / sigma instead,
     where the reference is a value known at rest (a tare), or a slow second sensor. If the model does not fit,
     innovations are coloured, and there are more false alarms of drift than stated.
@@ -304,13 +304,13 @@ class InnovationMonitor:
     Attributes
     ----------
     found : dict
-        `FaultCount` of `DRIFT` and of `DEAD`; it counts all rows that were pushed.
+        `FaultCount` of `DRIFT` and of `DEAD`; rows and steps count from the first push.
     history : NoiseHistory
         Mean squares of the innovations over time.
     powers : (up to 32,) float array
         Sums of squares of the last hops of 16 innovations, in sigma^2.
     aliveness : Aliveness
-        It tells whether the sensor is surely alive, wherever hops begin.
+        The check that the sensor is surely alive, wherever hops begin.
     """
 
     def __init__(self, alarms: Alarms) -> None:
@@ -326,7 +326,7 @@ class InnovationMonitor:
 
     @property
     def drift_since(self) -> int | None:
-        """The row in which the first detected drift began, estimated from the cumulative sum; None without a drift."""
+        """Return the row where the first detected drift began, by the cumulative sum; None without a drift."""
         since = int(self._watch.state["drift_since"])
         return None if since < 0 else since
 
@@ -372,11 +372,11 @@ class InnovationMonitor:
 
     @property
     def is_silent(self) -> bool:
-        """Whether the last window was that of a dead sensor."""
+        """Return whether the last window was that of a dead sensor."""
         return self._silent
 
     def set_history(self, innovations: int, rows: int, steps: float) -> None:
-        """Set how many innovations, rows and steps went before, so that hops and rows count as in the whole record."""
+        """Set the number of earlier innovations, rows and steps: hops and rows then count as in the whole record."""
         state = self._watch.state
         self._rows = state["rows"] = rows
         state["hop_count"], state["now"] = innovations % HOP, steps

@@ -1,6 +1,6 @@
 """Find from a record how far the readings of a channel jump: gross outliers jump farther.
 
-Each row is decided in C: of a file in `native/outliers.c`, of a stream in `native/limits.h`.
+C code judges each reading by this rule: `native/outliers.c` for a file, `native/limits.h` for a stream.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from becalm.native.scans import (
 
 # Find the value that marks missing readings in a log.
 
-_FEWEST_MARKED, _SHARE = 20, 0.05  # least number and share of readings that have the marker
+_FEWEST_MARKED, _SHARE = 20, 0.05  # least number and share of readings that equal the marker
 _FEWEST_VALUES = 16  # least number of different readings
-_OFTENER, _NEIGHBOURS = 10.0, 5  # how often it comes, over the median of this many values on each side
-_RUN = 3  # rows: most runs of the marker are no longer
+_OFTENER, _NEIGHBOURS = 10.0, 5  # least count of the marker, over the median count of this many values on each side
+_RUN = 3  # rows: nine in ten runs of the marker are no longer
 _MARKER_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around it, over their noise and their difference
 _PAIR_OF_NOISE = 0.6745 * np.sqrt(2.0)  # median distance of two readings, for white noise of variance 1
 
@@ -34,7 +34,7 @@ _PAIR_OF_NOISE = 0.6745 * np.sqrt(2.0)  # median distance of two readings, for w
 def find_blank(z: Floats) -> float:
     """Return the value that stands in for single missing readings; inf if there is none.
 
-    It comes far more often than neighbouring values. The readings before and after it agree mostly with each other, and
+    It comes far more often than neighbouring values. The readings before and after it mostly agree with each other, and
     not with it.
 
     Parameters
@@ -77,15 +77,15 @@ class Outliers(NamedTuple):
 
     distance: float = np.inf  # from the median of neighbours on both sides, in unit; inf: no outliers
     causal_distance: float = np.inf  # from the median of neighbours before, in unit; inf: no outliers
-    low: float = -np.inf  # lowest plausible first reading, in unit
-    high: float = np.inf  # highest plausible first reading, in unit
+    low: float = -np.inf  # lowest plausible estimate, and reading without neighbours, in unit
+    high: float = np.inf  # the highest ones, in unit
     repeats_are_one: bool = False  # whether equal readings in a row count as one
     blank: float = np.inf  # value that marks a missing reading, in unit; inf: no such value
-    far_from_0: float = 0.0  # a 0 whose neighbours are all farther from 0 is not a reading, in unit; 0: every 0 is one
+    far_from_0: float = 0.0  # in unit: a 0 with all neighbours farther from 0 is not a reading; 0: every 0 is one
 
     @property
     def without_neighbours(self) -> Outliers:
-        """The part of the rule that needs no neighbours: the plausible range, and the marker of missing readings."""
+        """Return the part of the rule without neighbours: the plausible range, and the marker of missing readings."""
         return NO_OUTLIERS._replace(low=self.low, high=self.high, blank=self.blank)
 
 
@@ -96,23 +96,23 @@ MOST_OUTLIERS = 0.1
 """Largest share of outliers; readings that come more often are not exceptions."""
 
 _FEWEST = 8  # readings needed to measure jumps
-_IMPOSSIBLE, _MOST_IMPOSSIBLE = 1000.0, 0.2  # distance that no motion reaches, over the middle half; largest share
-_ALIKE = 2.0  # nine in ten pulses of a signal are no larger than this, over the tenth that are smallest
-_UNLIKELY = 3.0  # standard deviations of the number of pairs of readings that are far by chance
+_IMPOSSIBLE, _MOST_IMPOSSIBLE = 1000.0, 0.2  # interquartile ranges that no motion reaches; largest share beyond them
+_ALIKE = 2.0  # largest ratio of the 90 % and 10 % quantiles of sizes for which far readings are pulses of a signal
+_UNLIKELY = 3.0  # sigmas above the expected number of far readings in a row: by chance there are no more
 _NOISES = 30.0  # smallest distance of a gross outlier, in standard deviations of the noise
-_OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # median and 90 % quantile of the distance from neighbours, for white noise
-_AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # of an outlier's distance; at most this share of moving readings is that far away
-_NEARLY = 0.8  # of the neighbours' spread: a moving reading that far away could pass for an outlier
-_MANY, _NEARER = 8, 3.0  # with this many outliers, others are expected this many times nearer
+_OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # median and 90 % quantile of the distance from neighbours, over noise sigma
+_AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # share of an outlier's distance; most moving readings beyond it, per outlier as far
+_NEARLY = 0.8  # of the neighbours' spread: least distance of a moving reading that could pass for an outlier
+_MANY, _NEARER = 8, 3.0  # with this many outliers, others are expected to be nearer by this factor
 _JUMPS = 2.0  # limit for a causal jump, over the largest jump in the record
-_HIDDEN = 0.1  # number of outliers hidden in equally large motion, over the number detected
-_RARE = 0.05  # share of readings that equal the one before
-_FAR, _MOVES = 1 / 12, 6.0  # smallest distance from 0: share of the bulk's range, and in median steps
+_HIDDEN = 0.1  # assumed number of outliers hidden in equally large motion, over the number detected
+_RARE = 0.05  # largest number of runs of equal readings, over that of different ones, if each run counts as one
+_FAR, _MOVES = 1 / 12, 6.0  # least `far_from_0`, over the range of the bulk, and over the median step
 _BULK = 0.01, 0.99  # quantiles that bound the bulk of the readings
-_BY_CHANCE = 0.05  # expected number of readings rounded to 0, at most, if 0 is not a reading
-_SECOND = 1.732  # second differences of white noise, over first ones
+_BY_CHANCE = 0.05  # largest expected number of readings rounded to 0, if 0 is not a reading
+_SECOND = 1.732  # size of the second differences of white noise, over that of the first
 _SEVERAL = 4  # returns from 0 that suffice to compare the readings around it
-_AGREE, _MOSTLY = 0.25, 0.75  # largest difference of readings around a fill, over their mean; share that keeps to it
+_AGREE, _MOSTLY = 0.25, 0.75  # largest difference of readings around a fill, over their mean; least share within it
 
 
 def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0) -> Outliers:
@@ -175,10 +175,10 @@ def _separate_outliers(values: Floats) -> tuple[float, Floats]:
 
 
 def _find_impossible(values: Floats) -> Booleans:
-    """Return which readings (N,) no motion reaches: a thousand times as far away as the bulk is wide.
+    """Return which readings (N,) no motion reaches: those a thousand interquartile ranges from the median.
 
-    They come as single readings, with no more in a row than chance brings, and their sizes differ. Pulses of a signal
-    have similar sizes or last longer; for such records, or if the far readings are too many, none is returned.
+    They come as single readings, with no more in a row than by chance, and their sizes differ. Pulses of a signal have
+    similar sizes or last longer. With such pulses, or with too many far readings, no reading counts.
     """
     low, middle, high = np.quantile(values, (0.25, 0.5, 0.75)).tolist()
     away = np.abs(values - middle)
@@ -192,7 +192,7 @@ def _find_impossible(values: Floats) -> Booleans:
 
 
 def _rests_at_0(z: Floats) -> bool:
-    """Return whether 0 is too frequent for an exception, and lies outside the middle third of the other readings."""
+    """Return whether 0 is too frequent for an exception, and outside the middle third of the range of the others."""
     others = z[z != 0]
     if not len(others) or len(z) - len(others) <= MOST_OUTLIERS * len(z):
         return False
@@ -201,10 +201,10 @@ def _rests_at_0(z: Floats) -> bool:
 
 
 def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
-    """Return the distance of its neighbours from 0, in unit, from which a 0 is not a reading; 0 if every 0 is one.
+    """Return the distance from 0, in unit, beyond which neighbours show that a 0 is not a reading; 0: every 0 is one.
 
-    Every 0 is a reading if readings lie on both sides of 0, lead up to it, or mostly differ before and after it; if
-    rounding may produce it; or if readings repeat and 0 comes several times.
+    Every 0 is a reading if there are few different readings; if readings lie on both sides of 0, lead up to it, or
+    mostly differ before and after it; if rounding may produce it; or if readings repeat and 0 comes several times.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def _without_repeats(z: Floats, repeats: Booleans) -> Floats:
 
 
 def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distance: float) -> Floats:
-    """Return the readings without outliers; repeat, because an outlier may hide another one among its neighbours."""
+    """Return the readings without outliers; they are removed in rounds, because one may hide another next to it."""
     while (out := (distances > distance) & (distances > SPREADS * spreads)).any():
         values = values[~out]
         distances, spreads = distances_of(values)
@@ -260,7 +260,7 @@ def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distan
 
 
 def is_outlier(z: Floats, rule: Outliers) -> Booleans:
-    """Return which readings (N,), NaN where missing, are gross outliers, from neighbours on both sides."""
+    """Return which readings (N,), NaN where missing, are gross outliers among their neighbours, or the marker."""
     return np.asarray((verdicts_from_neighbours(z, rule) == Verdict.OUTLIER) | (z == rule.blank))
 
 
@@ -296,11 +296,11 @@ def distances_of(z: Floats) -> tuple[Floats, Floats]:
 
 
 def _least_distance(distances: Floats, spreads: Floats) -> float:
-    """Return the smallest distance of an outlier from its neighbours, in unit: beyond noise and motion; 0 for neither.
+    """Return the least distance of an outlier from its neighbours, in unit, beyond noise and motion; 0: unknown.
 
     An impact may also be far from neighbours that lie close together. But other impacts, and the motion that follows,
     are as far from neighbours that spread wide; such distances are not evidence of outliers. A record with many
-    outliers has nearer ones, too, so that the distance is reduced.
+    outliers also has nearer ones, so the distance is smaller there.
     """
     some = distances[distances > 0]
     if not len(some):

@@ -18,9 +18,9 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.health.limits import find_resolution
 
-_TERMS = np.arange(1.0, 4097.0)
+_TERMS = np.arange(1.0, 4097.0)  # k in the sum above
 _MOST_REST = 0.5  # largest share of readings that equal the one before, in measured values
-_SET_CODES = 1.5  # a quarter of the other steps are larger, in codes, in set values
+_SET_CODES = 1.5  # codes: in set values, a quarter of the steps that are not 0 are larger
 _OF_NOISE = 0.455  # square of the median distance of two readings of variance 1/2 each
 
 

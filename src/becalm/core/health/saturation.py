@@ -16,10 +16,10 @@ from becalm.core.arrays import Booleans, Floats, Integers
 
 _FEWEST_CODES = 16  # with fewer codes the last one is not rare
 _NEIGHBOURS = 10  # different readings next to the extreme one
-_OFTENER = 8  # how often the extreme comes, over the mean of these; up to 4.3 for a smooth peak ...
-_THAN_NEXT = 4  # ... and over the next one; up to 2.4 for a smooth peak, 1 for a level between two codes
-_TURNS_BACK = 0.22  # share of steps that turn back, in white noise of 1/3 code; noise of 1/5 code turns back less
-_ROUGH = 0.4  # standard deviation, in codes; that of the rounding of a moving signal alone is 0.29
+_OFTENER = 8  # least count of the extreme, over the mean count of these; up to 4.3 for a smooth peak ...
+_THAN_NEXT = 4  # ... and over the count of the next one; up to 2.4 for a smooth peak, 1 for a level between two codes
+_TURNS_BACK = 0.22  # least share of steps that turn back: white noise of 1/3 code has it, noise of 1/5 code has less
+_ROUGH = 0.4  # codes: least standard deviation of noise; rounding of a moving signal alone has 0.29
 _FOURTH = 0.6745 * np.sqrt(70.0)  # median of the fourth differences of white noise of variance 1
 
 
@@ -67,7 +67,7 @@ def _is_piled_up(counts: Integers) -> bool:
 
 
 def _comes_back(at_extreme: Booleans) -> bool:
-    """Return whether the record reaches an extreme more than once, and holds it for two readings or more."""
+    """Return whether the record reaches an extreme more than once, and once for two readings or more."""
     visits = int(at_extreme[0]) + int(np.count_nonzero(at_extreme[1:] & ~at_extreme[:-1]))
     return 1 < visits < int(np.count_nonzero(at_extreme))
 

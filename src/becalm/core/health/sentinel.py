@@ -2,7 +2,7 @@
 
 In a causal channel `native/sensor.h` does the same, row by row.
 
-The first is an alarm for unexpected faults. An estimate is a runaway if it lies outside the plausible bounds and is
+A runaway is an alarm for unexpected faults. An estimate is a runaway if it lies outside the plausible bounds and is
 farther from the last used reading than these bounds are apart. The bounds are those of the record that the filter was
 tuned on, extended by its range on both sides; the second condition allows for a sensor that was zeroed since.
 
@@ -21,7 +21,7 @@ from becalm.core.health.limits import Limits
 from becalm.core.reading_verdicts import LOST, NOT_READ, Verdict
 from becalm.core.rows import EstimatedRows
 
-_NO_ROW = -1
+_NO_ROW = -1  # in place of a row, if there is none
 
 
 class Sentinel:
@@ -40,7 +40,7 @@ class Sentinel:
         self._last_used, self._missed, self._waiting = np.nan, True, np.empty(0)
 
     def push(self, usable: Floats) -> None:
-        """Take the readings (B,) of the next rows, NaN where none may enter the filter; their estimates come later."""
+        """Take the readings (B,) of the next rows, NaN where none may enter the filter, before their estimates."""
         self._waiting = np.append(self._waiting, usable)
 
     def mark_implausible(self, rows: EstimatedRows) -> EstimatedRows:

@@ -25,7 +25,7 @@ PIECE = 4096  # rows that are filtered at once
 
 
 def rows_between(lag: int) -> int:
-    """Return the number of rows between two backward passes; runs that start at a multiple of it have the same bits."""
+    """Return the number of rows between backward passes; a run that starts at a multiple of it gives the same bits."""
     return max(1, (lag + 1) // _BACKWARD_PASSES)
 
 
@@ -37,13 +37,13 @@ class WaitingRows:
     states, modes : int
         Number of states, and of modes.
     lag : int
-        Lag in rows, 1 or more; with a *small* lag the signal comes sooner and has more noise.
+        Lag in rows, 1 or more; with a *small* lag the signal comes earlier and has more noise.
     """
 
     def __init__(self, states: int, modes: int, lag: int) -> None:
         self.lag = lag
         self.every = rows_between(lag)
-        self.width = note_size(states, modes)  # numbers that are kept for each row, K
+        self.width = note_size(states, modes)  # K, how many numbers are kept for each row
         self._notes = np.empty((0, self.width))
         self._turn = self.every  # rows from the first waiting row to the start of the next backward pass
 
@@ -81,7 +81,7 @@ class WaitingRows:
         return due
 
     def estimate_all(self, bank: Bank, state: State, steps: Steps, room: Trace) -> None:
-        """Write estimates of all waiting rows from the rows so far; they go on waiting."""
+        """Write estimates of all waiting rows from the rows so far; the rows still wait."""
         count = len(self._notes)
         if count:
             smooth_late(bank, state, steps, self._notes, room, turn=count, every=count, lag=count)
@@ -119,7 +119,7 @@ class FixedLagImmFlow(ByModes):
     split : bool
         Whether to return the contribution of each part of the component, followed by the probability of each mode.
     with_probabilities : bool
-        Whether to return the probabilities alone if `split` is False.
+        If `split` is False: whether to return the probabilities alone.
 
     Raises
     ------

@@ -29,7 +29,7 @@ from becalm.native.imm import (
     smooth_rows,
 )
 
-_LEAST_GROUP = 64 * BLOCK
+_LEAST_GROUP = 64 * BLOCK  # rows
 _MOST_GROUP = 1 << 22  # rows: a mode with a longer memory is almost a constant
 
 
@@ -57,7 +57,7 @@ class ImmFlow(ByModes):
     split : bool
         Whether to return the contribution of each part of the component, followed by the probability of each mode.
     with_probabilities : bool
-        Whether to return the probabilities alone if `split` is False.
+        If `split` is False: whether to return the probabilities alone.
     """
 
     def __init__(

@@ -28,7 +28,7 @@ class ForwardImm:
     split : bool
         Whether to return the contribution of each part of the component, followed by the probability of each mode.
     with_probabilities : bool
-        Whether to return the probabilities alone if `split` is False.
+        If `split` is False: whether to return the probabilities alone.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class ForwardImm:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the rows so far in each mode: the mean of its filtered probability."""
+        """Return the share of the rows so far in each mode: the mean of its filtered probability."""
         total = max(float(self._shares.sum()), 1.0)
         return {mode.name: float(share) / total for mode, share in zip(self.switching.modes, self._shares, strict=True)}
 
@@ -71,7 +71,7 @@ class ForwardImm:
         return judge(z, largest_magnitude_for_noise(self.switching.least_noise_variance))
 
     def set_level(self, reading: float) -> None:
-        """Set the level that readings count from to the first reading of the record, before any push."""
+        """Set the level, which is subtracted from readings, to the record's first reading; call it before any push."""
         if not self.state["has_level"]:
             self.state["has_level"] = 1
             self.state["level"] = level_from_first_reading(reading, self.switching.least_noise_variance)
@@ -136,17 +136,17 @@ class ByModes:
 
     @property
     def switching(self) -> InteractingModels:
-        """The modes, in steps."""
+        """Return the modes, in steps."""
         return self._filter.switching
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the rows so far in each mode: the mean of its filtered probability."""
+        """Return the share of the rows so far in each mode: the mean of its filtered probability."""
         return self._filter.shares
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood of all measurements so far, except the first."""
+        """Return the log-likelihood of all measurements so far, except the first."""
         return self._filter.log_likelihood
 
     def saved(self) -> dict[str, Any]:
@@ -158,7 +158,7 @@ class ByModes:
         self._filter.restore(arrays)
 
     def set_level(self, reading: float) -> None:
-        """Set the level that readings count from to the first reading of the record, before any push."""
+        """Set the level, which is subtracted from readings, to the record's first reading; call it before any push."""
         self._filter.set_level(reading)
 
 

@@ -47,7 +47,7 @@ class LiveImm:
 
     @property
     def modes(self) -> dict[str, float]:
-        """Probability of each mode after the last reading; before the first reading, the initial ones."""
+        """Return the probability of each mode after the last reading; before the first, the initial one."""
         mu: Floats = self._state["mu"]
         probabilities = mu if mu[0] > 0 else self._bank.start[:, 0]
         return dict(zip(self._names, probabilities.tolist(), strict=True))

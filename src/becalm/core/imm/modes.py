@@ -22,7 +22,7 @@ from becalm.native.imm import MOST_MODES, Bank, Steps
 _WIDE = 1e6  # initial variance of the slopes, over that of the steady-state filter
 _ASLEEP = 1e-6  # variance of an inactive state, over the process noise of one step
 _MOST_BANKS = 16  # number of banks in the cache
-_TERMS = 16  # terms of a series whose argument is below 1/4
+_TERMS = 16  # terms of a series whose argument is at most 1/4
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,8 @@ class InteractingModels:
     wild_variance : float
         Extra variance of a wild reading, in unit^2.
     rejects : bool
-        Whether the estimate leaves out wild readings; otherwise they only do not count for the mode.
+        Whether the estimate leaves out wild readings; otherwise they enter it, but hardly change the probabilities of
+        modes.
 
     Raises
     ------
@@ -96,22 +97,22 @@ class InteractingModels:
 
     @cached_property
     def component(self) -> Component:
-        """The component with the most states; all modes share these states."""
+        """Return the component with the most states; all modes share these states."""
         return max((mode.component for mode in self.modes), key=lambda component: len(component.drift))
 
     @property
     def states(self) -> int:
-        """Number of states, n."""
+        """Return the number of states, n."""
         return len(self.component.drift)
 
     @property
     def least_noise_variance(self) -> float:
-        """The smallest R of all modes, in unit^2."""
+        """Return the smallest R of all modes, in unit^2."""
         return min(mode.noise_variance for mode in self.modes)
 
     @cached_property
     def start(self) -> Floats:
-        """The start of each mode at the first reading: its probability, and the variances of its states, (M, 1 + n)."""
+        """Return the start of each mode at the first reading, (M, 1 + n): its probability and its states' variances."""
         lasts = np.array([mode.lasts for mode in self.modes])
         spread = _WIDE * self._settled_variances if self.states > 1 else np.empty(1)
         own = [
@@ -122,7 +123,7 @@ class InteractingModels:
 
     @cached_property
     def _settled_variances(self) -> Floats:
-        """Steady-state variances of the states of the largest mode, (n,)."""
+        """Return the steady-state variances (n,) of the states of the largest mode; R if there are none."""
         mode = max(self.modes, key=lambda mode: len(mode.component.drift))
         try:
             variances = np.diag(steady(mode.component.to_model(1.0, mode.noise_variance)).predicted_cov)
@@ -141,7 +142,7 @@ class InteractingModels:
 
     @cached_property
     def _banks(self) -> dict[bytes, Bank]:
-        """A cache of banks, by the lengths of their steps."""
+        """Return a cache of banks, by the lengths of their steps."""
         return {}
 
     def _new_bank(self, lengths: Floats) -> Bank:
@@ -184,7 +185,7 @@ class InteractingModels:
 
     @cached_property
     def _rates(self) -> Floats:
-        """Transition rates from mode i to mode j, per step, (M, M); each row sums to 0."""
+        """Return the transition rates from mode i to mode j, per step, (M, M); each row sums to 0."""
         names, count = [mode.name for mode in self.modes], len(self.modes)
         rates = np.zeros((count, count))
         for i, mode in enumerate(self.modes):
@@ -197,7 +198,7 @@ class InteractingModels:
 def _exponentials(rates: Floats, lengths: Floats) -> Floats:
     """Return exp(rates t) for several t, (u, M, M), by scaling and squaring of a Taylor series."""
     most = float(np.abs(np.diag(rates)).max(initial=0.0)) * lengths
-    halvings = np.maximum(np.ceil(np.log2(np.maximum(most, 1e-300))) + 2, 0)  # for each t alone: no influence of others
+    halvings = np.maximum(np.ceil(np.log2(np.maximum(most, 1e-300))) + 2, 0)  # for each t: others have no effect
     part = np.multiply.outer(lengths / 2.0**halvings, rates)
     term = result = np.broadcast_to(np.eye(len(rates)), part.shape)
     for k in range(1, _TERMS):

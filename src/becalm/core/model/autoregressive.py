@@ -3,9 +3,8 @@
 Autoregressive noise of order p is e[k] = phi_1 e[k-1] + ... + phi_p e[k-p] + w[k], w white. It is defined
 only at the measurements, so its steps are even; a missing reading counts as a step. The noise is stationary if and
 only if all its partial autocorrelations are below 1 in size; Levinson's recursion, run backwards, computes them.
-Sources: Levinson, J. Math. Phys. 25
-(1947) 261; Durbin, Rev. Int. Stat. Inst. 28 (1960) 233; Barndorff-Nielsen and Schou, J. Multivariate
-Analysis 3 (1973) 408.
+Sources: Levinson, J. Math. Phys. 25 (1947) 261; Durbin, Rev. Int. Stat. Inst. 28 (1960) 233; Barndorff-Nielsen and
+Schou, J. Multivariate Analysis 3 (1973) 408.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class ColouredNoise(NamedTuple):
 
 
 def autoregressive(coefficients: Sequence[float], std: float = 1.0, step_s: float = 1.0) -> Component:
-    """Return autoregressive noise, a disturbance: exact over whole numbers of steps, an error over other times.
+    """Return autoregressive noise, a disturbance that is defined only over whole numbers of steps.
 
     Parameters
     ----------
@@ -63,7 +62,7 @@ def autoregressive(coefficients: Sequence[float], std: float = 1.0, step_s: floa
 
     Notes
     -----
-    The states are e[k] to e[k-p+1]. Order 1 is Gauss-Markov noise with phi = exp(-T / correlation_s).
+    The states are e[k] to e[k-p+1]. Order 1 with phi > 0 is Gauss-Markov noise with phi = exp(-T / correlation_s).
     """
     phi = _checked_coefficients(coefficients)
     std = checked_number("std", std, "a standard deviation", "a positive number", zero=True)

@@ -32,7 +32,7 @@ __all__ = [
     "with_walking_level",
 ]
 
-HIGHEST_ORDER = 5
+HIGHEST_ORDER = 5  # of a motion
 
 LEVEL_RATE = 0.1
 """Rate at which the level of a returning motion follows the signal, as a fraction of its damping."""
@@ -78,7 +78,7 @@ def motion(order: int, noise_density: float = 1.0) -> Component:
 
     Notes
     -----
-    The steady-state filter is a Butterworth low-pass that also follows ramps, with the cut-off
+    At high rates the steady-state filter is a low-pass with Butterworth's poles that also follows ramps; the cut-off is
     (density / (R T))^(1/2n) rad/s. Do not confuse this model with the piecewise-constant noise of
     Kalata's alpha-beta filter (IEEE TAES-20, 1984), whose process covariance has rank one.
     """
@@ -103,8 +103,8 @@ def returning_motion(order: int, noise_density: float, damping: float) -> Compon
     noise_density : float
         Two-sided density of that noise, in unit^2/s^(2n-1); a *small* one trusts the model and smooths more.
     damping : float
-        a, in rad/s: motion slower than that is damped; with a *small* one the signal returns late. The limit without
-        damping is `motion`.
+        Cut-off a, in rad/s: slower motion is damped; with a *small* one the signal returns late. The limit for a = 0
+        is `motion`.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def returning_motion(order: int, noise_density: float, damping: float) -> Compon
     Notes
     -----
     Its power is q (w^2 + b^2) / (w^2 (w^2n + a^2n)): about its level it is white noise after a Butterworth low-pass.
-    At frequencies above a the power is that of `motion`, so a smoother acts alike with both. The level follows the
+    At frequencies above a the power is that of `motion`, so both smooth alike. The level follows the
     signal with the rate b = a / 10: it is a mean of the past signal, whose weights decay ten times as slowly as a.
     """
     kinematic = motion(order, noise_density)
@@ -171,7 +171,7 @@ def hum(mains_hz: float = 50.0, harmonics: int = 3, noise_density: float = 1.0) 
     Parameters
     ----------
     mains_hz : float
-        50 or 60, or as measured, in hertz.
+        Mains frequency, in hertz: 50 or 60, or as measured.
     harmonics : int
         Number of tones, including the fundamental.
     noise_density : float

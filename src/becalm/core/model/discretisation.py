@@ -11,10 +11,10 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError
 
-_TERMS = 24  # of a series whose argument is at most 1
+_TERMS = 24  # terms of a series whose argument is at most 1
 _CACHED_SIZE = 1 << 13  # matrices with more numbers in total are not cached
 _MOST_STEPS = 2.0**53  # above it float64 cannot hold every whole number
-_WHOLE = 1e-9  # tolerance for rounded times, relative to a step or to the number of steps
+_WHOLE = 1e-9  # largest distance from a whole number of steps, over that number (or over 1 if it is 0)
 
 
 class Recursion(NamedTuple):
@@ -22,7 +22,7 @@ class Recursion(NamedTuple):
 
     F: Floats  # (n, n)
     Q: Floats  # (n, n) covariance of w
-    step_s: float
+    step_s: float  # length of the step, in seconds
 
 
 def discretise(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
@@ -121,7 +121,7 @@ def _integrate_polynomial(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats
 
 
 def _is_tone(A: Floats, W: Floats) -> bool:
-    """Return whether this is one decaying state, or a rotating and decaying pair of states with isotropic noise."""
+    """Return whether the system is one decaying state, or a rotating and decaying pair with isotropic noise."""
     if len(A) == 1:
         return True
     pair = len(A) == 2 and A[0, 0] == A[1, 1] and A[0, 1] == -A[1, 0]
@@ -129,7 +129,7 @@ def _is_tone(A: Floats, W: Floats) -> bool:
 
 
 def _integrate_tone(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Floats]:
-    """Integrate in closed form: F = e^(a T) times a rotation, and Q = W (e^(2 a T) - 1) / 2 a."""
+    """Integrate in closed form: F = e^(a T) times a rotation, and Q = W (e^(2 a T) - 1) / (2 a)."""
     a, T = float(A[0, 0]), steps_s[:, np.newaxis, np.newaxis]
     F = np.exp(a * T) * np.eye(len(A))
     if len(A) == 2:
@@ -142,7 +142,7 @@ def balancing(A: Floats) -> Floats:
     """Return the scale (n,) of each state that balances A (n, n): its entries become similar in size."""
     from scipy.linalg import matrix_balance
 
-    with np.errstate(invalid="ignore"):  # widely different scales make its permutation invalid, which is not used
+    with np.errstate(invalid="ignore"):  # from the permutation, which is not used
         _, (scale, _) = matrix_balance(A, permute=False, separate=True)
     return np.asarray(scale)
 

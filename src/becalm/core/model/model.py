@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from becalm.core.arrays import Floats, frozen, real
 from becalm.errors import ModelError
 
-_SEMIDEFINITE = 1e-10  # relative to the largest eigenvalue: rounding may leave such negative ones
+_SEMIDEFINITE = 1e-10  # size of negative eigenvalues that may come from rounding, over the largest entry
 
 
 class Model:
@@ -32,7 +32,7 @@ class Model:
     G : (n, p) array_like, optional
         Input matrix of the process noise; the identity by default.
     x0 : (n,) array_like, optional
-        Expected state at the first reading, without that reading.
+        Expected state at the time of the first reading, before this reading is used.
     P0 : (n, n) array_like, optional
         Covariance of x0; may be singular. Give both x0 and P0, or neither. With neither, the filter
         starts from the first readings alone (a flat prior), with a correct variance.
@@ -43,7 +43,8 @@ class Model:
     Raises
     ------
     ModelError
-        If a shape does not fit, a number is not finite, or a covariance is not one.
+        If a shape does not fit, a number is not finite, a covariance is not symmetric and semidefinite, or x0, P0 and
+        `known` do not go together.
     """
 
     def __init__(  # noqa: PLR0913  (the letters of one textbook equation)

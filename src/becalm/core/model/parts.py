@@ -1,8 +1,8 @@
 """Components of a model in continuous time: each has parts with named states; `+` joins components.
 
-A component is dx/dt = A x + B w, y = C x, with white noise w of spectral density W (two-sided:
-unit^2 s, times 1/s^2 for each derivative that it drives). `to_model` makes a `Model` for a step length.
-A part may also be a recursion over even steps, without continuous time.
+A component is dx/dt = A x + B w, y = C x, with white noise w of two-sided spectral density W, in unit^2/s^(2d - 1)
+where it drives the d-th derivative of y. `to_model` makes a `Model` for a step length. A part may also be a recursion
+over even steps, without continuous time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Part:
     disturbance : bool
         True if the part is in the readings but not in the signal.
     recursion : Recursion or None
-        The even step of a part without continuous time, whose blocks of drift and density are zero.
+        The step of a part without continuous time; its blocks of drift and density are zero.
     """
 
     name: str
@@ -93,7 +93,7 @@ class Component:
     def level_direction(self) -> Floats | None:
         """Return the constant change of the states (n,) that adds a constant 1 to y; None if there is none."""
         states, n = self._slices()[0], len(self.drift)
-        for last in dict.fromkeys((0, states.stop - 1)):  # the level of a motion, or also the level that it returns to
+        for last in dict.fromkeys((0, states.stop - 1)):  # the level alone, then with the one it returns to
             direction = np.zeros(n)
             direction[[0, last]] = 1.0
             constant = self.parts[0].recursion is None and not (self.drift @ direction).any()
@@ -212,8 +212,8 @@ class Component:
         Raises
         ------
         ModelError
-            If the step is not positive or the variance is negative; if a part has even steps, and `step_s` is
-            not a whole number of them or the discretisation is "euler".
+            If the step is not positive, the variance is negative or the discretisation has another name; or if a part
+            has even steps, and `step_s` is not a whole number of them or the discretisation is "euler".
         """
         step_s = checked_step(step_s)
         R = [[noise_variance]]
@@ -228,12 +228,15 @@ class Component:
 
 
 def _about_level(A: Floats, W: Floats) -> Floats:
-    """Return the prior information (n + 1, n + 1) of a motion that is stationary about its last state, a free level."""
+    """Return the prior information (n + 1, n + 1) of a motion that is stationary about its last state, a free level.
+
+    It is zero if the stationary covariance cannot be computed.
+    """
     from scipy.linalg import solve_continuous_lyapunov
 
     n = len(A) - 1
     to_distance, back = np.eye(n + 1), np.eye(n + 1)
-    to_distance[0, n], back[0, n] = -1.0, 1.0  # level to distance from the last state, and back
+    to_distance[0, n], back[0, n] = -1.0, 1.0  # the first state becomes its distance from the last
     own = (to_distance @ A @ back)[:n, :n]
     scale = balancing(own)
     P = solve_continuous_lyapunov(own / scale[:, np.newaxis] * scale, -W[:n, :n] / np.outer(scale, scale))
@@ -260,7 +263,7 @@ def checked_number(name: str, value: object, what: str, needed: str, *, zero: bo
     Raises
     ------
     ModelError
-        If it is not a number (booleans and text are not numbers), not finite, or negative.
+        If it is not a number (booleans and text are not numbers), not finite, negative, or 0 where 0 is not allowed.
     """
     given = np.asarray(value if np.isscalar(value) or isinstance(value, np.ndarray) else None)
     number = float(given) if given.ndim == 0 and given.dtype.kind in "iuf" else np.nan
@@ -295,9 +298,9 @@ def checked_whole(name: str, value: object, refusal: str, highest: float = np.in
 
 # Limits of magnitude beyond which a value is not a reading: from a record, from the noise, and from float64.
 
-_FACTOR = 1e9  # times the spread of nine in ten readings: more than any converter spans, about 30 bits
-_QUANTILE = 0.9
-_ROUNDING = 1e3  # times the noise: a reading that float64 rounds more coarsely is not one of this sensor
+_FACTOR = 1e9  # largest reading over the spread: more than any converter spans, about 30 bits
+_QUANTILE = 0.9  # of the distances from the median: the spread
+_ROUNDING = 1e3  # coarsest rounding of a reading by float64, over the standard deviation of the noise
 
 
 def find_largest(z: Floats) -> float:
@@ -323,10 +326,10 @@ def find_largest(z: Floats) -> float:
 
 
 def largest_magnitude_for_noise(noise_variance: float) -> float:
-    """Return the magnitude beyond which float64 rounds a value more coarsely than the noise of the sensor.
+    """Return the magnitude beyond which float64 rounds a value to more than 1000 standard deviations of the noise.
 
     A filter that used such a reading could not recover: later corrections would be lost in the rounding of its
-    state. Without noise the limit is 1e100.
+    state. Without noise the limit is 1e100; it is never higher.
 
     Parameters
     ----------
@@ -339,10 +342,10 @@ def largest_magnitude_for_noise(noise_variance: float) -> float:
 
 
 def largest_level(noise_variance: float) -> float:
-    """Return the largest level that can be subtracted from readings of this noise, in unit^2, without rounding them."""
+    """Return the largest level that float64 rounds no more coarsely than the noise, whose variance is in unit^2."""
     return largest_magnitude_for_noise(noise_variance) / _ROUNDING
 
 
 def level_from_first_reading(reading: float, noise_variance: float) -> float:
-    """Return the first reading as the level to subtract from all others; 0 if the rounding would hide their noise."""
+    """Return the first reading, the level to subtract from all others; 0 if its rounding would hide their noise."""
     return reading if abs(reading) <= largest_level(noise_variance) else 0.0

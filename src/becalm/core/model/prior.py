@@ -17,8 +17,8 @@ from becalm.core.model.model import Model, System
 from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.errors import ModelError
 
-WIDE = 1e9  # P0 over R: above it P - K S K' keeps less than seven digits
-_INVERTIBLE = 1e14  # condition numbers below it
+WIDE = 1e9  # largest prior variance of a reading over R: above it P - K S K' keeps less than seven digits
+_INVERTIBLE = 1e14  # matrices with a smaller condition number have an inverse
 
 
 class PriorInformation(NamedTuple):
@@ -29,7 +29,7 @@ class PriorInformation(NamedTuple):
 
 
 def arrived(readings: Floats) -> Booleans:
-    """Return which readings can be used: those that are finite and not larger than any sensor gives."""
+    """Return which readings can be used: those with a magnitude of at most `BEYOND_ANY_SENSOR`."""
     with np.errstate(invalid="ignore"):
         usable: Booleans = np.abs(readings) <= BEYOND_ANY_SENSOR
     return usable
@@ -42,7 +42,10 @@ def flat_prior(model: Model) -> PriorInformation:
 
 
 def wide_prior(model: Model) -> PriorInformation | None:
-    """Return x0 and P0 as information if P0 is so wide that covariances would lose digits; otherwise None."""
+    """Return x0 and P0 as information if P0 is so wide that covariances would lose digits; otherwise None.
+
+    The result is also None if the process noise is nearly as wide, or if P0, F or R has no inverse.
+    """
     if model.x0 is None or model.P0 is None:
         return None
     prior = np.diag(model.H @ model.P0 @ model.H.T)
@@ -59,7 +62,7 @@ def wide_prior(model: Model) -> PriorInformation | None:
 
 
 def root_of(Y: Floats) -> Floats:
-    """Return the upper triangular root of a semidefinite matrix; the scales of its rows may differ widely."""
+    """Return the upper triangular root U of a semidefinite Y = U' U; the scales of its rows may differ widely."""
     scale = np.sqrt(np.diag(Y))
     scale[scale == 0] = 1.0
     values, vectors = np.linalg.eigh(Y / np.outer(scale, scale))
@@ -84,7 +87,7 @@ def refuse_singular(system: System) -> None:
 
 
 def _unit_diagonal(R: Floats) -> Floats:
-    """Return a covariance as correlations, independent of units; what has no variance keeps a row of zeros."""
+    """Return a covariance as correlations, independent of units; rows without variance stay zero."""
     sigma = np.sqrt(np.diag(R))
     scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
     return R * scale[:, np.newaxis] * scale

@@ -10,7 +10,7 @@ from becalm.core.arrays import Floats, Integers
 from becalm.core.model.components import Component
 from becalm.core.model.model import Model, System
 
-_MOST = 1024  # cached lengths
+_MOST = 1024  # largest number of cached lengths
 
 
 class StepMatrices:
@@ -49,12 +49,12 @@ class StepMatrices:
 
 
 class Timeline(NamedTuple):
-    """The step matrices of a record, and their rows: rows first[s] to first[s + 1] - 1 come after step[s]."""
+    """The step matrices of a record: the step with index step[s] precedes each of rows first[s] to first[s + 1] - 1."""
 
     system: System
     first: Integers  # (runs + 1,) the last entry is the number of rows
     step: Integers  # (runs,) -1: no step, as before the first row
-    lengths: Floats  # (u,) of the steps, in units of the model's step
+    lengths: Floats  # (u,) lengths of the steps, in the model's time unit
 
     def step_before(self, row: int) -> int:
         """Return the index of the step before a row; -1 if there is none."""

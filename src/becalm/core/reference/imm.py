@@ -34,10 +34,10 @@ class Beliefs(NamedTuple):
 class BackwardLikelihood(NamedTuple):
     """Likelihood of the readings from a row on, as a function of the state in each mode; see the module."""
 
-    c: Floats  # (M, n)
-    r: Floats  # (M, n)
-    Y: Floats  # (M, n, n)
-    g: Floats  # (M,)
+    c: Floats  # (M, n) centre
+    r: Floats  # (M, n) gradient at c
+    Y: Floats  # (M, n, n) information
+    g: Floats  # (M,) log-likelihood at c
 
 
 class Row(NamedTuple):
@@ -48,7 +48,7 @@ class Row(NamedTuple):
     log_likelihood: float  # 0 for a missing reading and for the first one
     wild: float  # probability that the reading is wild; NaN if there was no update
     innovation: float  # of the mixture: normal score times innovation_sigma; NaN if there was no update
-    innovation_sigma: float
+    innovation_sigma: float  # standard deviation of the predicted mixture; NaN if there was no update
 
 
 class Modes(NamedTuple):
@@ -56,7 +56,7 @@ class Modes(NamedTuple):
 
     F: Floats  # (M, n, n)
     Q: Floats  # (M, n, n)
-    T: Floats  # (M, M)
+    T: Floats  # (M, M) probability of going from mode i to mode j
 
 
 def modes_over(bank: Bank, step: int) -> Modes:
@@ -80,7 +80,7 @@ def collapse(weights: Floats, x: Floats, P: Floats) -> tuple[Floats, Floats]:
 
 
 def mix(now: Beliefs, T: Floats) -> Beliefs:
-    """Return the mixed state of each mode before a step: the modes before it, weighted by their transitions."""
+    """Return the mixed state of each mode before a step: all modes, weighted by their transitions into it."""
     c = now.mu @ T  # (1)
     weights = [_without_negligible(now.mu * T[:, j] / c[j] if c[j] > _UNLIKELY else now.mu) for j in range(len(c))]
     parts = [collapse(weight, now.x, now.P) for weight in weights]  # (2), (3)
@@ -176,7 +176,7 @@ def _no_information(now: Beliefs) -> BackwardLikelihood:
 
 
 def reading_likelihood(after: Beliefs, bank: Bank, z: float, W: Floats) -> BackwardLikelihood:
-    """Return the likelihood of a reading with weights W (M,), 1 / R if it is used, about the posterior mean."""
+    """Return the likelihood of a reading about the posterior mean; W (M,) is the probability of its use over R."""
     H = bank.H[0]
     r = np.array([H * own * (z - H @ x) for own, x in zip(W, after.x, strict=True)])
     Y = np.array([np.outer(H, H) * own for own in W])
@@ -206,7 +206,10 @@ def evidence(x: Floats, P: Floats, ahead: BackwardLikelihood, i: int) -> Any:
 
 
 def before_step(F: Floats, Q: Floats, x: Floats, ahead: BackwardLikelihood, i: int) -> BackwardLikelihood:
-    """Return the likelihood, about x, of the state before a step into mode i; without an axis for modes."""
+    """Return the likelihood of the readings after a step into mode i, as a function of the state before it, about x.
+
+    Its arrays have no axis for modes.
+    """
     c, r, Y, _ = (part[i] for part in ahead)
     A, _ = solve(np.eye(len(x)) + Y @ Q, np.eye(len(x)))
     own = evidence(F @ x, Q, ahead, i)  # of a step that starts exactly at x
@@ -243,7 +246,7 @@ def smooth_row(now: Beliefs, modes: Modes, ahead: BackwardLikelihood) -> tuple[B
 def smooth_mode(
     now: Beliefs, modes: Modes, ahead: BackwardLikelihood, j: int
 ) -> tuple[Floats, Floats, BackwardLikelihood, Any]:
-    """Return mean and covariance of mode j, and the likelihood of later readings: as a function, and its value."""
+    """Return mean and covariance of mode j, and the likelihood of later readings: as a function, and its log value."""
     x, P, n, count = now.x[j], now.P[j], now.x.shape[1], len(now.mu)
     outlooks = [before_step(modes.F[i], modes.Q[i], x, ahead, i) for i in range(count)]
     every = BackwardLikelihood(*(np.array(arrays) for arrays in zip(*outlooks, strict=True)))

@@ -63,7 +63,7 @@ def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
 def filter_readings(
     belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats
 ) -> list[ReferenceStep]:
-    """Filter z (N, m), starting from the prior of the first reading."""
+    """Filter z (N, m), starting from the prior at the first reading."""
     H, R = sensor
     steps = []
     for k, reading in enumerate(z):
@@ -105,8 +105,7 @@ def predict_one_step(
 ) -> Prediction:
     """Take one step of the car paper's Appendix B; complex (Hermitian) signals are allowed.
 
-    The state is the prediction x(n+1 | n), the gain includes F, and
-    x(n+1 | n) = F x(n | n) with the x(n | n) of `update`.
+    The state is the prediction x(n+1 | n) = F x(n | n), with the x(n | n) of `update`, and the gain includes F.
     """
     H, R = sensor
     x, P = belief

@@ -38,7 +38,7 @@ def ratio_for_bandwidth(order: int, bandwidth_hz: float, step_s: float, causal: 
     order : int
         Order of the motion, 1 to 5.
     bandwidth_hz : float
-        Frequency that passes with half of its power, below half the sampling rate; a *small* one smooths more.
+        Frequency that passes with half of its power, in hertz, below half the rate; a *small* one smooths more.
     step_s : float
         Step, in seconds.
     causal : bool
@@ -75,9 +75,9 @@ def ratio_for_lag(order: int, lag_s: float, step_s: float) -> float:
     order : int
         Order of the motion, 1 to 5.
     lag_s : float
-        Delay of the output behind the input, with straight lines between samples: for a slow ramp, or for a step
-        at half of its height, whichever is longer. So neither ramps nor edges come later than this. (The delay
-        for a ramp is 0 from order 2 on, although edges come late.) For order 1 the ramp decides:
+        Delay of the output behind the input, in seconds, with straight lines between samples: for a slow ramp, or
+        for a step at half of its height, whichever is longer. So neither ramps nor edges come later than this. (The
+        delay for a ramp is 0 from order 2 on, although edges come late.) For order 1 the ramp decides:
         (1 - K) / K steps. A *small* lag trusts the readings and smooths less.
     step_s : float
         Step, in seconds.

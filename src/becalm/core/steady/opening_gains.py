@@ -17,10 +17,10 @@ from becalm.core.model.prior import flat_prior, refuse_singular, root_of
 from becalm.core.model.step_matrices import model_system
 from becalm.errors import ModelError
 
-_LONGEST_OPENING = 4096
+_LONGEST_OPENING = 4096  # readings
 _WELL_DETERMINED, _LIVE = 1e-6, 3e-5  # same values as in native/opening.h
-_UNCHANGED = 1e-13  # change over the last eighth of the rows, relative to the spread of a state
-_FIRST_CHECK = 32  # rows
+_UNCHANGED = 1e-13  # largest change of a gain over the last eighth of the rows, relative to the gain plus sqrt(P / R)
+_FIRST_CHECK = 32  # rows before the gain may count as settled
 
 
 class Opening(NamedTuple):
@@ -125,9 +125,9 @@ def gains_after(opening: Opening, model: Model, most: int) -> Gains:
 class CovarianceMap(NamedTuple):
     """The map of the prior covariance over L steps: P becomes Q + A (P^-1 + G)^-1 A'."""
 
-    A: Floats
-    G: Floats
-    Q: Floats
+    A: Floats  # (n, n)
+    G: Floats  # (n, n)
+    Q: Floats  # (n, n)
 
     def over(self, P: Floats) -> Floats:
         """Return the prior covariance (n, n) L steps later."""

@@ -24,7 +24,7 @@ from becalm.errors import ModelError
 # The response is computed from the transient of the states: at every reading at first, then at evenly spaced readings
 # only, so that slow filters take no longer than fast ones.
 
-_WITHIN = 0.02  # of the height of a step: settled
+_WITHIN = 0.02  # of the height of a step: largest deviation of a settled output
 _LAST = 1e-5  # of the height of a step: the transient ends here
 _LOOKS = 4096  # readings in each of the two parts
 _TONE = 1e-9  # imaginary part of an eigenvalue of F: above it, the model has a tone
@@ -35,7 +35,7 @@ class StepResponse(NamedTuple):
 
     delay_50_s: float  # at half of the height
     delay_90_s: float  # at nine tenths of the height
-    overshoot_percent: float
+    overshoot_percent: float  # beyond the final value, of the height
     settling_s: float  # from the first reading of the step until the output stays within 2 % of its height
 
 
@@ -46,7 +46,7 @@ def lag_steps(found: SteadyFilter) -> float:
     -----
     With tones, or with noise that rings like a tone, the lag is the delay of the step until the output stays above
     half of the height, because a tone rises at once and falls back. The delay at 0 Hz then describes only the small
-    part that the tones leave to the motion, and is as long as the motion is slow; see `Response.dc_delay_s`.
+    part that the tones leave to the motion, and it is long for a slow motion; see `Response.dc_delay_s`.
     """
     transient = _transient(found)
     return transient.delay_for_good(0.5) if _has_tones(found) else max(found.dc_delay, transient.delay(0.5))
@@ -113,7 +113,7 @@ def describe_step(found: SteadyFilter, step_s: float) -> StepResponse:
 
 _PASSES_DC = 0.1  # of the largest gain: a filter with less gain at 0 Hz is a band-pass
 _STABLE = 1 - 1e-13  # largest magnitude of a pole of a filter with a steady state
-_BUTTERWORTHS = range(1, 7)
+_BUTTERWORTHS = range(1, 7)  # orders
 
 
 class Butterworth(NamedTuple):
@@ -145,7 +145,7 @@ class Response:
     lag_s : float
         Lag of the output: the delay at low frequency or the delay of a step at half of its height,
         whichever is longer; for a motion with tones, the delay of the step. 0 for a smoother,
-        NaN for a band-pass. See `step_response.lag_steps`.
+        NaN for a band-pass. See `lag_steps`.
     dc_delay_s : float
         Group delay at 0 Hz; 0 from order 2 on, although a step is delayed.
     sine_delay_s : float
@@ -204,7 +204,7 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
     Parameters
     ----------
     model : Model
-        A model of one channel; unobservable states are left out.
+        A model of one channel; unobservable states are left out unless all of them decay.
     step_s : float
         Step, in seconds.
     causal : bool
@@ -215,7 +215,8 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
     Raises
     ------
     ModelError
-        If the model has several channels, R = 0 or no steady-state gain, or if the step is not positive.
+        If the model has several channels, R = 0 or no steady-state gain, if the step is not positive, or if the output
+        is invalid or depends on an unobservable state.
     """
     step_s = checked_step(step_s)
     steady_filter = steady(model, output)
@@ -229,7 +230,7 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
     noise_gain, edge = steady_filter.noise_gain(0 if causal else np.inf), passing.bands[-1][1]
     delayed = causal and passing.passes_dc
     low_pass = delayed and len(passing.bands) == 1 and edge < 0.5
-    no_delay = 0.0 if passing.passes_dc else np.nan  # smoothers have no delay, band-passes no defined one
+    no_delay = 0.0 if passing.passes_dc else np.nan  # a smoother has no delay; that of a band-pass is not defined
     has_peak = not passing.passes_dc or passing.peak > passing.reference * (1 + 1e-12)
     return Response(
         bandwidth_hz=edge / step_s,

@@ -18,7 +18,7 @@ from becalm.core.model.covariances import covariance_after
 from becalm.core.model.model import Model
 from becalm.errors import ModelError
 
-_DOUBLINGS = 80
+_DOUBLINGS = 80  # largest number of doublings of a number of steps
 
 
 class Loop(NamedTuple):
@@ -42,7 +42,7 @@ class SteadyFilter:
     Attributes
     ----------
     model : Model
-        Model of one channel with n states, without unobservable states that grow.
+        Model of one channel with n states, without unobservable states unless all of these decay.
     predicted_cov : (n, n) float array
         Prior covariance P.
     gain : (n, 1) float array
@@ -164,7 +164,7 @@ class SteadyFilter:
         return float(variance[0, 0])
 
     def error_variance(self, lag_steps: float = 0) -> float:
-        """Return the error variance of the output if the model is correct, in unit^2; `lag_steps` as above."""
+        """Return the error variance of the output if the model is right, in unit^2; `lag_steps` as in `noise_gain`."""
         c, loop = self.row, self.loop
         far = _power(loop.M, lag_steps)
         u = c @ loop.P_plus @ loop.F.T
@@ -211,7 +211,7 @@ def _summed(M: Floats, B: Floats) -> Floats:
 
 # The steady-state gain of a filter, from the Riccati equation.
 
-_DECAYS = 1 - 1e-9  # largest eigenvalue of states that decay to 0
+_DECAYS = 1 - 1e-9  # magnitude of eigenvalues below which states decay to 0
 
 
 def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
@@ -227,7 +227,7 @@ def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
     Raises
     ------
     ModelError
-        If the model has several channels, R = 0 or no steady-state gain, or if the output depends on an
+        If the model has several channels, R = 0 or no steady-state gain, or if the output is invalid or depends on an
         unobservable state.
 
     Notes
@@ -306,7 +306,7 @@ def _output_row(model: Model, output: ArrayLike | None) -> Floats:
 
 
 def _observed_part(model: Model, row: Floats) -> tuple[Model, Floats]:
-    """Return model and output row without unobservable directions, unless these decay to 0."""
+    """Return model and output row without unobservable directions, unless all of these decay to 0."""
     hidden = model.unobservable
     if not hidden.shape[1] or np.abs(np.linalg.eigvals(hidden.T @ model.F @ hidden)).max() < _DECAYS:
         return model, row

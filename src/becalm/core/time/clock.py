@@ -13,12 +13,12 @@ from becalm.errors import TimeError
 
 # Statistics of values that come in blocks, in constant memory: a thinned copy, mean and scatter.
 
-_MOST_KEPT = 1 << 20
-_RUN = 1 << 10
+_MOST_KEPT = 1 << 20  # largest number of values that are kept
+_RUN = 1 << 10  # values in a run
 
 
 class Thinned:
-    """Keeps at most about a million of the values added: all of them, or evenly spread runs of a thousand.
+    """A store for at most about a million of the added values: all of them, or evenly spread runs of a thousand.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ class Thinned:
 
 
 class Moments:
-    """Count, mean and scatter of values and of their products with others, updated by blocks (Chan)."""
+    """Count and mean of values, and the sums of squares and products of deviations, updated by blocks (Chan)."""
 
     def __init__(self) -> None:
         self.count = 0
         self.mean = self.other = self.scatter = self.product = 0.0
 
     def add(self, values: Floats, others: Floats | None = None) -> None:
-        """Add a block."""
+        """Add a block of values (n,), and of others (n,) for the products."""
         count, mean = len(values), float(values.mean()) if len(values) else 0.0
         if not count:
             return
@@ -92,8 +92,8 @@ SLOWEST_HZ, FASTEST_HZ = 1e-9, 1e12
 Blocks = Callable[[], Iterable[Floats]]
 """A function that returns an iterator over the stamps in blocks that are not empty; it may be called many times."""
 
-_FINEST_DIGIT = 9
-_ROUNDING = 0.55  # half of a last digit, and a margin for the fit
+_FINEST_DIGIT = 9  # largest number of decimal places
+_ROUNDING = 0.55  # of a last digit: largest rounding, half a digit, and a margin for the fit
 _ADVICE = "Correct the column, name another with --time, or give --rate HZ to count rows instead."
 _FLOAT_ERROR = 1e-6  # of a step: error of floating-point stamps that were not rounded deliberately
 
@@ -145,7 +145,7 @@ class Clock:
         Raises
         ------
         TimeError
-            If the rate is not a positive number.
+            If the rate is not a number from `SLOWEST_HZ` to `FASTEST_HZ`.
         """
         try:
             possible = SLOWEST_HZ <= float(rate_hz) <= FASTEST_HZ and not isinstance(rate_hz, str)
@@ -220,17 +220,17 @@ class Clock:
 
 
 class _Summary(NamedTuple):
-    step: float
-    first: float
+    step: float  # median difference of the stamps, in seconds
+    first: float  # first stamp, in seconds
     last: float
-    digit: float
+    digit: float  # as in `last_digit`
 
 
 class _Line(NamedTuple):
-    slope: float  # slope minus the mean of the near differences
-    at: float
-    residual: float
-    length: float
+    slope: float  # slope minus the mean of the near differences, in seconds per step
+    at: float  # mean of the grid, in steps
+    residual: float  # mean offset of the stamps from the grid, in seconds
+    length: float  # steps from the first stamp to the last
     gaps: int
 
 
@@ -342,7 +342,7 @@ def _residual(line: _Line, near: float, summary: _Summary, blocks: Blocks) -> tu
 
 
 def _twelve_digits(step_s: float) -> float:
-    """Round the rate to twelve digits, so that 100 Hz is not 99.9999999999997 Hz."""
+    """Return the step whose rate is rounded to twelve digits, so that 100 Hz is not 99.9999999999997 Hz."""
     return 1.0 / float(f"{1.0 / step_s:.12g}")
 
 

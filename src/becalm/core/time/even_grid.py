@@ -22,19 +22,19 @@ JITTER, BURSTS = "jitter", "bursts"
 FEWEST_ROWS = 100
 """Smallest number of stamps for which a grid is searched."""
 
-_LEAST_JITTER, _MOST_JITTER = 0.02, 0.15  # std in steps: below, no need; above, the sampling itself may be uneven
+_LEAST_JITTER, _MOST_JITTER = 0.02, 0.15  # std in steps: with less, stamps serve; with more, sampling may be uneven
 _FARTHEST = 0.45  # steps: an error of half a step could be a lost row
-_LAGS = 16
+_LAGS = 16  # largest lag, in rows, at which jitter must not be correlated
 _CORRELATED = 0.1  # more correlation is not jitter, if it is also above four sigma
 _APART = 0.4  # steps: stamps of one burst are closer than this
 _LATEST = 1.1  # steps: the driver waits up to one step for a sample, plus a margin
-_PARTS, _TOUCHING = 8, 0.25  # steps: if each eighth has a burst this close to the line, no row is lost
+_PARTS, _TOUCHING = 8, 0.25  # if each of the parts has a burst this close to the line, in steps, no row is lost
 _FEWEST_BURSTS = 128
 _SEVERAL = 1.5  # least mean number of rows per burst
 _SIZES = 65  # bursts of up to 64 rows
 _UNLIKE = 0.05  # least share of bursts of other sizes: they show that the time between bursts grows with size
-_COARSE = 0.75  # last digit of the stamps over the mean time between bursts
-_SEGMENTS = 64
+_COARSE = 0.75  # least last digit of stamps that are too coarse, over the mean time between bursts
+_SEGMENTS = 64  # of a block's bursts; each segment keeps one burst
 
 
 class Grid(NamedTuple):
@@ -47,7 +47,7 @@ class Grid(NamedTuple):
     start_s, step_s : float
         Time of the first sample and sampling interval, in seconds.
     jitter_s : float
-        Standard deviation of the stamps about the grid without a constant delay, in seconds.
+        Standard deviation of the delays of the stamps behind the grid, in seconds.
     """
 
     kind: str
@@ -87,8 +87,8 @@ def even_grid(count: int, blocks: Blocks) -> Grid | None:
 class EqualBursts(NamedTuple):
     """Bursts of one size: the stamps alone do not show whether a driver or the sampling made them."""
 
-    rows: int
-    rate_hz: float
+    rows: int  # in each burst
+    rate_hz: float  # mean rate of the rows
 
 
 def equal_bursts(count: int, blocks: Blocks) -> EqualBursts | None:
@@ -123,8 +123,8 @@ def _ends(blocks: Blocks) -> tuple[float, float] | None:
 
 
 class _Line(NamedTuple):
-    step: float
-    start: float
+    step: float  # in seconds
+    start: float  # time of row 0, in seconds
 
 
 def _offsets(blocks: Blocks, start: float, step: float) -> Iterator[tuple[Floats, Floats]]:
@@ -156,7 +156,7 @@ def _jitter(blocks: Blocks, line: _Line) -> Grid | None:
 
 
 class _Bursts:
-    """Splits stamps into bursts, each with its first stamp and the row of its last stamp.
+    """A splitter of stamps into bursts, each with its first stamp and the row of its last stamp.
 
     It keeps the burst with the least delay of each segment of a block, for the line below all bursts.
     """

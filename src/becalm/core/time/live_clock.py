@@ -1,8 +1,8 @@
 """The clock of a stream: the time between rows, computed as stamps arrive and without later stamps.
 
 The clock of a file is found from all stamps (`core/time/clock`). The step of a stream is known in advance, and the
-clock follows the stamps: a stamp within a fiftieth of a step of the sender's even grid is one step after the row
-before; any other stamp counts with its actual distance.
+clock follows the stamps: a stamp on the sender's even grid, to a fiftieth of a step or to the rounding of coarse
+stamps, counts as whole steps; any other stamp counts with its actual distance.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ TAKEN, LATE, REPEATED, FAR, RESET, UNTIMED = (
 AGREEING = CONSTANTS["AGREEING"]
 """Number of consecutive ascending stamps behind or far ahead of the clock that show that the clock jumped."""
 
-_SLACK, _ROUNDING = 0.02, 1.05  # of a step; of a last digit
-_MANY_DIGITS, _HALF, _WHOLE = 50, 0.5, 1e-3  # last digits in a step
-_DAY_S, _MANY_STEPS = 86400.0, 1000.0
+_SLACK, _ROUNDING = 0.02, 1.05  # largest distance from the grid: in steps; in last digits of coarse stamps
+_MANY_DIGITS, _HALF, _WHOLE = 50, 0.5, 1e-3  # last digits in a step: many; least number; tolerance of a whole number
+_DAY_S, _MANY_STEPS = 86400.0, 1000.0  # a stamp farther ahead than both is FAR
 
 
 class ClockReadings(NamedTuple):
@@ -39,7 +39,7 @@ class ClockReadings(NamedTuple):
 
 
 class LiveClock:
-    """Counts the steps between the rows of a stream.
+    """A counter of the steps between the rows of a stream.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class LiveClock:
 
         A stamp before the last one is LATE, and a stamp more than a day (or 1000 steps, if longer) after it is FAR.
         After eight such stamps in ascending order the clock continues from there (RESET): a jump backwards counts as
-        one step, a jump forwards counts in full. An equal stamp is REPEATED; if the stamps are as coarse as the step,
+        one step, a jump forwards counts in full. An equal stamp is REPEATED; if a last digit is more than half a step,
         only if the readings are equal too.
         """
         stamps = np.ascontiguousarray(stamps_s, dtype=np.float64)

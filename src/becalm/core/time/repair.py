@@ -22,8 +22,8 @@ HOUR_S = 3600.0
 _ALIKE = (0.5, 1.5)  # of the median step: range of a repaired step
 _SLOWEST_S = 900.0  # with a longer step an hour has too few rows
 _SPRING = (3, 9, 10)  # months of the change, northern and southern hemisphere
-_NIGHT_HOURS = (1, 2, 3, 4)  # hour of the day after the change
-_SUNDAY = 3  # days since Thursday, 1970-01-01
+_NIGHT_HOURS = (1, 2, 3, 4)  # local hour right after the change
+_SUNDAY = 3  # days after a Thursday, such as 1970-01-01
 
 
 class Steps:
@@ -123,6 +123,11 @@ def one_clock(blocks: Iterable[Floats], first_s: float, step_s: float) -> Iterat
         Local time of the stamp 0, in seconds since 1970.
     step_s : float
         The usual step, in seconds.
+
+    Yields
+    ------
+    Hours
+        The stamps of each block on one clock.
     """
     last, back, forth = None, 0, 0
     for stamps in blocks:
@@ -156,7 +161,7 @@ def _put_forth(before_s: float, after_s: float) -> bool:
 # driver waits and then stamps all rows that it fetches, the gaps are independent of the steps within its bursts.
 
 _INSTANT = 0.5  # of the mean step: shorter bursts count as one instant, even if their stamps are uneven
-_EVEN = 0.2  # std of the steps within bursts over their mean: up to it their step can be estimated
+_EVEN = 0.2  # largest std of the steps within bursts, over their mean, for which they have one step
 _SIGMAS = 5.0  # of the mean cosine of gap / step, which is 1 if all gaps are whole steps, and 0 for random gaps
 _PER_CYCLE = 8  # candidate steps per cycle of a long gap
 _MOST_GAPS, _MOST_CANDIDATES = 4096, 1000
@@ -181,7 +186,7 @@ def rows_lost_between(steps: Floats, apart_s: float) -> bool:
     within, gaps = steps[steps <= apart_s], steps[steps > apart_s]
     middle = float(np.median(within)) if len(within) else 0.0
     if not middle > 0.0 or not len(gaps):
-        return False  # all stamps of a burst are at one instant
+        return False  # there is no gap, or all stamps of a burst are at one instant
     near = within[np.abs(within - middle) <= 0.5 * middle]
     step, spread = float(near.mean()), float(near.std())
     if spread > _EVEN * step:

@@ -57,7 +57,7 @@ class Timebase:
         Raises
         ------
         TimeError
-            If the rate is not a positive number.
+            If the rate is not a number from `SLOWEST_HZ` to `FASTEST_HZ`.
         """
         clock = Clock.counted(count, rate_hz, start_s)
         return cls.of(clock, clock.elapsed_rows(0, count))
@@ -109,10 +109,10 @@ class Timebase:
 
     @property
     def gaps(self) -> Integers:
-        """Return the rows that come more than 1.5 steps after the row before."""
+        """Return the rows (k,) that come more than 1.5 steps after the row before."""
         return np.flatnonzero(self.elapsed_steps > GAP_STEPS).astype(np.int64)
 
     @property
     def repeats(self) -> Integers:
-        """Return the rows with the same time as the row before."""
+        """Return the rows (k,) with the same time as the row before."""
         return (np.flatnonzero(self.elapsed_steps[1:] == 0.0) + 1).astype(np.int64)

@@ -4,9 +4,9 @@ With theta the cumulative sum of the readings x over a step T, and a cluster of 
 
     sigma^2(tau) = mean of (theta[k + 2 m] - 2 theta[k + m] + theta[k])^2 / (2 tau^2)
 
-over every k. `allan_terms` fits white noise, bias instability and random walk to the curve. Sources: IEEE Std 952-1997,
-annex C; Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), where theta is called phase and a reading
-frequency; Riley and Greenhall, 18th EFTF (2004), for the type of noise from the lag-1 autocorrelation.
+over every k. `allan_terms` fits quantisation, white noise, bias instability and random walk to the curve. Sources: IEEE
+Std 952-1997, annex C; Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), where theta is called phase
+and a reading frequency; Riley and Greenhall, 18th EFTF (2004), for the type of noise from the lag-1 autocorrelation.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from becalm.core.arrays import Floats, Integers, frozen, real
 from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import RecordingError, UsageError
 
-_FEWEST_CLUSTERS = 128  # least number for the lag-1 autocorrelation; with fewer, chance mimics other types of noise
+_FEWEST_CLUSTERS = 128  # least number for the lag-1 autocorrelation; with fewer, chance looks like other types of noise
 _SLOPE_OF_WALK = 0.25  # delta in Riley and Greenhall above which the clusters are differenced once
 _STEEPEST = 2  # largest exponent of f in the spectrum: from -2, random walk, to 2, quantisation
 _WHOLE = 1e-6  # relative tolerance of a cluster time that must be a whole number of steps
@@ -43,10 +43,10 @@ class AllanCurve:
         Equivalent degrees of freedom of sigma^2. A *small* number means that the record has few independent clusters of
         this length, so the deviation is unreliable.
     noise_exponent : (k,) int array
-        Exponent of the frequency in the noise's spectrum around 1/tau: 2 quantisation, 1 between, 0 white, -1 bias
-        instability (flicker), -2 random walk or steeper.
+        Exponent of the frequency in the noise's spectrum around 1/tau: 2 quantisation, 1 between this and white, 0
+        white, -1 bias instability (flicker), -2 random walk or steeper.
     counts : (k,) int array
-        Number of differences averaged.
+        Number of second differences averaged.
     step_s : float
         T, the time between two readings, in seconds.
     confidence : float
@@ -65,7 +65,7 @@ class AllanCurve:
 
     @property
     def cluster_sizes(self) -> Integers:
-        """Readings in a cluster, m = tau / T, (k,)."""
+        """Return the numbers (k,) of readings in a cluster, m = tau / T."""
         return np.rint(self.cluster_times_s / self.step_s).astype(np.int64)
 
 
@@ -81,8 +81,8 @@ def allan_deviation(
     ----------
     readings : (N,) array_like
         Readings of a rate, an acceleration or a strain, not of its integral. NaN or inf marks a missing reading.
-        Differences that need it are left out; a gap costs only cluster times about as long as the stretches on both
-        sides.
+        Differences that need it are left out; a gap affects only cluster times that are about as long as the stretches
+        on both sides.
     rate_hz : float
         Readings per second, evenly spaced; missing rows must be present as NaN.
     cluster_times_s : {"octave", "decade"} or (k,) array_like
@@ -94,15 +94,15 @@ def allan_deviation(
     Raises
     ------
     RecordingError
-        If no two readings follow each other, or they are not one column of numbers.
+        If no two readings are adjacent, or the readings are not one column of numbers.
     UsageError
         If the rate or the confidence is out of range, or a cluster time is not possible.
 
     Notes
     -----
     Each cluster time costs one pass over the record. The intervals are those of chi-square with the degrees of freedom
-    of NIST SP 1065, section 5.4, for the type of noise at that cluster time. Where a record has under 128 such
-    clusters, the type is that of the longest cluster time with more, or white if there is none.
+    of NIST SP 1065, section 5.4, for the type of noise at that cluster time. Where a record has under 128 clusters, the
+    type is that of the longest cluster time with more, or white if there is none.
     """
     x = _column(readings)
     if not (SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
@@ -141,7 +141,7 @@ def allan_deviation(
 
 
 def _column(readings: ArrayLike) -> Floats:
-    """Check that readings are one column of numbers."""
+    """Return readings as an array (N,), or raise a RecordingError if they are not one column of numbers."""
     try:
         x = np.asarray(real(readings), dtype=np.float64)
     except (TypeError, ValueError) as cause:
@@ -160,7 +160,7 @@ def _sums(x: Floats) -> tuple[Floats, Integers]:
 
 
 def _mean_square(theta: Floats, absent: Integers, m: int) -> tuple[float, int]:
-    """Return the mean square of the second differences over m readings, and how many there are."""
+    """Return the mean square of the second differences of theta over m readings, and how many there are."""
     if 2 * m >= len(theta):
         return 0.0, 0
     sums = theta[m:] - theta[:-m]
@@ -225,7 +225,7 @@ def _exponent(means: Floats) -> int:
 
 
 def _delta(y: Floats) -> float:
-    """Return r / (1 + r) with r the autocorrelation at lag 1; half of it is the order of fractional integration."""
+    """Return the order of fractional integration, r / (1 + r), from the autocorrelation r at lag 1."""
     c = np.nan_to_num(y - np.nanmean(y))
     power = float(np.vecdot(c, c))
     r = float(np.vecdot(c[1:], c[:-1])) / power if power else 0.0

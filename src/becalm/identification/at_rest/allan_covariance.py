@@ -1,8 +1,8 @@
 """Compute the covariance of Allan variances at several cluster times, for each kind of noise.
 
-M_i and M_j second differences of theta over m_i and m_j readings have the covariances c. For Gaussian noise the Allan
-variances then have the covariance 2 sum c^2 / (M_i M_j (2 m_i m_j)^2). Everything is in steps, T = 1. Source: Greenhall
-and Riley, Uncertainty of stability variances based on finite differences, 35th PTTI (2003).
+Let c be the covariances of M_i second differences of theta over m_i readings with M_j of them over m_j readings. For
+Gaussian noise, the two Allan variances have the covariance 2 sum c^2 / (M_i M_j (2 m_i m_j)^2). All times are in steps,
+T = 1. Source: Greenhall and Riley, Uncertainty of stability variances based on finite differences, 35th PTTI (2003).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _NODES = 8  # lags between two knots at which the covariance is evaluated
 
 
 def shapes(sizes: Floats | Integers) -> Floats:
-    """Return the Allan variance of each term of size 1 at each cluster size, (k, 4), in steps."""
+    """Return the Allan variances (k, 4) of the four terms, with coefficients of 1, at cluster sizes (k,)."""
     m = np.asarray(sizes, dtype=np.float64)
     return np.stack([3 / m**2, 1 / m, np.full_like(m, FLICKER), m / 3 + 1 / (6 * m)], axis=-1)
 
@@ -33,13 +33,14 @@ def spreads(sizes: tuple[int, ...], counts: tuple[int, ...]) -> Floats:
     Parameters
     ----------
     sizes : tuple of k int
-        m, readings in a cluster, ascending.
+        m, numbers of readings in a cluster, ascending.
     counts : tuple of k int
-        M, number of differences averaged.
+        M, numbers of second differences averaged.
 
     Notes
     -----
-    p holds Q^2, N^2, B^2, K^2. Evaluating only some of the lags costs at most 0.3 % accuracy.
+    p holds Q^2, N^2, B^2, K^2, in steps. The covariance c is evaluated at some lags only; that costs at most 0.3 %
+    accuracy.
     """
     spread = np.zeros((len(sizes), len(sizes), 4, 4))
     for i, j in combinations_with_replacement(range(len(sizes)), 2):
@@ -51,12 +52,12 @@ def spreads(sizes: tuple[int, ...], counts: tuple[int, ...]) -> Floats:
 
 
 def _covariances(lags: Floats, m: float) -> Floats:
-    """Return the covariance of theta with its second difference over m, for each term of size 1, (4, lags), in steps.
+    """Return the covariances (4, lags) of theta with its second differences over m, for coefficients of 1.
 
     Notes
     -----
-    It is the second difference of theta's generalised autocovariance, which is 1 at t = 0, -|t| / 2, t^2 ln|t| / (2
-    pi), (|t|^3 - |t|) / 12 for the four terms. The form avoids a loss of digits at large lags.
+    They are second differences of theta's generalised autocovariance at t: 1 at t = 0 and 0 elsewhere, -|t| / 2,
+    t^2 ln|t| / (2 pi), (|t|^3 - |t|) / 12 for the four terms. The form avoids a loss of digits at large lags.
     """
     t = np.abs(lags)
     jumps = (t == m) - 2.0 * (t == 0)
@@ -77,7 +78,7 @@ def _flicker(t: Floats) -> Floats:
 
 
 def _lags(m: float, n: float, first: float, second: float) -> tuple[Floats, Floats]:
-    """Return lags between `first` differences over m readings and `second` over n, and the pairs each represents.
+    """Return lags of `first` differences over m readings to `second` over n, and how many pairs each represents.
 
     Notes
     -----

@@ -1,13 +1,13 @@
 """Estimate white noise, bias instability and random walk from an Allan deviation, with standard errors.
 
-With m readings in a cluster, in steps T = 1, the Allan variance of the four terms is
+For m readings in a cluster, with steps of T = 1, the Allan variances of the four terms are
 
     3 Q^2 / m^2,   N^2 / m,   (2 ln 2 / pi) B^2,   K^2 (m / 3 + 1 / (6 m))
 
-and weighted least squares find Q^2, N^2, B^2, K^2, none negative. The last term is that of a random walk sampled at
-instants, as the bias state of a filter is; a random walk averaged over each step would give K^2 m / 3. Standard errors
-take into account that the variances at two cluster times come from the same record (`allan_covariance`). Source: IEEE
-Std 952-1997, annex C.
+and weighted least squares determine Q^2, N^2, B^2, K^2, none negative. The last term is that of a random walk sampled
+at instants, like the bias state of a filter; a random walk averaged over each step would give K^2 m / 3. The standard
+errors take into account that the variances at two cluster times come from the same record (`allan_covariance`). Source:
+IEEE Std 952-1997, annex C.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from becalm.identification.at_rest.allan_covariance import shapes, spreads
 from becalm.identification.at_rest.datasheet import noise_variance
 
 FEWEST_CLUSTER_TIMES = 6
+"""Least number of cluster times for a fit."""
 
 _TERM_COST = 9.0  # gain in twice the log-likelihood that each term needs: that of three standard errors
 _FORM = 0.02  # relative model error of a variance: four straight lines describe no sensor exactly
-_ONE_SIDED_95 = 1.645
-_ROUNDS = 20
+_ONE_SIDED_95 = 1.645  # standard errors to the 95 % quantile of a normal distribution
+_ROUNDS = 20  # most iterations of the weights
 
 _REASONS = (
     "No quantisation shows at the shortest cluster times.",
@@ -52,8 +53,8 @@ class NoiseTerm:
         Standard error of the value, in its unit; NaN if the value is. It assumes that there are no other terms than
         those found.
     limit : float
-        Upper bound of the coefficient, at 95 % one-sided by the normal approximation; given in either case. It held for
-        88 to 100 % of simulated records.
+        One-sided 95 % upper bound of the coefficient by the normal approximation, also given where there is no value.
+        It held for 88 to 100 % of simulated records.
     reason : str
         A sentence on why there is no value; "" where there is one.
     """
@@ -71,12 +72,12 @@ class NoiseTerms:
     Attributes
     ----------
     quantisation : NoiseTerm
-        Q, in unit s: the noise of each sum theta, as of a gyroscope that counts angles. The rounding of a rate is white
-        noise, and part of `white`.
+        Q, in unit s: noise of each sum theta, as of a gyroscope that counts angles. The rounding of a rate is white
+        noise and part of `white`.
     white : NoiseTerm
         N, in unit s^(1/2): angle or velocity random walk; sigma = N / sqrt(tau).
     bias_instability : NoiseTerm
-        B, in the unit; the flat stretch of the curve lies at 0.664 B.
+        B, in unit; the flat stretch of the curve lies at 0.664 B.
     random_walk : NoiseTerm
         K, in unit / s^(1/2): rate random walk; sigma = K sqrt(tau / 3).
     misfit : float
@@ -84,7 +85,7 @@ class NoiseTerms:
         describe the sensor. Above 2, something else contributes: vibration, a drift of the temperature, a filter within
         the sensor.
     step_s : float
-        T, in seconds.
+        T, the time between two readings, in seconds.
     """
 
     quantisation: NoiseTerm
@@ -95,7 +96,7 @@ class NoiseTerms:
     step_s: float
 
     def deviation(self, cluster_times_s: ArrayLike) -> Floats:
-        """Return the Allan deviation of these terms, in the unit, at cluster times in seconds."""
+        """Return the Allan deviation (k,) of these terms, in unit, at cluster times (k,) in seconds."""
         sizes = np.asarray(cluster_times_s, dtype=np.float64) / self.step_s
         terms = (self.quantisation, self.white, self.bias_instability, self.random_walk)
         squares = np.nan_to_num([term.value for term in terms]) ** 2 / _units(self.step_s)
@@ -112,7 +113,7 @@ class NoiseTerms:
 
         Notes
         -----
-        At a rate other than the record's, this holds for a sensor that averages between two readings.
+        At another rate than the record's, this holds for a sensor that averages between two readings.
         """
         return noise_variance(_value(self.white), rate_hz)
 
@@ -146,14 +147,14 @@ def noise_terms(curve: AllanCurve) -> NoiseTerms:
     Raises
     ------
     RecordingError
-        If there are fewer cluster times, or the readings never change.
+        If there are fewer cluster times, or a deviation is 0 because the readings do not change.
 
     Notes
     -----
     The weights come from the fitted variances, so that a variance that is low by chance does not get a large weight; 2
-    % of each variance is added as a model error. Every choice of terms is fitted, and the likeliest is taken. Each term
-    must raise twice the log-likelihood by 9, as a term does that is three standard errors above zero. A steady drift
-    looks like a random walk: remove it from the readings beforehand, or leave it if the filter shall follow it.
+    % of each variance is added as a model error. Every set of terms is fitted, and the likeliest is taken. Each term
+    must raise twice the log-likelihood by 9, as a term of three standard errors does. A steady drift looks like a
+    random walk: subtract it from the readings first, or leave it if the filter shall follow it.
     """
     if len(curve.deviation) < FEWEST_CLUSTER_TIMES:
         raise RecordingError(
@@ -187,7 +188,7 @@ class _Fit:
         self.spreads = spreads(tuple(curve.cluster_sizes.tolist()), tuple(curve.counts.tolist()))
 
     def covariance(self, squares: Floats) -> Floats:
-        """Return the covariance (k, k) of the variances for given true `squares`."""
+        """Return the covariance (k, k) of the Allan variances if `squares` (4,) are the true coefficients squared."""
         spread: Floats = self.spreads @ squares @ squares
         return spread + np.diag((_FORM * self.shapes @ squares) ** 2)
 
@@ -213,7 +214,7 @@ class _Fit:
         return float(residuals @ residuals + 2 * np.log(np.diag(root)).sum() + _TERM_COST * np.count_nonzero(squares))
 
     def errors(self, squares: Floats, columns: list[int]) -> Floats:
-        """Return the standard errors of some terms that are estimated together, for given true `squares`."""
+        """Return the standard errors of the squares of some terms that are fitted together, if `squares` are true."""
         covariance = self.covariance(squares)
         sigma = np.sqrt(np.diag(covariance))[:, np.newaxis]
         weigh = np.linalg.pinv(self.shapes[:, columns] / sigma, rcond=1e-12) / sigma.T
@@ -221,7 +222,7 @@ class _Fit:
         return result
 
     def limit(self, squares: Floats, kept: list[int], term: int) -> float:
-        """Return the 95 % upper bound of the square of a term that was left out, fitted with the others."""
+        """Return the 95 % upper bound of the square of a term that is not kept, fitted together with the kept ones."""
         columns = [*kept, term]
         sigma = np.sqrt(np.diag(self.covariance(squares)))
         weighted = self.shapes[:, columns] / sigma[:, np.newaxis]
@@ -235,7 +236,7 @@ class _Fit:
 
 
 def _units(step_s: float) -> Floats:
-    """Return the factors (4,) that convert Q^2, N^2, B^2, K^2 from steps to seconds."""
+    """Return the factors (4,) that convert Q^2, N^2, B^2, K^2 from units of steps to seconds."""
     return np.array([step_s**2, step_s, 1.0, 1.0 / step_s])
 
 

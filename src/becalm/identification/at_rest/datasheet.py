@@ -6,8 +6,8 @@ or (m/s)/sqrt(h), is two-sided, and is what an Allan deviation shows: N = n_d / 
 R = N^2 rate = n_d^2 rate / 2.
 
 The unit shows which of the two is meant: one-sided per root of hertz, two-sided per root of time. If a datasheet states
-explicitly that its density is two-sided, use `convert`, which then gives N. The table of units (`datasheet_units`) is
-fixed. Source: IEEE Std 952-1997, annex C.
+explicitly that its density per root of hertz is two-sided, use `convert` with the unit before the root; the result is
+N. The table of units (`datasheet_units`) is fixed. Source: IEEE Std 952-1997, annex C.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def convert(value: float, unit: str, reading_unit: str) -> float:
     Raises
     ------
     UsageError
-        If a unit is not in the table, or the two measure different things.
+        If a unit is not in the table, the two have different quantities, or the value is not finite.
     """
     return _checked("value", value, bool(np.isfinite(value)), "a number") * reading_size(unit, reading_unit)
 
@@ -45,7 +45,7 @@ def white_noise(value: float, unit: str, reading_unit: str) -> float:
         The datasheet's number, in `unit`.
     unit : str
         One-sided per sqrt(Hz), such as "ug/sqrt(Hz)", "(deg/s)/sqrt(Hz)", "um/m/sqrt(Hz)"; or two-sided for the
-        integral, such as "deg/sqrt(h)", "(m/s)/sqrt(h)".
+        reading's integral, such as "deg/sqrt(h)", "(m/s)/sqrt(h)".
     reading_unit : str
         Unit of the readings to be filtered, such as "m/s^2".
 
@@ -129,10 +129,15 @@ def random_walk_of_stability(lowest_deviation: float, white: float) -> float:
     white : float
         N, in unit s^(1/2).
 
+    Raises
+    ------
+    UsageError
+        If a number is not positive.
+
     Notes
     -----
     White noise and a random walk alone have their lowest point at tau = sqrt(3) N / K, where sigma^2 = 2 N K / sqrt(3).
-    If there is a flat stretch between the two, this is an upper bound of K.
+    If there is a flat stretch between the two, the result is an upper bound of K.
     """
     return float(np.sqrt(3) / 2 * _positive("lowest_deviation", lowest_deviation) ** 2 / _positive("white", white))
 
@@ -158,11 +163,11 @@ def noise_variance(white: float, rate_hz: float, bandwidth_hz: float = np.inf, p
 
     Notes
     -----
-    Noise above half of the rate is aliased. A filter slower than the sensor sees the aliased density at low
-    frequencies, R = N^2 rate times the sum of abs(H(k rate))^2 over k, here in closed form. It goes from N^2 rate, for
-    a bandwidth far below the rate, to 2 N^2 (noise bandwidth), for one far above it. In the first case the readings are
-    correlated, and their own variance `rms(...)^2` would be too small. A sensor that is read with its full bandwidth is
-    noisier than n_d^2 rate / 2.
+    Noise above half of the rate is aliased. For a filter slower than the sensor, the aliased density at low frequencies
+    counts: R = N^2 rate times the sum of abs(H(k rate))^2 over k, here in closed form. R goes from N^2 rate, for a
+    bandwidth far below the rate, to 2 N^2 (noise bandwidth), for one far above it. In the first case the readings are
+    correlated, and their own variance `rms(...)^2` would be too small. A sensor whose bandwidth exceeds half of the
+    rate is noisier than n_d^2 rate / 2.
     """
     flat = _positive("white", white) ** 2 * _positive("rate_hz", rate_hz)
     _check_poles(poles)
@@ -186,6 +191,11 @@ def noise_bandwidth(bandwidth_hz: float, poles: int = 1) -> float:
         -3 dB bandwidth of the low-pass.
     poles : {1, 2}
         Number of poles: the width is pi / 2 of the bandwidth for one, pi / sqrt(8) for two, a Butterworth.
+
+    Raises
+    ------
+    UsageError
+        If the bandwidth is not positive, or the number of poles is another.
     """
     _check_poles(poles)
     return float(_positive("bandwidth_hz", bandwidth_hz) * (np.pi / 2 if poles == 1 else np.pi / np.sqrt(8)))
@@ -252,19 +262,24 @@ def quantisation_step(span: float, bits: int) -> float:
 def quantisation_variance(step: float) -> float:
     """Return the variance that rounding to `step`, in unit, adds to R: step^2 / 12, in unit^2.
 
-    The rounding error is white and uniform where the other noise is louder than about half a step. A record that stays
-    at one value has no noise that could be averaged.
+    The rounding error is white and uniform where the standard deviation of the other noise exceeds about half a step. A
+    record that stays at one value has no noise that could be averaged.
+
+    Raises
+    ------
+    UsageError
+        If the step is not positive.
     """
     return _positive("step", step) ** 2 / 12
 
 
 def _finite(value: float) -> float:
-    """Check a number of a datasheet."""
+    """Return a number of a datasheet, or raise a UsageError if it is negative or not finite."""
     return _checked("value", value, 0 <= value < np.inf, "0 or a positive number")
 
 
 def _positive(name: str, value: float) -> float:
-    """Check a number that must be over 0."""
+    """Return a number, or raise a UsageError if it is not positive and finite."""
     return _checked(name, value, 0 < value < np.inf, "a positive number")
 
 
@@ -276,6 +291,6 @@ def _checked(name: str, value: float, fits: bool, needed: str) -> float:
 
 
 def _check_poles(poles: int) -> None:
-    """Check the poles of a sensor's own low-pass."""
+    """Raise a UsageError if a sensor's own low-pass has another number of poles than 1 or 2."""
     if poles not in (1, 2):
         raise UsageError(f"poles = {poles} is not supported; use 1, or 2 for a Butterworth low-pass.")

@@ -16,8 +16,8 @@ class _Unit(NamedTuple):
     size: float
 
 
-_G = 9.80665
-_DEG = math.pi / 180
+_G = 9.80665  # m/s^2
+_DEG = math.pi / 180  # rad
 _READINGS = {
     "m/s^2": _Unit("acceleration", 1.0),
     "g": _Unit("acceleration", _G),
@@ -35,8 +35,8 @@ _INTEGRALS = {
     "deg": _Unit("angular rate", _DEG),
     "rad": _Unit("angular rate", 1.0),
     "m/s": _Unit("acceleration", 1.0),
-}  # units of a reading's integral over time, with the quantity of the reading
-_SECONDS = {"s": 1.0, "h": 3600.0}
+}  # units of a reading's integral over time, each with the quantity of the reading and its size in SI
+_SECONDS = {"s": 1.0, "h": 3600.0}  # in one unit of time
 
 _SPELLINGS = (
     (r"[\u03bc\u00b5]", "u"),  # Greek mu, the micro sign
@@ -55,12 +55,24 @@ _SPELLINGS = (
 
 
 def reading_size(unit: str, reading_unit: str) -> float:
-    """Return the size of one `unit` in reading_unit."""
+    """Return the size of one `unit`, in reading_unit.
+
+    Raises
+    ------
+    UsageError
+        If a unit is not in the table, or the two have different quantities.
+    """
     return _size(unit, reading_unit, _READINGS)
 
 
 def white_size(unit: str, reading_unit: str) -> float:
-    """Return N, in reading_unit s^(1/2), of one `unit`."""
+    """Return N, two-sided, in reading_unit s^(1/2), of one `unit` of white noise.
+
+    Raises
+    ------
+    UsageError
+        If the unit is not one of white noise, or belongs to another quantity.
+    """
     head, root = _split(unit)
     if root == "Hz":
         return _size(head, reading_unit, _READINGS) / math.sqrt(2)
@@ -70,7 +82,13 @@ def white_size(unit: str, reading_unit: str) -> float:
 
 
 def walk_size(unit: str, reading_unit: str) -> float:
-    """Return K, in reading_unit / s^(1/2), of one `unit`."""
+    """Return K, in reading_unit / s^(1/2), of one `unit` of a rate random walk.
+
+    Raises
+    ------
+    UsageError
+        If the unit is not one of a rate random walk, or belongs to another quantity.
+    """
     head, root = _split(unit)
     if root == "Hz" or head in _INTEGRALS:
         raise UsageError(f"{unit!r} is a unit of white noise, not of a rate random walk; use white_noise.")

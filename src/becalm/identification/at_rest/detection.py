@@ -1,7 +1,7 @@
 """Find where a sensor is at rest, or take rests that a person names.
 
 A sensor at rest shows only its noise, and noise has two marks that need no unit and no datasheet: its power is
-constant, and it cannot be predicted. See `becalm.identification.at_rest.detection`.
+constant, and it cannot be predicted.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from becalm.core.time.timebase import GAP_STEPS
 from becalm.errors import RecordingError
 from becalm.metrics.whiteness import whiteness
 
-# Cut a record into windows, and test whether a window holds noise only.
+# Cut a record into windows, and test which windows hold only noise.
 #
-# Noise has two marks that need no unit and no datasheet: its power is constant, and it cannot be predicted. The
-# quietest lasting windows set a floor for each channel; windows that stay on it are calm.
+# The quietest run of windows sets a noise floor for each channel; windows whose power is at this floor are calm.
 
 Value = TypeVar("Value", bound=np.generic)
 
@@ -33,14 +32,14 @@ MOST_MISSING = 0.25
 """Largest share of readings that may be missing in a window, or in a channel that is used to find rests."""
 
 _NORMAL_MAD = 1.4826  # standard deviation over median absolute deviation
-_WINDOW_S = 0.5
+_WINDOW_S = 0.5  # length of a window, in seconds
 _BLOCKS = 8  # in a window
-_KEPT = 0.9  # share of a window's readings that set its power: a spike is not motion
-_SPIKE = 4.0  # standard deviations of its window
-_SIGMAS = 3.5  # standard deviations by chance of the logarithm of a window's power
-_WARMTH = 0.25  # change of that logarithm while a sensor warms up
-_ROUNDS = 8
-_DRIFT = 8 * _BLOCKS  # blocks; a straight line through so many is drift, not motion
+_KEPT = 0.9  # share of a window's readings that set its power, without those farthest from its median: spikes
+_SPIKE = 4.0  # standard deviations of a window from its median to which readings are clipped
+_SIGMAS = 3.5  # standard deviations, by chance, by which the log power of a calm window may exceed the floor
+_WARMTH = 0.25  # change of the log power while a sensor warms up
+_ROUNDS = 8  # most iterations of the floor
+_DRIFT = 8 * _BLOCKS  # blocks through which a straight line is drift, not motion
 
 
 class Windows(NamedTuple):
@@ -51,13 +50,13 @@ class Windows(NamedTuple):
     hop : int
         Readings from one window to the next, half of a window.
     log_power : (W, m) float array
-        Logarithm of the mean square about the median, in unit^2, without the tenth of readings farthest from it.
+        Logarithm of the mean square about the median, in unit^2, without the tenth of the readings farthest from it.
     chance : (W, m) float array
         Standard deviation of `log_power` by chance, estimated from the powers of the window's eight blocks.
     means : (W, 8, m) float array
         Means of the blocks, in unit.
     sound : (W,) bool array
-        True where a window has enough readings, no gap, and no slope that exceeds the noise.
+        True where a window has enough readings, no long gap, and no slope that exceeds the noise.
     """
 
     hop: int
@@ -68,7 +67,7 @@ class Windows(NamedTuple):
 
     @classmethod
     def of(cls, recording: Recording) -> Windows | None:
-        """Cut a record into windows of half a second, or of 32 readings; None if it is shorter than one."""
+        """Cut a record into windows of half a second, at least 32 readings; None if it is shorter than one."""
         samples, hop = recording.samples, window_size(recording.rate_hz) // 2
         if len(samples) < 2 * hop:
             return None
@@ -81,7 +80,7 @@ class Windows(NamedTuple):
         return cls(hop, log_power, chance, means, sound)
 
     def calm(self, lasting: int) -> Booleans:
-        """Return which windows (W,) stay at the level of the quietest `lasting` windows in a row, in all channels."""
+        """Return which windows (W,) are as quiet, in all channels, as the quietest `lasting` windows in a row."""
         loudness = np.where(self.sound, self.log_power.mean(axis=1), np.inf)
         row = int(np.lib.stride_tricks.sliding_window_view(loudness, lasting).max(axis=1).argmin())
         calm = np.zeros(len(loudness), dtype=bool)
@@ -94,18 +93,18 @@ class Windows(NamedTuple):
         return calm
 
     def unevenness(self, calm: Booleans) -> Floats:
-        """Return the variation of the calm windows' power as a multiple of that by chance, (m,)."""
+        """Return the variance (m,) of the calm windows' log power, as a multiple of that by chance."""
         log_power, chance = self.log_power[calm], np.median(self.chance[calm], axis=0)
         spread = _NORMAL_MAD * np.median(np.abs(log_power - np.median(log_power, axis=0)), axis=0)
         return np.asarray((spread / np.maximum(chance, np.finfo(float).tiny)) ** 2)
 
     def foretold(self, runs: list[tuple[int, int]]) -> Floats:
-        """Return the share of the power of block means that their past predicts in runs of windows, (m,).
+        """Return the share (m,) of the power of block means that their past predicts, in runs (first, last) of windows.
 
         Notes
         -----
-        Blocks average out fast noise of any colour; straight lines through eight windows remove slow drift. The rest is
-        white in a sensor at rest, and smooth in motion.
+        Blocks average out fast noise of any colour; straight lines through eight windows remove slow drift. The residue
+        is white for a sensor at rest, and smooth for one in motion.
         """
         lines = [line for first, last in runs for line in _detrended(self.means[first : last + 1 : 2])]
         residuals = np.concatenate(lines) if lines else np.empty((0, self.means.shape[2]))
@@ -137,8 +136,8 @@ def quantum(channel: Floats) -> float:
 def _measure(channel: Floats, hop: int) -> tuple[Floats, Floats, Floats]:
     """Return the log power (W,), its standard deviation by chance (W,) and block means (W, 8) of a channel (N,).
 
-    Noise below the quantum shows as nothing or as a toggling last digit. Adding the quantum's square to the power makes
-    both cases alike.
+    Noise smaller than the quantum shows nothing, or a toggling last digit. The quantum's square is added to the power,
+    so that both cases look alike.
     """
     z = _cut(_filled(channel), hop)
     middle = np.median(z, axis=1, keepdims=True)
@@ -165,14 +164,14 @@ def _cut(values: NDArray[Value], hop: int) -> NDArray[Value]:
 
 
 def _filled(channel: Floats) -> Floats:
-    """Return a channel (N,) with each missing reading replaced by the last finite one, or else by the first."""
+    """Return a channel (N,) with each missing reading replaced by the last finite one before it, or by the first."""
     seen = np.flatnonzero(np.isfinite(channel))
     before = np.searchsorted(seen, np.arange(len(channel)), side="right") - 1
     return np.asarray(channel[seen[np.maximum(before, 0)]])
 
 
 def _detrended(means: Floats) -> list[Floats]:
-    """Return block means (w, 8, m) of consecutive windows, less straight lines, in pieces (b, m)."""
+    """Return block means (w, 8, m) of adjacent windows, in pieces (b, m) less their straight lines."""
     series = means.reshape(-1, means.shape[2])
     pieces = [series[start : start + _DRIFT] for start in range(0, len(series), _DRIFT)]
     return [_residual(piece) for piece in pieces]
@@ -192,9 +191,9 @@ MOST_PREDICTABLE = 1 / 3
 """Largest predictable share of the power of block means at rest; see `Windows.foretold`."""
 
 MOST_UNEVEN = 3.0
-"""Largest variation of the power at rest, as a multiple of that by chance."""
+"""Largest variance of the log power at rest, as a multiple of that by chance; see `Windows.unevenness`."""
 
-_NEARLY_ALL = 0.95
+_NEARLY_ALL = 0.95  # share of the rows at rest, above which the whole record counts as at rest
 
 
 class Stretch(NamedTuple):
@@ -213,7 +212,7 @@ class Stillness:
     stretches : tuple of Stretch
         The rests, in order and without overlap; empty if there is none.
     reason : str
-        A sentence on what was found, or why nothing was.
+        A sentence on what was found, or why there is no rest.
     """
 
     stretches: tuple[Stretch, ...]
@@ -234,10 +233,10 @@ def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Stilln
     ----------
     recording : Recording
         The channels of one sensor, or one of them (`Recording.select`): rate, acceleration with gravity, strain with
-        its offset; NaN where missing. Spikes and rounding do no harm. A channel with more than a quarter of its
-        readings missing is ignored, if there are others.
+        its offset; NaN where missing. Spikes and rounding do no harm. A constant channel is ignored, and so is one with
+        more than a quarter of its readings missing, if there are others.
     shortest_s : float
-        Duration of the shortest rest, in seconds; a *small* one trusts short calms.
+        Duration of the shortest rest, in seconds; a *small* one accepts short calms.
 
     Returns
     -------
@@ -277,15 +276,15 @@ def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Stilln
 
 
 def named_rests(recording: Recording, spans_s: Iterable[tuple[float, float]]) -> Stillness:
-    """Return the stretches that a person named.
+    """Return the rests that a person named.
 
     Parameters
     ----------
     recording : Recording
         Any channels.
     spans_s : iterable of (float, float)
-        Start and end of each, in seconds after the first sample; (0, 30) is the first half minute. Overlapping spans
-        are joined.
+        Start and end of each rest, in seconds after the first sample; (0, 30) is the first half minute. Overlapping
+        spans are joined.
 
     Raises
     ------
@@ -317,7 +316,7 @@ def _varies(channel: Floats) -> bool:
 
 
 def _mostly_there(channel: Floats) -> bool:
-    """Return whether a channel has enough readings to interrupt a rest; one of a lower rate has not."""
+    """Return whether a channel has enough readings to show rests; one of a lower rate has not."""
     return bool(np.mean(~np.isfinite(channel)) <= MOST_MISSING)
 
 

@@ -14,11 +14,11 @@ from becalm.core.time.timebase import GAP_STEPS
 from becalm.errors import RecordingError
 from becalm.identification.at_rest.detection import FEWEST, Stretch, quantum, window_size
 
-_SPIKE = 6.0  # standard deviations
+_SPIKE = 6.0  # standard deviations of the differences beyond which one is left out
 _KEPT = 0.9  # share of the differences that set the limit for spikes
 _NORMAL_KEPT = 0.6230  # mean square of the nine tenths of a normal variable that are nearest to zero
 _FEWEST_CYCLES = 10.0  # of a cut-off in the stretch
-_SPLIT_ORDER = 2
+_SPLIT_ORDER = 2  # of the Butterworth filters
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class RestNoise:
     standard_error : float
         Standard error of `variance` if the noise is white, in unit^2.
     slowness : float
-        Variance over half a second divided by `variance`. It is 1 for white noise. Above 1, the noise is slower than
+        Variance within half a second divided by `variance`. It is 1 for white noise. Above 1, the noise is slower than
         the readings, and `variance` is only that of its fastest part; below 1, the noise alternates.
     differences, spikes : int
-        Number of differences used, and of those beyond six standard deviations, which were not.
+        Number of differences used, and number of those left out because they exceed six standard deviations.
     """
 
     name: str
@@ -110,7 +110,7 @@ def split_at_cutoff(readings: Floats, rate_hz: float, cutoff_hz: float = 1.0) ->
     Notes
     -----
     Kownacki (2010), table 1, does not name the filter: here it is a causal Butterworth filter of order 2, started at
-    the mean. A share of 2.22 cutoff / rate of white noise is called process noise. As the paper notes, the variances
+    the mean. A share of 2.22 cutoff / rate of white noise counts as process noise. As the paper notes, the variances
     give a far slower filter than a person wants: the motion at rest is not the motion in use.
     """
     from scipy.signal import butter, sosfilt
@@ -158,16 +158,16 @@ def _differences(channel: Floats, elapsed: Floats) -> Floats:
 
 
 def _standard_error(square: Floats, used: int) -> float:
-    """Return the standard error of the mean of a sequence with correlated neighbours only; NaN is ignored."""
+    """Return the standard error of the mean of a sequence in which only neighbours are correlated; NaN is left out."""
     about = square - np.nanmean(square)
     power, neighbours = float(np.nansum(about**2)), float(np.nansum(about[1:] * about[:-1]))
     return float(np.sqrt(max(0.0, power + 2 * neighbours)) / used)
 
 
 def _variance_within(stretches: Sequence[Floats], size: int, most: float) -> float:
-    """Return the mean variance, in unit^2, of windows of `size` readings without a spike, about their mean.
+    """Return the mean variance, in unit^2, of the windows of `size` readings without a spike, about their own means.
 
-    At a spike half of the squared difference of neighbours exceeds `most`.
+    A spike is where half of the squared difference of neighbours exceeds `most`.
     """
     windows = np.concatenate([part[: len(part) // size * size].reshape(-1, size) for part in stretches])
     whole = windows[(np.diff(windows, axis=1) ** 2 / 2 <= most).all(axis=1)]

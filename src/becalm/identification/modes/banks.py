@@ -1,10 +1,10 @@
-"""Define five families of interacting multiple models (IMM), and search the numbers of one by likelihood.
+"""Define five families of interacting multiple models (IMM), and search the parameters of one by likelihood.
 
-resting   a still mode in addition to the fixed filter
+resting   the fixed filter and a still mode
 jumping   random walks from still to abrupt, and leaps, for levels that hold and jump; outliers are left out
 noisy     the fixed filter with quiet and with loud noise
-spiky     the fixed filter with outliers, which are left out, and an abrupt mode, in which the level jumps and
-          everything else goes on, so that the filter never rejects a new level for good
+spiky     the fixed filter, which leaves out outliers, and an abrupt mode, in which the level jumps while all else goes
+          on, so that a new level is not rejected for ever
 bursting  the fixed filter with calm and with violent motion; outliers are left out
 """
 
@@ -30,44 +30,44 @@ from becalm.native.imm import NOTHING_WANTED, Steps, filter_rows, new_state
 Kind = Literal["resting", "jumping", "noisy", "spiky", "bursting"]
 
 STANDS_OUT = 8.0
-"""Standard deviations of noise beyond which a reading stands out from its neighbours."""
+"""Distance from the running median, in standard deviations of noise, beyond which a reading is an outlier."""
 
 _PIECE, _PIECES = 1 << 14, 4  # readings in a piece of a long record, and pieces, that IMMs are compared on
 _DIFFERENT_STEPS = 64  # most lengths of steps that a search distinguishes
 
-_GAIN = 2.0  # gain in log-likelihood for which a number leaves its default
+_GAIN = 2.0  # gain in log-likelihood that each step of a parameter needs
 _VARIANCE_GAIN = 0.1  # the same for a variance
-_MUCH = 10.0  # the same for levels: a record shows few jumps, and the next may differ
-_SWEEPS = 5
-_SURPRISED = 0.03  # share of a moving sensor's readings that are surprising in any mode
-_REST_STEPS, _MOVE_STEPS = 1.6e5, 3e6  # default steps for which a level stays still, or moves
-_SPIKY_STEPS = 1e8  # steps between two jumps of a signal that only has spikes
+_MUCH = 10.0  # the same for jumping levels: a record shows few jumps, and later ones may differ
+_SWEEPS = 5  # sweeps over all parameters
+_SURPRISED = 0.03  # share of outliers among the readings of a moving sensor
+_REST_STEPS, _MOVE_STEPS = 1.6e5, 3e6  # default mean duration, in steps, of still, and of gentle and quick
+_SPIKY_STEPS = 1e8  # mean number of steps between two jumps of a signal with spikes
 _WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # q/r
 _RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of the ratios above
 _WILD = 1e-9  # default share of outliers, where the record shows none: a jump or a burst is far likelier
-_OUTLIER_VARIANCE = 100.0  # variance of outliers over that of the noise, where none stands out
+_OUTLIER_VARIANCE = 100.0  # variance of outliers over that of the noise, where no reading stands out
 _LEAP_VARIANCE = 4.0  # variance of a leap over that of outliers
-_ABRUPT_STEPS = 0.7  # steps that an abrupt mode lasts
-_FINEST = 1e-7  # least noise of an IMM over what most readings span: with less, a jump leaves nothing but rounding
-_LOST = 1e-13  # the same over what all readings span
-_VIOLENT = 100.0  # q/r of violent motion, which follows the readings
-_CALM_STEPS, _BURST_STEPS = 3000.0, 20.0  # for which calm and violent motion last
-_LOUDEST = 1e15  # most of violent over calm density: with more, mixing loses the calm mode to rounding
+_ABRUPT_STEPS = 0.7  # mean duration of an abrupt mode, in steps
+_FINEST = 1e-7  # least standard deviation of an IMM's noise, as a share of the span of 90 % of the readings, and ...
+_LOST = 1e-13  # ... as a share of the span of all; with less noise, rounding at a jump exceeds it
+_VIOLENT = 100.0  # default q/r of violent motion, at which the filter follows the readings
+_CALM_STEPS, _BURST_STEPS = 3000.0, 20.0  # default mean duration, in steps, of calm and of violent motion
+_LOUDEST = 1e15  # largest ratio of violent to calm density; at a larger one, mixing loses the calm mode to rounding
 _BLOCK = 50  # readings in a block whose second differences are averaged
 
 
 class Number(NamedTuple):
-    """One number of an IMM family, which is searched by its logarithm."""
+    """One parameter of an IMM family; the search is over its logarithm."""
 
     default: float
     low: float
     high: float
     stride: float = 2.0  # first step of the logarithm
-    gain: float = _GAIN
+    gain: float = _GAIN  # gain in log-likelihood that each step needs
 
 
 class ImmFamily(NamedTuple):
-    """A family of IMMs: its numbers, and the function that makes an IMM from them."""
+    """A family of IMMs: its parameters, and the function that makes an IMM from their values."""
 
     numbers: list[Number]
     make: Callable[..., InteractingModels]
@@ -76,15 +76,15 @@ class ImmFamily(NamedTuple):
 class EvidencePiece(NamedTuple):
     """A part of a record, laid out for the filter."""
 
-    z: Floats  # (N,)
-    lengths: Floats  # (u,) different lengths of steps
-    steps: Steps  # (N,) which of the lengths precedes each reading
+    z: Floats  # (N,) readings, in unit
+    lengths: Floats  # (u,) different times between two readings, in steps
+    steps: Steps  # (N,) index of the length before each reading
 
 
 def resting(tuning: Tuning, evidence: Evidence) -> ImmFamily:
     """Return the family of IMMs with a still mode and a fixed filter.
 
-    A moving sensor surprises its filter now and then, which does not mean that it came to rest.
+    The moving mode has a share of outliers, so that a large innovation in motion is no evidence of rest.
     """
     spread = float(np.ptp(evidence.z)) ** 2
     moving = Mode("moving", replace(tuning, damping=0.0).component, tuning.noise_variance, 1.0, wild_share=_SURPRISED)
@@ -99,9 +99,9 @@ def resting(tuning: Tuning, evidence: Evidence) -> ImmFamily:
 def jumping(evidence: Evidence, wild: float = _WILD) -> ImmFamily:
     """Return the family of IMMs of random walks, from still to abrupt, and of leaps.
 
-    A leap reaches as far as the readings do, and farther. Beyond any outlier a reading is a leap, so a level is never
-    lost for good. `wild` is the share of outliers to begin with; with a *small* one the record has to show outliers,
-    and a far reading is a jump.
+    A leap has a larger variance than an outlier, so a reading beyond any outlier is a leap, and the filter never loses
+    a level for good. `wild` is the starting value of the share of outliers; with a *small* one, a distant reading is a
+    jump unless the record shows outliers.
     """
     spread = float(np.ptp(evidence.z)) ** 2
 
@@ -140,8 +140,8 @@ def noisy(tuning: Tuning) -> ImmFamily:
 def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None = None) -> ImmFamily:
     """Return the family of IMMs of a fixed filter with calm and with violent motion: only Q changes, not R.
 
-    `like` is an IMM to start from, perhaps of another order. With it the calm motion is that of `tuning` and is not
-    searched.
+    `like` is an IMM of this family to start from, perhaps of another order. If it is given, the calm motion is that of
+    `tuning` and is not searched.
     """
     r, ratio, first = tuning.noise_variance, tuning.ratio, (_VIOLENT, _WILD, _CALM_STEPS, _BURST_STEPS)
     own = [Number(r, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN), Number(ratio, 1e-14, 1e6, gain=_VARIANCE_GAIN)]
@@ -167,7 +167,10 @@ def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None 
 
 
 def spiky(tuning: Tuning, evidence: Evidence) -> ImmFamily:
-    """Return the family of IMMs of a fixed filter, tuned anew, with outliers; outliers that agree are a jump."""
+    """Return the family of IMMs of a fixed filter with outliers; several outliers at the same level are a jump.
+
+    The noise and the process noise of the filter are searched, too.
+    """
     r, spread = max(middle_variance(evidence.z[:, 0]), _least(evidence)), float(np.ptp(evidence.z)) ** 2
 
     def make(noise: float, ratio: float, share: float, wild: float) -> InteractingModels:
@@ -193,25 +196,25 @@ def spiky(tuning: Tuning, evidence: Evidence) -> ImmFamily:
 
 
 def _variance(evidence: Evidence) -> Number:
-    """Return the variance of the noise at rest as a number to search."""
+    """Return the variance of the noise at rest as a parameter to search."""
     r = max(quiet_variance(evidence.z[:, 0]), _least(evidence))
     return _about(r, 1e2, evidence)
 
 
 def _about(r: float, times: float, evidence: Evidence) -> Number:
-    """Return a noise variance as a number to search around r."""
+    """Return a noise variance as a parameter to search around r."""
     return Number(r, max(r / times, _least(evidence)), r * times, 1.0, _VARIANCE_GAIN)
 
 
 def _least(evidence: Evidence) -> float:
-    """Return the least noise variance: a level without noise is infinitely likely, and lost when it jumps."""
+    """Return the least noise variance, unit^2; without noise, a constant level would be infinitely likely."""
     low, high = np.quantile(evidence.z[:, 0], (0.05, 0.95))
     finest = max(_FINEST * float(high - low), _LOST * float(np.ptp(evidence.z)))
     return max(evidence.smallest_variance, finest**2)
 
 
 def of_first_mode(tuning: Tuning, switching: InteractingModels) -> Tuning:
-    """Return a tuning with the noise, and the process noise, of the first mode of an IMM that was made from it."""
+    """Return a tuning with the noise and the process noise of the first mode of an IMM that was made from it."""
     first = switching.modes[0]
     ratio = float(first.component.noise_density[0, 0]) / first.noise_variance
     return replace(tuning, ratio=ratio, noise_variance=first.noise_variance)
@@ -224,7 +227,7 @@ def with_wild_share(switching: InteractingModels, share: float) -> InteractingMo
 
 
 def searched(bank: ImmFamily, pieces: Sequence[EvidencePiece]) -> tuple[InteractingModels, float]:
-    """Search a family's numbers in turn, with steps that halve; return the best IMM and its log-likelihood."""
+    """Search a family's parameters in turn, with steps that halve; return the best IMM and its log-likelihood."""
     at, strides = [float(np.log(number.default)) for number in bank.numbers], [number.stride for number in bank.numbers]
     best = log_likelihood(_make(bank, at), pieces)
     for _ in range(_SWEEPS):
@@ -238,7 +241,7 @@ def searched(bank: ImmFamily, pieces: Sequence[EvidencePiece]) -> tuple[Interact
 def _best_move(  # noqa: PLR0913
     bank: ImmFamily, at: list[float], i: int, stride: float, best: float, pieces: Sequence[EvidencePiece]
 ) -> tuple[list[float], float]:
-    """Move one number up, or else down, as long as the log-likelihood gains enough."""
+    """Move one parameter up, or else down, as long as the log-likelihood gains enough."""
     number = bank.numbers[i]
     for way in (stride, -stride):
         gained = False
@@ -267,7 +270,7 @@ def log_likelihood(switching: InteractingModels, pieces: Sequence[EvidencePiece]
 
 
 def pieces_of(evidence: Evidence, row: int) -> list[EvidencePiece]:
-    """Return a record as one piece; a long one as pieces spread over it, and one around a row."""
+    """Return a record as one piece; a long record as three pieces spread over it and one around a row."""
     parts, last = [slice(0, len(evidence.z))], len(evidence.z) - _PIECE
     if last > _PIECE * (_PIECES - 1):
         starts = [*np.linspace(0, last, _PIECES - 1).astype(int).tolist(), min(max(row - _PIECE // 2, 0), last)]
@@ -298,12 +301,12 @@ def quiet_variance(z: Floats) -> float:
 
 
 def middle_variance(z: Floats) -> float:
-    """Return the variance of white noise from the median second difference of a record (N,)."""
+    """Return the variance, unit^2, of white noise from the median second difference of a record (N,)."""
     return float(1.4826 * np.median(np.abs(np.diff(z, 2)))) ** 2 / 6
 
 
 def outstanding_variance(z: Floats, r: float) -> float:
-    """Return the mean squared distance of outliers to the running median of z (N,), at noise variance r; 0 if none."""
+    """Return the mean squared distance of outliers from the running median of z (N,), given r; 0 if there are none."""
     if len(z) < WINDOW:
         return 0.0
     apart = z - running_median(z)
@@ -313,14 +316,14 @@ def outstanding_variance(z: Floats, r: float) -> float:
 
 # Compare the errors of an IMM smoother and a fixed smoother without the truth.
 
-_LESS = 0.05  # relative reduction of the mean squared error that an IMM smoother needs
-_CLEARLY = 3.0  # standard errors by which it is better beyond doubt
-_FAR_LESS = 0.1  # share of the fixed smoother's risk below which hidden readings may contradict, within ...
-_BY_CHANCE = 2.0  # ... so many standard errors: one reading of a shock, which nothing predicts, makes one of them
+_LESS = 0.05  # relative reduction of the estimated risk that an IMM smoother needs
+_CLEARLY = 3.0  # standard errors by which an IMM smoother that errs less at hidden readings is clearly better
+_FAR_LESS = 0.1  # share of the fixed smoother's risk below which it may err more at hidden readings, within ...
+_BY_CHANCE = 2.0  # ... so many standard errors: one unpredictable reading of a shock makes one of them
 _HIDDEN = 10  # every tenth reading is hidden from the smoothers
-_PROBE = 0.02  # of a standard deviation of the noise
-_LIKELY = 0.5  # probability from which a reading is taken for an outlier
-_ROWS_AT_ONCE = 1 << 15  # rows
+_PROBE = 0.02  # size of the probe, in standard deviations of the noise
+_LIKELY = 0.5  # probability above which a reading is taken for an outlier
+_ROWS_AT_ONCE = 1 << 15  # rows that are filtered in one call
 
 
 def find_wild(switching: InteractingModels, readings: Floats, elapsed: Floats) -> Booleans:
@@ -337,7 +340,7 @@ def find_wild(switching: InteractingModels, readings: Floats, elapsed: Floats) -
 
 
 def _without_outliers(switching: InteractingModels, evidence: Evidence) -> Evidence:
-    """Return evidence with each outlier replaced by a draw from the IMM smoother's estimate."""
+    """Return evidence with each outlier replaced by the IMM smoother's estimate plus a draw of the noise."""
     if not switching.rejects:
         return evidence
     z, noise = evidence.z[:, 0].copy(), switching.least_noise_variance
@@ -352,10 +355,10 @@ def _without_outliers(switching: InteractingModels, evidence: Evidence) -> Evide
 def errs_less(switching: InteractingModels, tuning: Tuning, evidence: Evidence) -> bool:
     """Return whether an IMM smoother errs less than the fixed one, clearly at hidden readings or by its estimated risk.
 
-    Where a record rests, the small gain is lost in the noise of hidden readings. Then the risk decides, and the hidden
-    readings may contradict it only by chance: by one standard error, or by two where the gain in risk is large. The
-    risk needs the variance of the noise; of the two variances the smaller is used. Hidden readings need none. Outliers
-    say nothing about errors, so draws from the IMM's estimate replace them.
+    Where a record rests, the gain is small compared with the noise of hidden readings. Then the risk decides, and the
+    hidden readings may contradict it only within chance: by one standard error, or by two where the gain in risk is
+    large. The risk requires the noise variance, and the smaller of the two models' is used; hidden readings do not.
+    Outliers would distort both, so they are replaced first.
     """
     evidence = _without_outliers(switching, evidence)
     fixed_flow = SmoothedFlow(tuning.component, tuning.noise_variance)
@@ -372,7 +375,10 @@ def errs_less(switching: InteractingModels, tuning: Tuning, evidence: Evidence) 
 
 
 def hidden_errors(flow: SmoothedFlow | ImmFlow, evidence: Evidence) -> Floats:
-    """Return the squared errors of a smoother at every tenth reading, which is hidden from it; none if few."""
+    """Return the squared errors (k,), unit^2, of a smoother at the readings of the longest piece that it does not get.
+
+    These are every tenth reading; there are none if the piece has fewer than six readings.
+    """
     part = max(long_pieces(evidence), key=lambda piece: piece.stop - piece.start)
     z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
     hidden = np.arange(len(z)) % _HIDDEN == _HIDDEN // 2
@@ -406,12 +412,12 @@ def _smoothed(flow: SmoothedFlow | ImmFlow, z: Floats, elapsed: Floats) -> Float
 MOSTLY = 0.75
 """Least share of the rejected readings that must stand out from their neighbours."""
 
-_STANDS_OUT = 1.5  # times the local RMS of second differences, which is 2.4 standard deviations for white noise
+_STANDS_OUT = 1.5  # least distance over the local RMS of second differences, 2.4 standard deviations of white noise
 _NEAR, _FEWEST = 8, 4  # readings on each side; least number of second differences among them
 
 
 def stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -> bool:
-    """Return whether most of the rejected readings stand out from their neighbours on both sides.
+    """Return whether at least 75 % of the rejected readings stand out from their neighbours on both sides.
 
     Parameters
     ----------
@@ -425,9 +431,9 @@ def stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -
     Notes
     -----
     The distance of each rejected reading from the line between the nearest accepted readings is compared with the
-    second differences of the accepted readings near it. In a shock, a reversal or an impact the neighbours move as much
-    as the rejected reading does. At a jump the neighbours are farther from each other than the rejected reading is from
-    one of them.
+    second differences of the accepted readings near it. In a shock, a reversal or an impact these are as large as that
+    distance. At a jump the nearest accepted readings are farther from each other than the rejected reading is from one
+    of them.
     """
     seen = np.isfinite(readings)
     z, out = readings[seen], rejected[seen]
@@ -445,7 +451,7 @@ def stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -
 
 
 def _roughness(z: Floats, out: Booleans) -> Floats:
-    """Return the RMS (N,) of second differences of the accepted readings near each reading; inf where these are few."""
+    """Return the RMS (N,) of second differences of accepted readings near each reading; inf for fewer than four."""
     bends, valid = np.zeros(len(z)), np.zeros(len(z))
     if len(z) > 2:
         valid[1:-1] = ~(out[:-2] | out[1:-1] | out[2:])

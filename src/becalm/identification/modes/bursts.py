@@ -1,9 +1,9 @@
-"""Identify a filter with two modes, calm and violent motion, and tune the calm one on the calm rows.
+"""Identify an IMM with two modes, calm and violent motion, and tune the calm one on the calm rows.
 
-One shock in a long record is enough to make a fixed filter so fast that it leaves most of the noise everywhere. So a
-first IMM finds the rows of violent motion; the filter is chosen again as if those rows were missing; and the IMM of
-this filter, and of the same motion with a much larger Q, is searched. That is expectation maximisation with hard
-decisions. Source: Celeux and Govaert, Computational Statistics and Data Analysis 14 (1992) 315.
+A single shock in a long record makes a fixed filter so fast that it passes most of the noise everywhere. So a first IMM
+finds the rows of violent motion. The filter is chosen again as if those rows were missing. Then an IMM is searched that
+has this filter and the same motion with a much larger Q. That is expectation maximisation with hard decisions. Source:
+Celeux and Govaert, Computational Statistics and Data Analysis 14 (1992) 315.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from becalm.identification.modes.banks import (
     with_wild_share,
 )
 
-_ROUNDS = 2  # of finding the violent rows, and tuning the calm ones
+_ROUNDS = 2  # most rounds of finding the violent rows and tuning on the calm ones
 _MOST_VIOLENT = 0.3  # largest share of violent readings; with more, the calm rows are too few to tune on
 _MARGIN = 10  # readings on each side of a burst that belong to it: its ends look like calm motion
-_LIKELY = 0.5  # probability of a burst from which a reading belongs to it
-_MOST_STATES = HIGHEST_ORDER + 1  # of a filter in an IMM; the search would be too slow with more
+_LIKELY = 0.5  # probability of the burst mode above which a reading belongs to a burst
+_MOST_STATES = HIGHEST_ORDER + 1  # most states of a filter in an IMM; with more the search would be too slow
 
 
 class Bursting(NamedTuple):
-    """A filter for calm motion, and the IMM of calm and violent motion."""
+    """A filter for calm motion, the IMM of calm and violent motion, and the log-likelihood of the IMM."""
 
     tuning: Tuning
     switching: InteractingModels
@@ -48,7 +48,7 @@ class Bursting(NamedTuple):
 def find_bursting(
     tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool
 ) -> tuple[Bursting, Bursting]:
-    """Find the IMM of calm and violent motion, and the filter of calm motion; the second result has no outliers.
+    """Find the IMM of calm and violent motion, and the filter of calm motion; the second IMM uses all readings.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def find_bursting(
     evidence : Evidence
         The readings.
     pieces : list of EvidencePiece
-        The readings that IMMs are compared on; the last piece is around a row where something happened.
+        The readings that IMMs are compared on; the last piece contains the row that `find_surprise` returns.
     causal : bool
         True for a filter, False for a smoother.
     """
@@ -109,7 +109,7 @@ def _search(tuning: Tuning, bank: ImmFamily, pieces: list[EvidencePiece]) -> Bur
 
 
 def _find_violent(switching: InteractingModels, evidence: Evidence) -> Booleans:
-    """Return which readings (N,) belong to violent motion, by the IMM smoother."""
+    """Return which readings (N,) belong to violent motion, or are near it, by the IMM smoother."""
     flow = ImmFlow(switching, causal=False, with_probabilities=True)
     smoothed = [*flow.push(evidence.z[:, 0], evidence.elapsed), *flow.finish()]
     violent = np.concatenate([one.parts[-1] for one in smoothed]) > _LIKELY

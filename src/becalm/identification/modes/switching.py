@@ -1,9 +1,10 @@
 """Identify the modes of a channel: choose an IMM where it predicts the readings better than a fixed filter.
 
-Five families of IMMs are tried, each with a few numbers, which are searched by likelihood (`banks`). A number leaves
-its default only where the record clearly shows it, so that a record with few changes of mode still gets an IMM that
-follows any. A smoother must also err less, clearly at hidden readings or by its estimated risk: the best predictor need
-not be the best smoother. Source of the risk of nonlinear filters: Ramani, Blu and Unser, IEEE TIP-17 (2008) 1540.
+Five families of IMMs are tried; the few parameters of each are searched by likelihood (`banks`). A parameter leaves its
+default only where the record clearly shows it, so that an IMM from a record with few changes of mode follows other
+changes, too. An IMM smoother must also err less than the fixed smoother, clearly at hidden readings or by its estimated
+risk: the best predictor need not be the best smoother. Source of the risk of nonlinear filters: Ramani, Blu and Unser,
+IEEE TIP-17 (2008) 1540.
 """
 
 from __future__ import annotations
@@ -38,15 +39,15 @@ from becalm.identification.modes.banks import (
 from becalm.identification.modes.bursts import find_bursting
 
 _FEWEST = 256  # least number of readings; fewer cannot distinguish modes from noise
-_SURPRISING = 6.0  # standard deviations: a larger difference of means is not due to Gaussian noise or motion
-_BETTER = 6.0  # gain in log-likelihood that an IMM needs
-_DOUBT = 15.0  # log-likelihood that jumping levels may cost: about that of one change of mode
-_MOTION_FIRST = 45.0  # gain in log-likelihood of loud noise over motion: more than a shock of 100 readings makes
+_SURPRISING = 6.0  # standard deviations: a larger difference of means is not due to Gaussian noise or uniform motion
+_BETTER = 6.0  # gain in log-likelihood over a fixed filter that an IMM needs
+_DOUBT = 15.0  # loss in log-likelihood that is accepted for jumping levels: about that of one change of mode
+_MOTION_FIRST = 45.0  # gain in log-likelihood that loud noise needs: more than a shock of 100 readings makes
 
 
 @dataclass(frozen=True)
 class Switched:
-    """An IMM, and how well it predicts.
+    """An identified IMM, and how well it predicts.
 
     Attributes
     ----------
@@ -57,9 +58,10 @@ class Switched:
     log_likelihood : float
         Log-likelihood of the readings that IMMs were compared on.
     fixed_log_likelihood : float
-        Log-likelihood of the best fixed filter on the same readings.
+        Log-likelihood of the best fixed filter on the same readings, or, if a gate rejects spikes, the log-likelihood
+        that an IMM had to reach; NaN where no filter was compared.
     tuning : Tuning
-        The fixed filter that goes with it, perhaps with tones.
+        The fixed filter that belongs to the IMM, perhaps with tones.
     """
 
     kind: Kind
@@ -72,7 +74,7 @@ class Switched:
 def find_switching(
     tuning: Tuning, evidence: Evidence, causal: bool, spikes_gated: bool = False, wild: Evidence | None = None
 ) -> Switched | None:
-    """Find the IMM that predicts a record best; None where a fixed filter is as good.
+    """Find the IMM that predicts a record best; None if a fixed filter is as good, or there are too few readings.
 
     Parameters
     ----------
@@ -83,10 +85,10 @@ def find_switching(
     causal : bool
         True for a filter, False for a smoother.
     spikes_gated : bool
-        True if an innovation gate keeps spikes out of the fixed filter; an IMM must then be better than that.
+        True if the fixed filter has an innovation gate; an IMM must then be better than the gated filter.
     wild : Evidence, optional
-        The readings including gross outliers, which are removed before any filter. They show a causal IMM how rarely a
-        far reading is a jump. A smoother finds outliers from both sides, so hardly any is left in its readings.
+        The readings including gross outliers, which `evidence` does not contain. From them a causal IMM learns how
+        rarely a distant reading is a jump. They are not used for a smoother.
     """
     surprise = find_surprise(evidence.z[:, 0]) if len(evidence.z) >= _FEWEST else None
     if surprise is None:
@@ -103,14 +105,14 @@ def find_switching(
         spikes,
         *(Switched("bursting", one.switching, one.log_likelihood, np.nan, one.tuning) for one in bursts),
     ]
-    if spikes_gated:  # then an IMM that rejects outliers must be better than that
+    if spikes_gated:  # then an IMM must reject outliers, and be better than the gated filter
         gated = log_likelihood(_with_outliers(tuning, spikes.switching), pieces)
         fixed, candidates = (
             max(fixed, gated) + _DOUBT + _BETTER,
             [bank for bank in candidates if bank.switching.rejects],
         )
     likelier = [bank for bank in candidates if _gain(bank) >= fixed]
-    alone: Kind | None = None if spikes_gated else "spiky"  # a filter that uses every reading is not a rival of spiky
+    alone: Kind | None = None if spikes_gated else "spiky"  # a filter without a gate is no rival of spiky
     best = _choose_imm(likelier, evidence, None if causal else tuning, alone)
     if best is not None and causal and wild is not None and len(wild.z) > len(evidence.z):
         best = _with_outlier_share(best, likeliest, evidence, wild)
@@ -118,7 +120,7 @@ def find_switching(
 
 
 def _with_outlier_share(best: Switched, tuning: Tuning, evidence: Evidence, wild: Evidence) -> Switched:
-    """Return an IMM of jumping levels tuned with the share of outliers in all readings; other kinds are unchanged."""
+    """Return an IMM tuned on all readings, with their share of outliers, if it is jumping or spiky; else unchanged."""
     if best.kind not in ("jumping", "spiky"):
         return best
     share = 1 - len(evidence.z) / len(wild.z)
@@ -128,7 +130,7 @@ def _with_outlier_share(best: Switched, tuning: Tuning, evidence: Evidence, wild
 
 
 def _with_outliers(tuning: Tuning, like: InteractingModels) -> InteractingModels:
-    """Return the IMM that stands for a gated fixed filter: its motion with the outliers and the jumps of `like`."""
+    """Return the IMM that represents a gated fixed filter: its motion with the outliers and jumps of `like`."""
     own, noise = tuning.component, tuning.noise_variance
     steady, abrupt = (replace(mode, noise_variance=noise) for mode in like.modes)
     walking = with_walking_level(own, like.wild_variance)
@@ -138,9 +140,9 @@ def _with_outliers(tuning: Tuning, like: InteractingModels) -> InteractingModels
 def _choose_imm(
     candidates: list[Switched], evidence: Evidence, smoothed: Tuning | None, alone: Kind | None
 ) -> Switched | None:
-    """Return the IMM that predicts best and takes no motion for outliers or loud noise.
+    """Return the IMM that predicts best and takes no motion for outliers or loud noise; None if there is none.
 
-    An IMM smoother must also err less than the fixed one, except for an IMM of kind `alone` that ranks first.
+    An IMM smoother must also err less than the fixed one, unless the IMM ranks first and its kind is `alone`.
     """
     motion_is_wild, ranked = False, sorted(candidates, key=_gain, reverse=True)
     for bank in ranked:
@@ -156,7 +158,7 @@ def _choose_imm(
 
 
 def _follows_motion(switching: InteractingModels, evidence: Evidence, *, at_jumps: bool = False) -> bool:
-    """Return whether the rejected readings of an IMM are outliers, or perhaps first readings after jumps."""
+    """Return whether the readings that an IMM rejects are outliers or, with `at_jumps`, first readings after jumps."""
     if not switching.rejects:
         return True
     z = evidence.z[:, 0]
@@ -164,7 +166,7 @@ def _follows_motion(switching: InteractingModels, evidence: Evidence, *, at_jump
 
 
 def _gain(candidate: Switched) -> float:
-    """Return the log-likelihood of an IMM less the gain that its kind needs; in doubt, loud noise is motion."""
+    """Return the log-likelihood of an IMM less the gain that its kind needs; loud noise needs the most."""
     doubt = {"jumping": _DOUBT, "noisy": -_MOTION_FIRST}
     return candidate.log_likelihood + doubt.get(candidate.kind, -_BETTER)
 
@@ -175,10 +177,11 @@ def _fit(kind: Kind, bank: ImmFamily, pieces: list[EvidencePiece], tuning: Tunin
 
 
 def find_surprise(z: Floats) -> int | None:
-    """Return the row where neighbouring means, over some length, differ far more than usual; None if nowhere.
+    """Return the row at which the means of two adjacent blocks differ far more than usual; None if there is none.
 
-    Noise, uniform motion and tones have no such row; a jump, a rest between motions, outliers and changing noise do.
-    The row only saves a search and shows where to look; the likelihood decides.
+    Blocks of several lengths are compared. Noise, uniform motion and tones have no such row; jumps, rests between
+    motions, outliers and changing noise have one. Without such a row no IMM is searched; with one, the likelihood
+    decides.
     """
     total, width = np.concatenate([[0.0], np.cumsum(z - z.mean())]), 1
     most, row = _SURPRISING * 1.4826, None
@@ -202,8 +205,8 @@ def _one_mode(tuning: Tuning) -> InteractingModels:
 
 # Identify a robust filter, for records with up to one outlier in ten samples.
 #
-# Outliers inflate the noise, and hide motion and tones. So once the IMM has found the outliers, each is replaced by a
-# draw from its distribution given all other readings, and the channel's filter and its IMM are chosen again.
+# Outliers inflate the noise, and hide motion and tones. So each outlier that the IMM finds is replaced by a draw from
+# its distribution given all other readings, and the channel's filter and its IMM are chosen again.
 
 
 def choose_robust(tuning: Tuning, evidence: Evidence, causal: bool) -> Switched:
@@ -226,9 +229,7 @@ def choose_robust(tuning: Tuning, evidence: Evidence, causal: bool) -> Switched:
 
 
 def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
-    """Return a fixed filter with heavy-tailed noise.
-
-    Its noise, process noise and outliers are identified by likelihood.
+    """Return the spiky IMM of a filter; its noise, process noise and outliers are identified by likelihood.
 
     Parameters
     ----------

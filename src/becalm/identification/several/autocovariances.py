@@ -1,10 +1,10 @@
-"""Compute which unknowns of Q and R the autocovariances of readings determine, how many, and roughly their values.
+"""Compute which unknowns of Q and R the autocovariances of readings determine, and estimate these roughly.
 
 A stack of successive readings is y = O x + noise, with O the observability matrix. Its components orthogonal to O's
-columns hold only noise, for any state, stationary or not, and their covariance is *linear* in the entries of Q and R.
-What that linear map does not determine, no second moment of the readings determines, and for Gaussian noise there is no
-other information. Over 2 n + 1 rows it covers all autocovariances of the annihilated readings. Sources: Mehra, IEEE
-TAC-15 (1970) 175; Odelson, Rajamani and Rawlings, Automatica 42 (2006) 303.
+columns hold only noise, for any state, stationary or not. Their covariance is *linear* in the entries of Q and R. What
+that linear map does not determine, no second moment of the readings determines, and Gaussian noise carries no other
+information. With 2 n + 1 rows the map covers all autocovariances of the readings after the state is eliminated.
+Sources: Mehra, IEEE TAC-15 (1970) 175; Odelson, Rajamani and Rawlings, Automatica 42 (2006) 303.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from becalm.core.model.model import Model
 from becalm.identification.several.matrices import Patterns
 
 _RANK = 1e-9  # tolerance of the rank, for columns scaled to length one
-_STRETCHES = 50_000  # of successive readings, that an estimate uses
+_STRETCHES = 50_000  # most stacks of successive readings that an estimate uses
 
 
 class Confounded(NamedTuple):
     """An unknown with the same effect on the readings as a mixture of others."""
 
-    which: int
+    which: int  # index of the unknown
     others: Floats  # (k,) amounts of the others that have the same effect as one unit of it
 
 
@@ -38,19 +38,19 @@ class Autocovariances:
     Attributes
     ----------
     heard : (m,) bool array
-        Channels with at least one reading; the others are left out.
-    units : (heard,) float array
-        Unit of each channel in which its readings have a size of about one.
+        True for the h channels with at least one reading; the others are left out.
+    units : (h,) float array
+        Typical size of the readings of each channel, in its unit; readings are divided by it.
     rows : int
-        Number of successive readings in a stack.
-    noise_only : (rows * heard, d) float array
+        Number of successive rows in a stack.
+    noise_only : (rows * h, d) float array
         Orthonormal directions of stacked readings that do not depend on the state.
     slopes : (d * d, k) float array
-        Derivative of the covariance along these directions by each amount.
+        Derivatives of the covariance along these directions with respect to the amounts.
     held : (d * d,) float array
         Covariance along these directions due to the fixed part of Q and R.
     largest : (k,) float array
-        Lengths of the columns of `slopes` without cancellation.
+        Upper bounds of the lengths of the columns of `slopes`: their lengths if no terms cancelled.
     """
 
     heard: Booleans
@@ -63,23 +63,23 @@ class Autocovariances:
 
     @cached_property
     def lengths(self) -> Floats:
-        """Length of the change of the moments by one unit of each amount, (k,)."""
+        """Return the lengths (k,) of the columns of `slopes`: how much one unit of each amount changes the moments."""
         return np.asarray(np.linalg.norm(self.slopes, axis=0))
 
     @cached_property
     def unseen(self) -> Booleans:
-        """Mask (k,) of the unknowns on which no second moment of the readings depends."""
+        """Return a mask (k,) of the unknowns on which no second moment of the readings depends."""
         return np.asarray(self.lengths <= _RANK * self.largest)
 
     @cached_property
     def rank(self) -> int:
-        """Number of unknowns that the autocovariances determine."""
+        """Return the number of unknowns that the autocovariances determine."""
         diagonal = np.abs(np.diag(self._factors[0]))
         return int((diagonal > _RANK).sum())
 
     @cached_property
     def confounded(self) -> list[Confounded]:
-        """Unknowns that affect the readings, but only as a mixture of others does."""
+        """Return the unknowns that affect the readings exactly as a mixture of others does."""
         from scipy.linalg import solve_triangular
 
         triangle, order = self._factors
@@ -104,12 +104,12 @@ class Autocovariances:
     def estimate(self, z: Floats) -> Floats | None:
         """Estimate the amounts (k,) by least squares on the moments of readings z (N, m).
 
-        Returns None where too few complete stacks of readings came.
+        Return None if there are too few complete stacks of readings.
 
         Notes
         -----
-        The fit is unweighted, and cannot resolve process noise that is small against the readings' noise over `rows`
-        readings; use it only as a starting point. Amounts may be negative.
+        The fit is unweighted. It cannot resolve process noise whose effect over `rows` rows is small compared with the
+        readings' noise; use it only as a starting point. Amounts may be negative.
         """
         if len(z) < self.rows:
             return None
@@ -145,13 +145,14 @@ def autocovariances(
     Parameters
     ----------
     model : Model
-        A model with n states and m channels; its F, G and H are used, and R for the shape of its noise.
+        A model with n states and m channels, of which F, G and H are used.
     process, noise : Patterns
         Patterns of the free entries of Q and of R.
     together : (m, m) bool array
-        True for pairs of channels that ever had readings in the same row; on its diagonal, for channels with readings.
+        True for pairs of channels with readings in the same row at least once; on the diagonal, for channels with
+        readings.
     sizes : (m,) float array
-        Typical size of the readings of each channel, in its unit, so that channels of different units can be compared.
+        Typical size of the readings of each channel, in its unit; it makes channels of different units comparable.
     """
     heard = np.diag(together)
     units, R = sizes[heard], model.R[np.ix_(heard, heard)]
@@ -170,7 +171,7 @@ def autocovariances(
 
 
 def _moments(parts: Sequence[Floats], process: Iterable[Floats], noise: Iterable[Floats]) -> Floats:
-    """Return the second moments of given covariances of process noise and of readings, one column each."""
+    """Return the second moments, one column for each covariance of process noise and then of measurement noise."""
     H, F, G, noise_only = parts
     rows = len(noise_only) // len(H)
     enters = [_enter(H, G, _powers(F, rows), late).T @ noise_only for late in range(1, rows)]

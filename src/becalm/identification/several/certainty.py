@@ -10,9 +10,9 @@ from becalm.core.arrays import Booleans, Floats
 from becalm.identification.several.autocovariances import Autocovariances, Confounded
 from becalm.identification.several.peak import AT_REST, FAR, Peak, reach
 
-_FLAT = 1.0  # least information, in the log of a standard deviation, that a parabola needs
-_CHANGED = 0.5  # of the largest change: from there on an amount counts as changed
-_GROWN = 100.0  # times its scale: from there on an amount counts as grown without bound
+_FLAT = 1.0  # least information about the log of a standard deviation for which a parabola describes the likelihood
+_CHANGED = 0.5  # change from which on an amount counts as changed, as a share of the largest
+_GROWN = 100.0  # change from which on an amount counts as growing without bound, in units of its scale
 _ENDLESS = (
     "No maximum was reached: the likelihood still rises, and there are no standard errors. A channel may be constant, a"
     ' copy of another, free of noise or full of spikes; leave it out, or hold its noise with "fixed".'
@@ -23,7 +23,7 @@ class Certainty(NamedTuple):
     """The standard errors of k amounts, and what the readings do not determine."""
 
     errors: Floats  # (k,) standard errors; inf where an amount is not determined
-    sentences: tuple[str, ...]
+    sentences: tuple[str, ...]  # one for each finding about what is not determined
 
 
 class Amounts(Protocol):
@@ -31,11 +31,11 @@ class Amounts(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the amounts."""
+        """Return the names of the amounts."""
 
     @property
     def variances(self) -> Booleans:
-        """Mask (k,) of the amounts that are variances."""
+        """Return a mask (k,) of the amounts that are variances."""
 
     def __call__(self, theta: Floats, /) -> float:
         """Return the log-likelihood at theta (k,)."""
@@ -44,10 +44,10 @@ class Amounts(Protocol):
         """Return the amounts (k,) at theta (k,)."""
 
     def scales(self, theta: Floats) -> Floats:
-        """Return the scales (k,) of the amounts, which is how large they could be."""
+        """Return the scale (k,) of each amount: how large it could be."""
 
     def slopes(self, theta: Floats) -> Floats:
-        """Return the derivatives (k, k) of the amounts by theta."""
+        """Return the derivatives (k, k) of the amounts with respect to theta."""
 
 
 def judge(likelihood: Amounts, peak: Peak, moments: Autocovariances) -> Certainty:
@@ -60,7 +60,7 @@ def judge(likelihood: Amounts, peak: Peak, moments: Autocovariances) -> Certaint
     peak : Peak
         Its maximum.
     moments : Autocovariances
-        What the readings determine at all; along all other directions the likelihood is flat.
+        The map that shows which amounts the readings can determine at all.
     """
     at_end = np.abs(peak.theta[likelihood.variances]).max() >= FAR
     if at_end or not peak.rising < AT_REST:
@@ -81,7 +81,7 @@ def judge(likelihood: Amounts, peak: Peak, moments: Autocovariances) -> Certaint
 
 
 def _directions(information: Floats, slopes: Floats, undetermined: Floats) -> list[tuple[float, Floats]]:
-    """Return the principal directions of the information and its amount, without the `undetermined` directions."""
+    """Return the information along each of its principal directions (k,), without the `undetermined` directions."""
     hidden = np.linalg.lstsq(slopes, undetermined, rcond=None)[0]
     basis, _, _ = np.linalg.svd(hidden, full_matrices=True) if undetermined.size else (np.eye(len(slopes)), 0, 0)
     determined = basis[:, undetermined.shape[1] :]
@@ -90,7 +90,7 @@ def _directions(information: Floats, slopes: Floats, undetermined: Floats) -> li
 
 
 def _explore(likelihood: Amounts, peak: Peak, direction: Floats) -> tuple[Floats, list[str]]:
-    """Follow a flat direction both ways; return the change of each amount (k,), and sentences about it."""
+    """Follow a flat direction both ways; return the change of each amount (k,), and sentences about the direction."""
     here, scales = likelihood.amounts(peak.theta), likelihood.scales(peak.theta)
     spread, lost, grown = np.zeros(len(here)), np.zeros(len(here), dtype=bool), np.zeros(len(here), dtype=bool)
     for way in (direction, -direction):

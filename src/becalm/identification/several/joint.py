@@ -26,7 +26,7 @@ from becalm.identification.several.certainty import Certainty, judge
 from becalm.identification.several.matrices import Freedom, FreeMatrix, Patterns, patterns_of
 from becalm.identification.several.peak import climb, walk
 
-_LEAST_SHARE = 1e-3  # of the strongest noise: starting point of a variance whose start is at or below zero
+_LEAST_SHARE = 1e-3  # least effect of a starting variance on the readings, as a share of that of the strongest
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,13 +65,13 @@ def tune_model(
     Parameters
     ----------
     model : Model
-        The model. F, G and H are fixed, and so are x0 and P0 or their absence. Its Q and R are fixed, scaled, or a
-        starting point; the search also starts from an estimate by the readings' autocovariances.
+        The model. F, G and H are fixed, and so are x0 and P0 or their absence. The search starts at its Q and R, or at
+        an estimate by the readings' autocovariances if that is likelier.
     z : (N,) or (N, m) array_like
         Readings in the channels' units, one step per row; NaN where missing. The array is not modified.
     free_process, free_noise : {"full", "diagonal", "scale", "fixed"}
-        Free entries of Q and of R: all entries; the variances, with all others zero; one factor for each independent
-        block, such as components joined by `+`; none.
+        Free entries of Q and of R. "full": all entries. "diagonal": the variances, with all other entries zero.
+        "scale": one factor for each independent block, such as components joined by `+`. "fixed": none.
 
     Raises
     ------
@@ -85,8 +85,8 @@ def tune_model(
     Standard errors come from the observed information by the delta method. Where a variance cannot be distinguished
     from zero, its error is the change at which the log-likelihood has fallen by one half.
 
-    The prior knowledge about the states, `Model.known`, is fixed: that coloured noise is stationary refers to the Q of
-    the given model.
+    The prior of the states, `Model.known`, is fixed: the stationary prior of coloured noise is that for the Q of the
+    given model.
     """
     readings = checked_readings(model, z)
     process, noise = patterns_of("Q", model.Q, free_process), patterns_of("R", model.R, free_noise)
@@ -114,12 +114,12 @@ class Free(NamedTuple):
 
     @property
     def variances(self) -> Booleans:
-        """Mask (k,) of the amounts that are variances; their parameters are logarithms."""
+        """Return a mask (k,) of the amounts that are variances; their parameters are logarithms."""
         return np.concatenate([part.variances for part in self.patterns])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the amounts."""
+        """Return the names of the amounts."""
         return self.patterns[0].names + self.patterns[1].names
 
     def amounts(self, Q: Floats, R: Floats) -> Floats:
@@ -156,16 +156,16 @@ class JointLikelihood:
 
     @property
     def variances(self) -> Booleans:
-        """Mask (k,) of the amounts that are variances; their parameters are logarithms."""
+        """Return a mask (k,) of the amounts that are variances; their parameters are logarithms."""
         return self.free.variances
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The names of the amounts."""
+        """Return the names of the amounts."""
         return self.free.names
 
     def __call__(self, theta: Floats) -> float:
-        """Return the log-likelihood at theta (k,); -inf where it does not use the same readings."""
+        """Return the log-likelihood at theta (k,); -inf where it uses other readings than at the start."""
         try:
             value, used = self.record(*self.at(theta))
         except (ModelError, np.linalg.LinAlgError):
@@ -182,11 +182,11 @@ class JointLikelihood:
         return self.free.amounts(*self.at(theta))
 
     def scales(self, theta: Floats) -> Floats:
-        """Return the scales of the amounts (k,), given the variances at theta (k,)."""
+        """Return the scale of each amount, (k,), for the variances at theta (k,)."""
         return np.concatenate([part.scales(M) for part, M in zip(self.free.patterns, self.at(theta), strict=True)])
 
     def slopes(self, theta: Floats) -> Floats:
-        """Return the derivatives of the amounts by theta, (k, k)."""
+        """Return the derivatives (k, k) of the amounts with respect to theta."""
         cut, slopes = self.process.count, np.zeros((len(theta), len(theta)))
         for i, slope in enumerate(self.process.slopes(theta[:cut])):
             slopes[:cut, i] = self.free.patterns[0].amounts(slope)
@@ -204,7 +204,10 @@ def _sizes(z: Floats, seen: Booleans) -> Floats:
 
 
 def _start(record: RecordLikelihood, free: Free, moments: Autocovariances) -> JointLikelihood:
-    """Start at the model's own Q and R, or at the estimate by autocovariances, whichever is likelier."""
+    """Return the likelihood, with its start at the model's own Q and R or at the estimate by autocovariances.
+
+    The likelier of the two is taken.
+    """
     own = free.amounts(record.model.Q, record.model.R)
     starts = [_positive(free, moments, own)]
     estimate = moments.estimate(np.where(arrived(record.z), record.z, np.nan))
@@ -225,7 +228,7 @@ def _positive(free: Free, moments: Autocovariances, amounts: Floats) -> tuple[Fl
 
 
 def _definite(covariance: Floats) -> Floats:
-    """Return a matrix with about the same variances whose correlations are well below one."""
+    """Return a covariance with about the same variances, and correlations well below one."""
     sigma = np.sqrt(np.diag(covariance))
     sigma = np.where(sigma > 0, sigma, sigma[sigma > 0].min(initial=1.0))
     values, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))

@@ -1,9 +1,10 @@
 """Define the free entries of Q and R, and map them to parameters without bounds.
 
-A covariance is a sum of *patterns*, each with an amount. That form is linear, so it shows what readings can determine.
-For the search, the same covariance is written so that any parameters give a positive definite matrix: C0 L L' C0' with
-C0 the root of the starting covariance, where the logarithms of the diagonal of the triangle L are free (Pinheiro and
-Bates, Statistics and Computing 6 (1996) 289), or patterns times e^2t.
+A covariance is a sum of *patterns*, each times an amount. That form is linear, so it shows what readings can determine.
+For the search, the covariance is written so that any parameters give a valid matrix. Where every entry is free, it is
+C0 L L' C0' with the root C0 of the starting covariance and a triangle L; the parameters are the entries of L, on the
+diagonal their logarithms (Pinheiro and Bates, Statistics and Computing 6 (1996) 289). Otherwise each starting amount is
+multiplied by exp(2 t), with its parameter t.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class Patterns:
 
     @property
     def variances(self) -> Booleans:
-        """Mask (k,) of the patterns that hold variances; the others hold covariances."""
+        """Return a mask (k,) of the patterns that hold variances; the others hold covariances."""
         return np.asarray(np.trace(self.shapes, axis1=1, axis2=2) > 0)
 
     def amounts(self, covariance: Floats) -> Floats:
@@ -57,17 +58,17 @@ class Patterns:
         return np.asarray(inside / np.einsum("kij,kij->k", self.shapes, self.shapes))
 
     def scales(self, covariance: Floats) -> Floats:
-        """Return the amounts (k,) for full correlation of all entries of a pattern, as a scale of what is large."""
+        """Return the scale (k,) of each amount: its value if all entries of its pattern were fully correlated."""
         sigma, sizes = np.sqrt(np.diag(covariance)), np.abs(self.shapes)
         return np.asarray(np.einsum("kij,i,j->k", sizes, sigma, sigma) / np.einsum("kij,kij->k", sizes, sizes))
 
     def covariance(self, amounts: Floats) -> Floats:
-        """Return the sum (d, d) for any amounts (k,); it may have negative eigenvalues."""
+        """Return the covariance (d, d) for any amounts (k,); it may have negative eigenvalues."""
         return np.asarray(self.held + np.einsum("k,kij->ij", amounts, self.shapes))
 
 
 def patterns_of(letter: str, covariance: Floats, freedom: Freedom) -> Patterns:
-    """Return the patterns of the free entries of a covariance (d, d) with the name `letter`.
+    """Return the patterns of the free entries of a covariance (d, d), whose name is `letter`.
 
     Raises
     ------
@@ -112,7 +113,7 @@ class FreeMatrix:
 
     @property
     def count(self) -> int:
-        """Number of parameters, k."""
+        """Return the number of parameters, k."""
         return len(self.patterns.names)
 
     def at(self, theta: Floats) -> Floats:
@@ -124,7 +125,7 @@ class FreeMatrix:
         return self.patterns.covariance(scaled)
 
     def slopes(self, theta: Floats) -> Floats:
-        """Return the derivative of the covariance by each parameter, (k, d, d)."""
+        """Return the derivatives (k, d, d) of the covariance with respect to the parameters."""
         if not self.fully:
             scaled = self._start_amounts * _bounded_exp(theta) ** 2
             return np.asarray(2 * scaled[:, np.newaxis, np.newaxis] * self.patterns.shapes)

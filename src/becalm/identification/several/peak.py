@@ -1,8 +1,8 @@
 """Find the maximum of a log-likelihood of several unknowns, and its curvature there.
 
-The search needs few evaluations and no derivatives: steps by factors of ten over the logarithms find the region, and
-BFGS with difference quotients climbs. The curvature is measured around the maximum over a fraction of a standard error,
-so that rounding does not matter.
+The search needs few evaluations and no derivatives. Changes of variances by factors of ten find the region; BFGS with
+difference quotients climbs to the maximum. The curvature is measured around it over a fraction of a standard error, so
+that rounding does not matter.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from becalm.core.arrays import Booleans, Floats
 
 LogLikelihood = Callable[[Floats], float]
 
-_TEN = 0.5 * np.log(10.0)  # log of a standard deviation for a factor of ten in its variance
-_SWEEPS = 3
+_TEN = 0.5 * np.log(10.0)  # change of the log of a standard deviation for a factor of ten in its variance
+_SWEEPS = 3  # most sweeps over all variances
 _LIKELIER = 0.1  # gain in log-likelihood that a step by a factor of ten needs
-_DIFFERENCE = 1e-6
-_NEAR = 1e-3  # of a standard error: precision of the climb
-_LONGEST = 0.5  # of a logarithm: longest step for the curvature, where the likelihood is flat
-_STEP = 0.2  # of a standard error: step for the curvature
+_DIFFERENCE = 1e-6  # step of a difference quotient, in units of a parameter
+_NEAR = 1e-3  # precision of the climb, in standard errors
+_LONGEST = 0.5  # longest step for the curvature, of a parameter, where the likelihood is flat
+_STEP = 0.2  # step for the curvature, in standard errors
 FAR = 14.0
 """Largest change of the logarithm of a standard deviation: a factor of 10^12 in its variance."""
 
 AT_REST = 0.1
 """Gain in log-likelihood still possible at a maximum; less than this is far within one standard error."""
 
-_ROUNDS = 3
-_ROUND = 1e-6  # of the largest curvature: least value of the other curvatures
+_ROUNDS = 3  # most climbs; each goes along the directions of the last curvature
+_ROUND = 1e-6  # least curvature, as a share of the largest; a smaller one is rounding
 _HOPELESS = 1e10  # cost where the log-likelihood is not finite
 
 
@@ -45,9 +45,9 @@ class Peak:
     value : float
         Log-likelihood at the maximum.
     information : (k, k) float array
-        Minus the second derivative at the maximum.
+        Minus the second derivative of the log-likelihood at the maximum.
     rising : float
-        Gain in log-likelihood still possible by a Newton step, or by one unit of a flat parameter. It is near 0 at a
+        Gain in log-likelihood that a Newton step, or one unit along a flat direction, still promises. It is near 0 at a
         maximum, and large where there is none.
     """
 
@@ -82,7 +82,7 @@ def climb(log_likelihood: LogLikelihood, theta: Floats, readings: int) -> Peak:
     theta : (k,) float array
         Starting point.
     readings : int
-        Number of readings; it sets the scale of the curvature.
+        Number of readings; the cost that is minimised is per reading.
     """
     base, scale = log_likelihood(theta), 2.0 * max(readings, 1)
 
@@ -118,11 +118,12 @@ def _descend(cost: Callable[[Floats], float], theta: Floats, ways: Floats, near:
 
 
 def curvature(cost: Callable[[Floats], float], top: Floats, step: float) -> Floats:
-    """Return the second derivative (k, k) of a cost, by differences over part of `step`, longer where it is flat.
+    """Return the second derivative (k, k) of a cost at `top` (k,), by differences.
 
     Notes
     -----
-    Mixed terms come from f(a + b) + f(-a - b) - f(a) - f(-a) - f(b) - f(-b) + 2 f(0) = 2 f_ab + ....
+    The differences are taken over a fifth of `step`, a standard error, and over more where the cost is flat. Mixed
+    terms come from f(a + b) + f(-a - b) - f(a) - f(-a) - f(b) - f(-b) + 2 f(0) = 2 f_ab + ....
     """
     k, here = len(top), cost(top)
     long_enough = [_lengthen(cost, top, way, (_STEP * step) ** 2 / 4) for way in _STEP * step * np.eye(k)]
@@ -137,9 +138,9 @@ def curvature(cost: Callable[[Floats], float], top: Floats, step: float) -> Floa
 
 
 def _lengthen(cost: Callable[[Floats], float], top: Floats, way: Floats, least: float) -> tuple[Floats, float]:
-    """Double a direction (k,) until the cost rises clearly above rounding.
+    """Double a step (k,) until the cost at its ends rises by `least`, or the step reaches `_LONGEST`.
 
-    Returns the direction, and the sum of the costs at both of its ends.
+    Return the step, and the sum of the costs at both of its ends.
     """
     here = cost(top)
     while True:
@@ -156,9 +157,9 @@ def _inverse_root(matrix: Floats) -> Floats:
 
 
 def _last_step(cost: Callable[[Floats], float], top: Floats, bent: Floats) -> tuple[Floats, float]:
-    """Take a Newton step from the end of the climb, if it leads higher.
+    """Take a Newton step from the end of the climb, if it reduces the cost.
 
-    Returns the new point, and the reduction in cost that the step, or a flat direction, promises.
+    Return the new point, and the reduction in cost that the step and the flat directions promise.
     """
     ways = _DIFFERENCE * np.eye(len(top))
     slope = np.array([cost(top + way) - cost(top - way) for way in ways]) / (2 * _DIFFERENCE)
@@ -170,9 +171,9 @@ def _last_step(cost: Callable[[Floats], float], top: Floats, bent: Floats) -> tu
 
 
 def reach(log_likelihood: LogLikelihood, peak: Peak, direction: Floats) -> float:
-    """Return the distance along a direction (k,) at which the log-likelihood has fallen by one half; inf if none.
+    """Return the distance along a direction (k,) at which the log-likelihood has fallen by one half.
 
-    Where the likelihood is a parabola, this is one standard error.
+    It is inf where the log-likelihood does not fall so far. Where it is a parabola, the distance is one standard error.
     """
     fallen, ahead = 0.0, 1e-3
     while peak.value - log_likelihood(peak.theta + ahead * direction) < 0.5:

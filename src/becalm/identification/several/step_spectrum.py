@@ -3,8 +3,8 @@
 J(R, Q) = int from t_s to t_f of (S - x)^2 dt + int from 0 to Fs/2 of |X(f)| df   (10)
 
 In the first term x is the filter's output for a motionless record plus a step of S at t_s, and t_f is the first time at
-which it reaches S. In the second term X is the Welch spectrum of the output for the record alone. Source: Kownacki
-(2010). `becalm.identification.several.step_tuning` searches the minimum.
+which x reaches S. In the second term X is the Welch spectrum of the output for the record alone. Source: Kownacki
+(2010). `becalm.identification.several.step_tuning` searches for the minimum.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def imu_component(sensor: Sensor, process_variance: float) -> Component:
         The accelerometer has the state [V, a] and measures a; V is unobservable. The gyroscope has the state [omega,
         epsilon] and measures omega.
     process_variance : float
-        Q, the variance of the noise on both states, in unit^2; after an Euler step of T, T^2 Q I. A *small* one trusts
-        the model and smooths more.
+        Q, the variance of the noise on both states, in unit^2; an Euler step of T adds the covariance T^2 Q I. A
+        *small* one trusts the model and smooths more.
 
     Raises
     ------
@@ -80,13 +80,13 @@ class Cost(NamedTuple):
 
     @property
     def total(self) -> float:
-        """J, the sum of both numbers; their units differ, so it depends on the unit of the record."""
+        """Return J, the sum of both integrals; their units differ, so it depends on the unit of the record."""
         return self.lag + self.noise
 
 
 @dataclass(frozen=True, eq=False)
 class StepTrial:
-    """A motionless record and a step that is added to it.
+    """A motionless record and a step that is added to it, for which filters are compared.
 
     Attributes
     ----------
@@ -104,13 +104,15 @@ class StepTrial:
     step_at_s : float
         t_s, in seconds.
     initial_covariance : (2, 2) float array or None
-        P0 around a state of zero; the paper uses ones. None starts from the first readings.
+        P0 around a state of zero; the paper uses ones. With None the first readings determine the state.
 
     Raises
     ------
     RecordingError
         If readings are missing, the record is shorter than a segment or ends before the step, or the rate, the step or
         the spectrum is invalid.
+    ModelError
+        If the sensor is not one of the two.
     """
 
     record: Floats
@@ -150,8 +152,8 @@ class StepTrial:
 
         Notes
         -----
-        The filter is linear in its readings, so its output for record plus step is the sum of its outputs for each.
-        Nothing is approximated: at each reading the gain is that of the recursion.
+        The filter is linear in its readings, so its output for record plus step is the sum of its outputs for both.
+        Nothing is approximated: the gain at each reading is that of the recursion.
         """
         model = self.model(noise_variance, process_variance)
         calm, stepped = (_filtered(model, z) for z in (self._centred, self._step))
@@ -170,7 +172,7 @@ class StepTrial:
 
     @cached_property
     def _first(self) -> int:
-        """The row of the step."""
+        """Return the row at which the step starts."""
         return int(np.ceil(self.step_at_s * self.rate_hz - 1e-9))
 
     @cached_property

@@ -1,9 +1,8 @@
 """Minimise the IMU paper's cost, over Q/R or over R and Q.
 
-The gain of a filter does not change when R, Q and the initial covariance are scaled together. So the cost is a valley
-along Q/R = constant with a level floor, and a search over R and Q stops anywhere on it. A search over Q/R alone looks
-for the one number that the cost determines; R comes from the record itself
-(`becalm.identification.at_rest.rest_noise`).
+The gain of a filter does not change when R, Q and the initial covariance are scaled together. So the cost over R and Q
+is a valley with a level floor along Q/R = constant, and a search over both stops anywhere on this floor. The cost
+determines Q/R alone; R comes from the record itself (`becalm.identification.at_rest.rest_noise`).
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from becalm.errors import ModelError
 from becalm.identification.likelihood import Edge, find_least, log_cutoffs
 from becalm.identification.several.step_spectrum import Cost, StepTrial
 
-_POINTS_A_DECADE = 4
+_POINTS_A_DECADE = 4  # points of the grid per decade of Q/R
 _PRECISION = 1e-3  # tolerance of log(Q/R)
 _COST_PRECISION = 1e-6  # relative tolerance of the cost
-_MOST_EVALUATIONS = 400
+_MOST_EVALUATIONS = 400  # most filters that the simplex tries
 
 
 @dataclass(frozen=True)
@@ -32,13 +31,13 @@ class StepTuning:
     ratio : float
         Q/R, which sets the filter; a *small* one trusts the model and smooths more.
     noise_variance, process_variance : float
-        R and Q, in unit^2; their common scale was given, or is arbitrary.
+        R and Q, in unit^2. Their common scale is that of the given R, or arbitrary after a search over both.
     cost : Cost
         Cost at this R and Q.
     evaluations : int
         Number of filters tried.
     at_edge : {"", "low", "high"}
-        Whether the search ended at its slowest ("low") or fastest ("high") filter; see `search.Edge`.
+        Whether the search ended at its slowest ("low") or fastest ("high") filter; see `likelihood.Edge`.
     """
 
     ratio: float
@@ -57,8 +56,8 @@ def tune_by_step(trial: StepTrial, noise_variance: float = 1.0) -> StepTuning:
     trial : StepTrial
         The record and the step.
     noise_variance : float
-        R, in unit^2, for instance from `noise_at_rest`; Q is scaled with it. Without an initial covariance it does not
-        change the ratio.
+        R, in unit^2, for instance from `noise_at_rest`; Q is proportional to it. Without an initial covariance, R does
+        not change the ratio.
     """
 
     def cost(log_ratio: float) -> Cost:
@@ -78,13 +77,13 @@ def tune_by_simplex(trial: StepTrial, noise_variance: float, process_variance: f
     trial : StepTrial
         The record and the step.
     noise_variance, process_variance : float
-        Starting point, in unit^2, both positive. The search ends on the floor of the valley at a place that depends on
-        it; the result of `tune_by_step` does not depend on its start.
+        Starting point, in unit^2, both positive. Where on the floor of the valley the search ends depends on it;
+        `tune_by_step` needs no starting point.
 
     Raises
     ------
     ModelError
-        If a start is not positive.
+        If one of them is not positive and finite.
 
     Notes
     -----

@@ -1,18 +1,19 @@
 """Estimate how much the uncertainty of the tuning itself widens sigma.
 
 A filter's sigma takes q and r as known. They were identified from the record, and another record of the same motion
-would have given others. For a short record, all walks that may have made it are taken into account
-(`tuning_posterior`). For a long one, the ratio q/r has a standard error of its logarithm, theta, and
+would have given other values. For a short record, all motion models that may have made it are taken into account
+(`posterior_widening`). For a long one, theta = log(q/r) has a variance, and
 
     E[(x - y)^2] = P + (dy / d theta)^2 Var(theta)
 
 (the delta method, JCGM 100:2008, 5.1). For a filter in its steady state the mean square of dy / d theta is an integral
-over the spectrum of the readings. With W the motion's share of the readings' power, dW / d theta of a smoother is W (1
-- W). A likelihood determines theta with Var = 2 / (N var W) (Whittle, Arkiv Mat. 2 (1953) 423), cross-validation with
+over the spectrum of the readings. With the motion's share W of the readings' power, dW / d theta of a smoother is
+W (1 - W). The likelihood determines theta with Var = 2 / (N var W) (Whittle, Arkiv Mat. 2 (1953) 423), cross-validation
+with
 
     Var = 2 Q / (N V^2),    V = E_p[(W - mu)^2],    Q = E[(p (W - mu))^2],    mu = E_p[W],
 
-with p = (1 - W) / E[1 - W]: the scatter of its slope over the square of its curvature (Huber 1967).
+with p = (1 - W) / E[1 - W]: the variance of the criterion's slope over the square of its curvature (Huber 1967).
 """
 
 from __future__ import annotations
@@ -34,11 +35,12 @@ from becalm.metrics.whiteness import whiteness
 
 # Estimate how much smaller a smoother's error could be, from the colour of its innovations.
 #
-# The ratio of the innovations' spectrum to a white one is the ratio of the readings' spectrum to that of the model.
-# With the model's noise, the readings show the signal at each frequency, and so the error of this smoother and of the
-# best one for such readings (Wiener 1949). Predictable innovations cost nothing at frequencies where the smoother
-# passes nothing or everything.
+# The power of normalised innovations is the ratio of the readings' spectrum to that of the model. Less the model's
+# noise, the readings' spectrum is that of the signal. From both follow the error of this smoother, and that of the best
+# one for such readings (Wiener 1949). Predictable innovations cost nothing at frequencies where the smoother passes
+# nothing or everything.
 
+# radians per step: closer together at low frequencies
 _ANGLES = np.pi * np.concatenate([np.geomspace(1e-7, 1e-2, 1500)[:-1], np.linspace(1e-2, 1.0, 3000)])
 
 Colour = Callable[[Floats], Floats]
@@ -49,14 +51,14 @@ The power is 1 for a correct model.
 
 
 def excess_error(tuning: Tuning, colour: Colour) -> float:
-    """Return the share by which a smoother's RMS error exceeds that of the best smoother for such readings.
+    """Return by how much a smoother's RMS error exceeds that of the best smoother for such readings, as a share of it.
 
     Parameters
     ----------
     tuning : Tuning
         The smoother's model.
     colour : callable
-        The power of its normalised innovations over frequency.
+        The power of the smoother's normalised innovations, as a function of angles (k,) in radians per step.
     """
     signal, noise = powers(tuning, _ANGLES)
     passed = signal / (signal + noise)
@@ -87,30 +89,30 @@ def _mean(power: Floats) -> float:
     return float((power[0] * _ANGLES[0] + np.trapezoid(power, _ANGLES)) / np.pi)
 
 
-# Compute the expected error of an estimate over all random walks that may have made a short record.
+# Compute the expected error of an estimate over all motion models that may have made a short record.
 #
-# The walks have the chosen order and any cut-off. They are weighted by their likelihood, with a flat prior on the
-# logarithms of cut-off and noise variance. With the weights w, each walk's estimate y_i and its variance P_i,
+# The models, here called walks, have the chosen order and any cut-off. They are weighted by their likelihood, with a
+# flat prior on the logarithms of cut-off and noise variance. With the weights w_i, each walk's estimate y_i and its
+# variance P_i,
 #
 #     E[(x - y)^2] = sum of w_i (P_i + (y_i - y)^2)
 #
-# at each reading, which is exact where the record is such a walk (Hoeting et al., Statistical Science 14 (1999) 382).
-# It holds only if the innovations of the likeliest walk are white; otherwise no walk describes the record, and the
-# weights mean nothing.
+# at each reading. This is exact where the record is such a walk (Hoeting et al., Statistical Science 14 (1999) 382). If
+# the innovations of the likeliest walk are not white, no walk describes the record, and the weights mean nothing.
 
-_SLOWEST_CYCLES, _FASTEST = 0.02, 4.0  # cycles in the record, far slower than it can resolve; radians per step
-_COARSE, _FINE, _WALKS = 15, 9, 8  # points over all cut-offs, and around the likeliest; walks that represent all
+_SLOWEST_CYCLES, _FASTEST = 0.02, 4.0  # slowest cut-off, in cycles per record; fastest cut-off, in radians per step
+_COARSE, _FINE, _WALKS = 15, 9, 8  # cut-offs over all of the range, and near the likeliest; walks that represent all
 _EVERY = 400  # cut-offs at which the likelihood is interpolated
-_BY_CHANCE = 0.01  # least p-value of whiteness: one true walk in a hundred is rejected
+_BY_CHANCE = 0.01  # p-value of whiteness up to which a walk is rejected, as is one true walk in a hundred
 
 
 def posterior_widening(tuning: Tuning, evidence: Evidence, causal: bool) -> float | None:
-    """Return the factor by which sigma must be widened, as a root mean square over the readings.
+    """Return the root mean square, over the readings, of the factor by which sigma must be widened.
 
     Parameters
     ----------
     tuning : Tuning
-        The motion, without tones, of the given estimate.
+        The motion model of the estimate, without tones.
     evidence : Evidence
         The readings, at most a few thousand.
     causal : bool
@@ -144,7 +146,7 @@ class _Likelihoods(NamedTuple):
         return float(self.log_cutoff[int(np.argmax(self.log_likelihood))])
 
     def quantiles(self, count: int) -> Floats:
-        """Return logarithms of cut-offs (count,) that each represent an equal share of the likelihood."""
+        """Return logarithms of cut-offs (count,), each of which represents the same share of the likelihood."""
         mass = np.cumsum(np.exp(self.log_likelihood - self.log_likelihood.max()))
         log_cutoffs: Floats = np.interp((np.arange(count) + 0.5) / count, mass / mass[-1], self.log_cutoff)
         return log_cutoffs
@@ -173,7 +175,7 @@ def _likelihoods(candidate: Candidate) -> _Likelihoods | None:
 
 
 def _walk(candidate: Candidate, log_cutoff: float) -> Tuning:
-    """Return a walk with the mean noise variance for its cut-off, used / (used - 2) times the likeliest."""
+    """Return a walk whose noise variance is its posterior mean, used / (used - 2) times the likeliest."""
     ratio = cutoff_to_ratio(candidate.order, float(np.exp(log_cutoff)))
     _, r, used = candidate.score(ratio)
     return Tuning(candidate.order, ratio, r * used / max(used - 2, 1), used)
@@ -208,12 +210,12 @@ LONG = 4096
 
 _DIGITS = 4  # of a share; more digits would be noise
 _SMALL = 1e-3  # step of theta for difference quotients
-_LARGEST_POLE = 1 - 1e-13  # largest pole of a filter that counts as having a steady state
+_LARGEST_POLE = 1 - 1e-13  # magnitude of a pole, below which a filter counts as having a steady state
 _UNDETERMINED = 4.0  # variance of theta from which on a linear approximation means nothing
 
 
 def tuning_spread(tuning: Tuning, evidence: Evidence, causal: bool, *, noise_known: bool = False) -> float:
-    """Return the share by which sigma must be widened for the uncertainty of a tuning.
+    """Return by how much sigma must be widened for the uncertainty of a tuning, as a share of sigma.
 
     Parameters
     ----------
@@ -230,7 +232,8 @@ def tuning_spread(tuning: Tuning, evidence: Evidence, causal: bool, *, noise_kno
     -------
     float
         0 or more, without unit: sigma becomes (1 + spread) sigma. A *small* one trusts the tuning. It is 0 where
-        neither method gives a result: for a long record whose search ended at its slowest or fastest filter.
+        neither method gives a result, for example where the search in a long record ended at its slowest or fastest
+        filter.
     """
     simple = not (tuning.tones or tuning.coloured or noise_known)
     if simple and len(evidence.z) < LONG:
@@ -258,10 +261,10 @@ def delta_widening(tuning: Tuning, causal: bool) -> float:
 
 
 def log_ratio_variance(tuning: Tuning) -> float:
-    """Return the variance of log(q/r), given `count` readings.
+    """Return the variance of log(q/r) as identified from `count` readings.
 
-    It is that of the likelihood, or, for a tuning with a `loss`, of cross-validation. It is inf where the readings do
-    not determine the ratio, or the filter has no steady state.
+    It is that of maximum likelihood or, for a tuning with a `loss`, of cross-validation. It is inf where the readings
+    do not determine the ratio, or the filter has no steady state.
     """
     spectra = spectra_of(tuning)
     if spectra is None or not tuning.count:
@@ -317,7 +320,7 @@ def _settled(tuning: Tuning) -> SteadyFilter:
 
 
 def _moved_and_claimed(tuning: Tuning, causal: bool) -> tuple[float, float]:
-    """Return the mean square of d signal / d log(q/r), and the error variance without it, in unit^2."""
+    """Return the mean square of d signal / d log(q/r), and the error variance at the exact ratio, in unit^2."""
     spectra = spectra_of(tuning)
     if spectra is None:
         return 0.0, 1.0
@@ -330,17 +333,17 @@ def _moved_and_claimed(tuning: Tuning, causal: bool) -> tuple[float, float]:
     return spectra.mean(np.abs(change) ** 2 * spectra.total), spectra.filter.error_variance()
 
 
-# Compute how many samples apart the errors of a clean signal are independent.
+# Compute how many samples apart the errors of an estimate are independent.
 #
-# The errors of neighbours are correlated, so averaging n of them does not divide sigma by sqrt(n). With rho_k the
-# correlation of errors k samples apart and L the sum of rho_k over all k, negative and positive, the mean of n >> L
-# samples has the variance sigma^2 L / n. L is the integrated autocorrelation time (Priestley, Spectral Analysis and
-# Time Series (1981), 5.3). The noise that a filter passes has another length, 1 / (2 B) with its noise bandwidth B;
-# sigma and L also include the part of the signal that the filter does not pass.
+# The errors of neighbours are correlated, so the mean of n errors does not have the standard deviation sigma / sqrt(n).
+# With the correlation rho_k of errors k samples apart and the sum L of rho_k over all k, negative and positive, the
+# mean of n >> L samples has the variance sigma^2 L / n. L is the integrated autocorrelation time (Priestley, Spectral
+# Analysis and Time Series (1981), 5.3). The correlation time of the passed noise alone is 1 / (2 B), with the filter's
+# noise bandwidth B; sigma and L also include the part of the signal that the filter does not pass.
 
 
 def independence_steps(tuning: Tuning, causal: bool) -> float | None:
-    """Return L in steps: so many samples determine a mean as well as one independent sample.
+    """Return L in steps: L samples determine a mean as well as one independent sample does.
 
     Parameters
     ----------
@@ -356,10 +359,10 @@ def independence_steps(tuning: Tuning, causal: bool) -> float | None:
 
     Notes
     -----
-    A smoother's errors have the spectrum S R / (S + R), with S of the signal and R of the noise; its value at 0 Hz is
-    sigma^2 L. For a motion that value is R, so that a long mean of smoothed samples is exactly as good as that of the
-    readings. A filter's errors are e[k] = (I - K H) F e[k-1] plus white noise, so that L = 2 c (I - A)^-1 P c' / (c P
-    c') - 1.
+    A smoother's errors have the spectrum S R / (S + R), with the spectra S of the signal and R of the noise; its value
+    at 0 Hz is sigma^2 L. For a motion that value is R, so a long mean of smoothed samples is exactly as accurate as
+    that of the readings. A filter's errors are e[k] = A e[k-1] plus white noise, with A = (I - K H) F, so that
+    L = 2 c (I - A)^-1 P c' / (c P c') - 1.
     """
     if not causal:
         spectra = spectra_of(tuning)

@@ -1,4 +1,4 @@
-"""Tune q/r by one setting in an engineer's words; noise and order stay those identified from the recording."""
+"""Tune q/r by one setting: a lag, a bandwidth or a noise gain. Noise and order stay those of the identified model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Dial(NamedTuple):
     """One wish for a filter: a lag, a bandwidth or a noise gain."""
 
     kind: Kind
-    value: float
+    value: float  # seconds, Hz or dB
 
 
 def turn(tuning: Tuning, dial: Dial, step_s: float, causal: bool) -> Tuning:
@@ -28,9 +28,10 @@ def turn(tuning: Tuning, dial: Dial, step_s: float, causal: bool) -> Tuning:
     Parameters
     ----------
     tuning : Tuning
-        The identified tuning. Its order and noise variance stay; its tones and coloured noise are left out.
+        The identified tuning, undamped. Its order and noise variance stay; its tones and coloured noise are left out.
     dial : Dial
-        The wish. A *small* lag trusts the readings; a *small* bandwidth or noise gain smooths more.
+        The wish. A *small* lag trusts the readings; a *small* bandwidth or noise gain smooths more. A filter
+        that is already faster than a wished lag keeps its ratio.
     step_s : float
         Step in seconds.
     causal : bool
@@ -40,6 +41,8 @@ def turn(tuning: Tuning, dial: Dial, step_s: float, causal: bool) -> Tuning:
     ------
     UsageError
         If no filter of this order fulfils the wish, or a lag is wanted for a smoother or is longer than the record.
+    ModelError
+        If the step is not positive.
     """
     if dial.kind == "max_lag_s" and causal:
         if lag_steps(motion_filter(tuning.order, tuning.ratio)) * step_s <= dial.value:
@@ -66,6 +69,8 @@ def ratio_for(order: int, dial: Dial, step_s: float, causal: bool = True) -> flo
     ------
     UsageError
         If no filter of this order fulfils the wish, or a lag is wanted for a smoother.
+    ModelError
+        If the order is not 1 to 5, or the step is not positive.
     """
     kind, value = dial
     if kind == "bandwidth_hz":
@@ -78,9 +83,10 @@ def ratio_for(order: int, dial: Dial, step_s: float, causal: bool = True) -> flo
 
 
 def may_judge(tuning: Tuning, identified: Tuning) -> bool:
-    """Return whether a gate may use a filter: it must be as fast as the identified one, with as much noise.
+    """Return whether a gate may use a filter: its q/r and its noise must be no smaller than the identified ones.
 
-    A slower filter does not follow the signal, and its gate would take motion for spikes.
+    Order, tones and coloured noise must be the same. A slower filter does not follow the signal, and its gate would
+    take motion for spikes.
     """
     quick = tuning.ratio >= identified.ratio and tuning.noise_variance >= identified.noise_variance
     same = (tuning.order, tuning.tones, tuning.coloured) == (identified.order, identified.tones, identified.coloured)

@@ -1,6 +1,6 @@
-"""Compute how much waiting for later readings gains: the curve from the filter over fixed lags to the smoother.
+"""Compute the gain of waiting for later readings: the curve from the filter over fixed lags to the smoother.
 
-It is predicted from the Riccati solution and the variance of a reading alone, as the trade-off curve is.
+Like the trade-off curve, it is predicted from the Riccati solution and the noise variance of a reading alone.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from becalm.core.steady.steady_filter import steady
 from becalm.errors import ModelError, UsageError
 from becalm.identification.likelihood import Tuning
 
-_WAITS = np.append(0.0, np.geomspace(0.05, 6.0, 40))  # in units of 1 / cut-off
+_WAITS = np.append(0.0, np.geomspace(0.05, 6.0, 40))  # default waits, in units of 1 / cut-off
 _SHARES = (0.25, 0.5, 0.75)  # of the gain in dB from filter to smoother
-_NEAR_DB = 0.1  # from the limit, at which the curve ends
-_LONGEST = 1 << 30  # readings
+_NEAR_DB = 0.1  # distance from the smoother, in dB, at which the curve ends
+_LONGEST = 1 << 30  # longest lag, in readings
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Wait:
     sigma : float
         Standard deviation of the error where the model holds, in unit.
     noise_std : float
-        Standard deviation of what remains of a reading's noise, in unit.
+        Standard deviation of the part of a reading's noise that remains, in unit.
     gain_db : float
         Reduction of the error power compared with the filter, in dB.
     """
@@ -50,16 +50,17 @@ class Wait:
 def waiting_curve(
     order: int, ratio: float, noise_variance: float, step_s: float, waits: Sequence[int] | None = None
 ) -> tuple[Wait, ...]:
-    """Return the curve from the filter over fixed lags to the smoother: what waiting for later readings gains.
+    """Return the gain of waiting for later readings, from the filter over fixed lags to the smoother.
 
     Parameters
     ----------
     order : int
         1 to 5.
     ratio : float
-        q/r, as in `Tuning.ratio`; a *small* one trusts the motion, and useful waits are longer.
+        q/r, as in `Tuning.ratio`; a *small* one trusts the motion, and longer waits are useful.
     noise_variance : float
-        r, the noise variance of a reading, in unit^2; a *small* one reduces all errors, and `gain_db` stays.
+        r, the noise variance of a reading, in unit^2; all errors are proportional to its root, `gain_db` does not
+        depend on it.
     step_s : float
         Step in seconds.
     waits : sequence of int, optional
@@ -91,7 +92,7 @@ def waiting_curve(
 
 @dataclass(frozen=True)
 class Delay:
-    """The remaining noise if the output is delayed.
+    """The remaining error if the output is delayed.
 
     Attributes
     ----------
@@ -100,7 +101,7 @@ class Delay:
     sigma : float
         Standard deviation of the error where the model holds, in unit.
     left_db : float
-        Power of the error over that of a reading's noise, in dB, below 0.
+        Power of the error over that of a reading's noise, in dB.
     """
 
     wait_s: float
@@ -109,9 +110,9 @@ class Delay:
 
 
 def delay_curve(tuning: Tuning, step_s: float) -> tuple[Delay, ...]:
-    """Return what a delay gains for a tuned filter, from none up to where more would gain less than 0.1 dB.
+    """Return the error of a tuned filter at several delays, from none to one within 0.1 dB of the smoother.
 
-    In between are the smallest lags that gain a quarter, a half and three quarters of that.
+    In between are the smallest delays that reach a quarter, a half and three quarters of the smoother's gain in dB.
 
     Parameters
     ----------
@@ -137,7 +138,21 @@ def delay_curve(tuning: Tuning, step_s: float) -> tuple[Delay, ...]:
 def delays_of(component: Component, noise_variance: float, noise: float, step_s: float) -> tuple[Delay, ...]:
     """Return the delay curve of a component, such as that of one mode of several.
 
-    `noise` is the variance, in unit^2, of all that counts as a reading's noise.
+    Parameters
+    ----------
+    component : Component
+        The model of the signal and its disturbances, in steps.
+    noise_variance : float
+        R, in unit^2.
+    noise : float
+        Variance, in unit^2, of all that counts as a reading's noise, coloured noise included.
+    step_s : float
+        Step in seconds.
+
+    Raises
+    ------
+    ModelError
+        If the filter has no steady state, as without process noise, or the step is not positive.
     """
     step_s = checked_step(step_s)
     steady_filter = steady(component.to_model(1.0, noise_variance), component.signal_output[0])
@@ -158,7 +173,7 @@ def delays_of(component: Component, noise_variance: float, noise: float, step_s:
 
 
 def _least_lag(left_db: Callable[[float], float], wanted: float) -> int:
-    """Return the smallest lag at which at most `wanted` remains; the remaining noise never grows with the lag."""
+    """Return the smallest lag at which at most `wanted` dB remain; the error never grows with the lag."""
     high = 1
     while left_db(high) > wanted and high < _LONGEST:
         high *= 2
@@ -170,6 +185,6 @@ def _least_lag(left_db: Callable[[float], float], wanted: float) -> int:
 
 
 def refuse_variance(noise_variance: float) -> None:
-    """Raise a UsageError if a number is not the variance of a reading."""
+    """Raise a UsageError if a noise variance is not positive and finite."""
     if not 0 < noise_variance < np.inf:
         raise UsageError(f"noise_variance = {noise_variance} is not a variance; give a positive number in unit^2.")

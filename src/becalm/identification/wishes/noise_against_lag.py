@@ -1,7 +1,7 @@
 """Compute the trade-off curve of remaining noise against lag, before any filter runs.
 
-The curve is predicted from the Riccati solution and the variance of a reading alone. It does not know the signal:
-bandwidth and overshoot show what a filter does to it, and the likelihood shows which order fits it.
+The curve is predicted from the Riccati solution and the noise variance of a reading alone. It does not depend on the
+signal: bandwidth and overshoot show how a filter changes it, and the likelihood shows which order fits it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from becalm.errors import UsageError
 from becalm.identification.wishes.dial import Dial, Kind, ratio_for
 from becalm.identification.wishes.gain_of_waiting import refuse_variance
 
-_CUTOFFS = np.geomspace(1e-4, 4.0, 48)  # radians a step
+_CUTOFFS = np.geomspace(1e-4, 4.0, 48)  # default cut-offs, in radians a step
 _SAME = 1e-9  # relative difference below which two numbers are equal
 
 
@@ -38,11 +38,12 @@ class Point:
     noise_gain_db : float
         Power of the remaining noise over that of a reading's noise, in dB, below 0.
     lag_s, step_50_s, step_90_s : float
-        Lag of the output, and delay of a step at 50 % and at 90 % of its height; see `core.steady.response`.
+        Lag of the output, and delay of a step at 50 % and at 90 % of its height, in seconds; see
+        `core.steady.response`.
     bandwidth_hz, noise_bandwidth_hz : float
-        -3 dB bandwidth, and noise-equivalent bandwidth, one-sided.
+        -3 dB bandwidth, and noise-equivalent bandwidth, one-sided, in Hz.
     overshoot_percent : float
-        Overshoot of a step.
+        Overshoot of a step, in percent of its height.
     """
 
     order: int
@@ -77,12 +78,12 @@ class TradeOffCurve:
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """The orders on the curve."""
+        """Return the orders on the curve."""
         return tuple(dict.fromkeys(point.order for point in self.points))
 
     @property
     def best(self) -> tuple[Point, ...]:
-        """The Pareto front, fastest first: no other point is both faster and quieter."""
+        """Return the Pareto-optimal points, fastest first: no other point is both faster and quieter."""
         kept: list[Point] = []
         for point in sorted(self.points, key=lambda point: (point.lag_s, point.noise_std)):
             if not kept or point.noise_std < kept[-1].noise_std:
@@ -123,12 +124,14 @@ def noise_lag_front(
     orders : sequence of int
         Orders of the motion, each 1 to 5.
     ratios : sequence of float, optional
-        Values of q/r; a *small* one smooths more. The default are cut-offs from 1e-4 to 4 radians per step.
+        Values of q/r; a *small* one smooths more. By default those of cut-offs from 1e-4 to 4 radians per step.
 
     Raises
     ------
     UsageError
         If the variance or a ratio is not positive, or there is no order or no ratio.
+    ModelError
+        If an order is not 1 to 5, or the step is not positive.
     """
     refuse_variance(noise_variance)
     if len(orders) == 0 or (ratios is not None and len(ratios) == 0):
@@ -151,7 +154,7 @@ def pick(
     bandwidth_hz: float | None = None,
     noise_gain_db: float | None = None,
 ) -> Pick:
-    """Choose the filter that fulfils one wish exactly, not only among the points of the grid.
+    """Choose the filter that fulfils one wish exactly; it need not be a point of the curve.
 
     Parameters
     ----------

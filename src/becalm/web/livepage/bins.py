@@ -1,8 +1,8 @@
-"""Bins of a stream: the minimum and maximum over a number of rows, at several levels of resolution.
+"""Collect the rows of a stream in bins: minimum and maximum over some rows, at several levels of resolution.
 
 Bin b of level l covers rows b * rows_each[l] to (b + 1) * rows_each[l] - 1, independent of the blocks that the rows
-arrive in. One thread writes rows and others read, without locks: a reader copies bins, and then drops those that the
-writer has overwritten meanwhile.
+arrive in. One thread writes, others read, without locks: a reader copies bins, and then drops those that the writer has
+overwritten meanwhile.
 """
 
 from __future__ import annotations
@@ -16,44 +16,44 @@ from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
 from becalm.live.block import Output
 
-LEVELS = 5
+LEVELS = 5  # number of levels; level 0 is the finest
 COARSER = 8
-"""Number of bins of a level that form one bin of the next."""
+"""Number of bins of a level that form one bin of the next level."""
 
 _BINS_PER_S = 150.0  # at level 0: about 1500 in the ten seconds that a page shows
-_MOST_KEPT, _LEAST_KEPT = 1 << 13, 1 << 11  # bins of a level: 55 s, 7 min, 58 min, 8 h, 2.6 days
-_MEMORY = 64 << 20  # memory limit of all levels in bytes, unless the fewest bins need more
+_MOST_KEPT, _LEAST_KEPT = 1 << 13, 1 << 11  # bins of each level; the most last 55 s, 7 min, 58 min, 8 h, 2.6 days
+_MEMORY = 64 << 20  # memory limit of all levels in bytes, unless `_LEAST_KEPT` bins need more
 _AT_ONCE = 1 << 8  # bins of level 0 that are written at once
-_LARGEST = 1e30  # largest magnitude that a page can draw; a sensor does not give more
+_LARGEST = 1e30  # largest magnitude that a page can draw; no sensor has larger readings
 _BITS = np.array([0 if verdict is Verdict.USED else 1 << verdict for verdict in Verdict], np.uint16)
 
 Bits = np.ndarray[Any, np.dtype[np.uint16]]
 
 
 class Span(NamedTuple):
-    """Some consecutive bins of a level; values that are not known are NaN."""
+    """Some consecutive bins of a level (n of them); unknown values are NaN."""
 
     first: int
     """Number of the first bin."""
 
     time_s: Floats
-    """(n,) stamp of the first row of each bin."""
+    """(n,) stamp of the first row of each bin, in seconds."""
 
     low: Floats
     """(n, 2m) minima of the m channels' raw readings, then minima of their clean values."""
 
     high: Floats
-    """(n, 3m + K) maxima of both, then the maximum of sigma, then of the probability of each mode."""
+    """(n, 3m + K) maxima of readings and of clean values, of sigma, and of the probabilities of K modes."""
 
     verdicts: Bits
-    """(n, m) bit 1 << v if the verdict v occurs; no bit for USED."""
+    """(n, m) the bit 1 << v is set if the verdict v occurs; USED has no bit."""
 
     def __len__(self) -> int:
         """Return the number of bins."""
         return len(self.time_s)
 
     def part(self, begin: int, end: int) -> Span:
-        """Return some of the bins."""
+        """Return the bins at places `begin` to before `end`."""
         some = slice(begin, end)
         return Span(self.first + begin, self.time_s[some], self.low[some], self.high[some], self.verdicts[some])
 
@@ -61,16 +61,16 @@ class Span(NamedTuple):
 class Bins:
     """The newest bins of a stream at each level, within a memory limit.
 
-    A bin takes 42 bytes for each channel: six channels take 10 MB, and up to 150 channels at most 64 MB.
+    A bin needs 42 bytes for each channel, and 8 more: six channels need 10 MB, and up to 150 channels at most 64 MB.
 
     Parameters
     ----------
     channels : int
         Number of channels, m.
     rate_hz : float
-        Nominal rows per second.
+        Nominal number of rows per second.
     modes : int
-        Number of modes of all channels with several modes together, K.
+        Number of modes of all channels together, K.
     """
 
     def __init__(self, channels: int, rate_hz: float, modes: int = 0) -> None:
@@ -79,7 +79,7 @@ class Bins:
         self.rows_each = tuple(finest * COARSER**level for level in range(LEVELS))
         each = LEVELS * (channels * (5 * 8 + 2) + modes * 8 + 8)
         self.kept = max(_LEAST_KEPT, min(_MOST_KEPT, _MEMORY // each))
-        """Number of bins of each level that are kept for reading."""
+        """Number of the newest bins of each level that can be read."""
         self._rings = [_Ring(self.kept, channels, modes) for _ in self.rows_each]
         self._open: Span | None = None  # the bin whose last rows are still missing
 
@@ -102,12 +102,12 @@ class Bins:
         return self._rings[level].closed
 
     def oldest(self, level: int) -> int:
-        """Return the number of the first bin that can still be read."""
+        """Return the number of the oldest bin that can be read."""
         ring = self._rings[level]
         return max(ring.began, ring.closed - self.kept)
 
     def read(self, level: int, first: int, stop: int) -> Span:
-        """Return the closed bins from `first` to before `stop`, without those that are no longer or not yet there."""
+        """Return the closed bins from `first` to before `stop`, as far as they can be read."""
         ring = self._rings[level]
         stop = min(stop, ring.closed)
         first = min(max(first, self.oldest(level)), stop)
@@ -132,7 +132,7 @@ class Bins:
                 break
 
     def _columns(self, output: Output, some: slice) -> Floats:
-        """Return the columns raw, clean, sigma and probabilities; values that cannot be drawn become NaN."""
+        """Return columns: readings, clean values, sigma, probabilities; values that cannot be drawn are NaN."""
         fields = [output.values[some], output.signal[some], output.sigma[some]]
         if self._modes:
             has_modes = output.modes.shape == (len(output), self._modes)
@@ -145,7 +145,7 @@ class Bins:
         return columns
 
     def _coarsen(self, lower: _Ring, upper: _Ring, closed: int) -> bool:
-        """Close the bins of a level up to number `closed`; return whether there were any."""
+        """Close the bins of the upper level before number `closed`; return whether there were any."""
         first = upper.closed * COARSER if upper.closed else lower.began
         if closed * COARSER <= first:
             return False
@@ -161,7 +161,7 @@ class _Ring:
         self._time_s, self._verdicts = np.zeros(kept), np.zeros((kept, channels), np.uint16)
         self._low, self._high = np.zeros((kept, 2 * channels)), np.zeros((kept, 3 * channels + modes))
         self.began = 0  # number of the first bin of the stream
-        self.closed = self.reached = 0  # end of the complete bins; end of those that are being written
+        self.closed = self.reached = 0  # number after the last complete bin; the same for bins that are being written
 
     def write(self, span: Span) -> None:
         """Append bins."""
@@ -182,7 +182,7 @@ class _Ring:
 
 
 def _gathered(span: Span, each: int) -> Span:
-    """Return bins of `each` rows (or smaller bins); those at the ends may have fewer."""
+    """Return larger bins, each of `each` rows or smaller bins; the first and the last may have fewer."""
     first, stop = span.first // each, span.first + len(span)
     starts = np.arange(first * each, stop, each) - span.first
     starts[0] = 0
@@ -196,7 +196,7 @@ def _gathered(span: Span, each: int) -> Span:
 
 
 def _begun_by(begun: Span, span: Span) -> Span:
-    """Merge a bin that was begun before into the first of some bins."""
+    """Merge an incomplete bin into the first of some bins, which continues it; return these bins."""
     span.time_s[0] = begun.time_s[0]
     span.low[0] = np.fmin(begun.low[0], span.low[0])
     span.high[0] = np.fmax(begun.high[0], span.high[0])

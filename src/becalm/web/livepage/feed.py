@@ -1,4 +1,4 @@
-"""A sink for the live page: it puts rows into bins, does not wait for viewers, and never fails the stream."""
+"""A sink for the live page: it puts rows into bins without waiting for viewers; its errors never end the stream."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from becalm.web.livepage.bins import Bins
 
 
 class Shown(NamedTuple):
-    """The data of a stream that a page shows."""
+    """The data of a stream for its pages."""
 
     head: Head
     bins: Bins
     modes: dict[int, tuple[str, ...]]
-    """Names of the modes, for the number of each channel with several; probabilities are ordered by channel."""
+    """Names of the modes of each channel with several, by its number; probabilities have the same order."""
 
 
 class Feed:
@@ -25,7 +25,7 @@ class Feed:
     Parameters
     ----------
     say : callable
-        Prints a sentence if the page stops because of an error; the stream goes on.
+        Function that prints a sentence if the page stops because of an error.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Feed:
         self.ended = False
 
     def open(self, head: Head) -> None:
-        """Start with the head of a stream."""
+        """Start a stream with this head."""
         channels = Recipe.from_toml(head.recipe).channel
         modes = {
             number: tuple(mode.name for mode in channel.switching.mode)
@@ -52,7 +52,7 @@ class Feed:
         self.shown = Shown(head, Bins(len(head.names), head.rate_hz, sum(map(len, modes.values()))), modes)
 
     def write(self, output: Output) -> None:
-        """Add some rows; this takes about ten microseconds, independent of the number of pages, and never fails."""
+        """Add some rows in about ten microseconds, whatever the number of viewers; this never fails."""
         if self.shown is None or self._failed:
             return
         try:

@@ -14,33 +14,33 @@ from becalm.errors import BecalmError, UsageError
 from becalm.live.retuning import Heard, Retune
 
 _DIAL_S = 600.0  # the strongest smoothing on the dial is that for a record of this length
-_REMEMBERED = 1000  # changes that can be undone
+_REMEMBERED = 1000  # most changes that can be undone
 NOT_BEGUN = "The stream has not begun yet."
 _NOTHING = "No filter was changed since becalm began; there is nothing to undo."
 _NO_TURN = "A page turned a dial but did not send a value; reload it."
-_FEWER = 4  # only every fourth position is computed if each takes some hundredths of a second
+_FEWER = 4  # with tones or coloured noise only every fourth position is computed: each takes hundredths of a second
 
 
 Trail = list[Recipe]
-"""The recipe before each change that can be undone, and last the recipe in force."""
+"""The recipes before each change that can be undone, oldest first, and at the end the recipe in force."""
 
 
 class _Step:
-    """A requested change, until the stream takes or refuses it."""
+    """A requested change: `take` applies it to a trail, `turns` is the number of changes that it adds (undo: -1)."""
 
     def __init__(self, take: Callable[[Trail], object], turns: int) -> None:
         self.take, self.turns, self.settled = take, turns, False
 
 
 class LiveDial:
-    """The changes of filters that all viewers of a stream request.
+    """Requests the changes of filters that all viewers of a stream want, and undoes them.
 
     Parameters
     ----------
     now : callable
-        Returns the recipe in force (TOML); "" before the first row.
+        Function that returns the recipe in force (TOML); "" before the first row.
     retune : callable
-        Requests another recipe.
+        Function that requests another recipe, as `Runner.retune` does.
     """
 
     def __init__(self, now: Callable[[], str], retune: Retune) -> None:
@@ -55,21 +55,22 @@ class LiveDial:
         return bool(self._before)
 
     def turn(self, channel: int, density: float | None, noise_std: float | None, heard: Heard) -> None:
-        """Request another process noise density (unit^2/s^(2 order - 1)) or noise (unit) for a channel.
+        """Request another process noise density or noise standard deviation for a channel.
 
         Parameters
         ----------
         channel : int
             Number of the channel, from 0.
         density, noise_std : float or None
-            New values; None keeps the old one.
+            New values, in unit^2/s^(2 order - 1) and in unit; None keeps the old one.
         heard : callable
-            Called with the outcome.
+            Function that gets the outcome: "" if the stream takes the change, why not if it refuses, None if a newer
+            request replaces this one.
 
         Raises
         ------
         UsageError
-            If the channel has no dial, or the stream has not begun.
+            If there is no value, the channel does not exist or has no dial, or the stream has not begun.
         """
         values = {"process_noise_density": density, "noise_std": noise_std}
         update = {name: value for name, value in values.items() if value is not None}
@@ -79,7 +80,7 @@ class LiveDial:
         self._ask(_Step(lambda trail: trail.append(_turned(trail[-1], channel, update)), +1), heard)
 
     def undo(self, heard: Heard) -> None:
-        """Request to undo the last change, which may itself still be a request.
+        """Request to undo the last change, which may be a request that is not settled yet.
 
         Raises
         ------
@@ -99,9 +100,10 @@ class LiveDial:
         return _read(toml)
 
     def _ask(self, step: _Step, heard: Heard) -> None:
-        """Request a step, applied to the recipe that is in force at that time.
+        """Request a step; it changes the recipe that is in force when the stream takes it.
 
-        Earlier steps that are not settled by then are applied first, so that a newer request does not drop them.
+        Earlier steps that are not settled by then are applied first, so that this request, which replaces theirs, does
+        not drop them.
         """
         with self._lock:
             requests = self._requests = (*self._requests, step)
@@ -156,12 +158,17 @@ def has_dial(channel: ChannelRecipe) -> bool:
 
 
 def facts(recipe: str, step_s: float) -> dict[str, Any]:
-    """Describe the filters of a recipe (TOML), and the filter at each position of their dials.
+    """Describe the filters of a recipe (TOML), and the filters at the positions of their dials.
 
     Returns
     -------
     dict
-        "filters", one for each channel, and "dials", by the number of the channel.
+        "filters": a summary for each channel; "dials": figures at each position, by the number of the channel.
+
+    Raises
+    ------
+    BecalmError
+        If the recipe is not valid at this step.
     """
     read = _read(recipe)
     lag = 0 if read.lag_s is None else lag_in_rows(read.lag_s, step_s)

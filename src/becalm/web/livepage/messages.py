@@ -1,4 +1,4 @@
-"""Define and check the messages that a live page may send."""
+"""Define and check the messages that a live page may send; the docstring of each says what the page requests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Level = Annotated[int, Field(ge=0, lt=LEVELS)]
 
 
 class From(Numbered):
-    """Send the bins of a level from a number on, as they close; null starts with the next bin to close."""
+    """Send the bins of a level from number `bin` on, as they close; null starts with the next one that closes."""
 
     do: Literal["from"]
     level: Level
@@ -26,7 +26,7 @@ class From(Numbered):
 
 
 class Past(Numbered):
-    """Send some closed bins."""
+    """Send `count` closed bins of a level, from number `first` on."""
 
     do: Literal["past"]
     level: Level
@@ -35,7 +35,7 @@ class Past(Numbered):
 
 
 class TuneRequest(Numbered):
-    """Change the tuning of a channel; values that are left out stay."""
+    """Change the tuning of a channel; values that are left out do not change."""
 
     do: Literal["turn"]
     channel: Annotated[int, Field(ge=0, le=1 << 20)]

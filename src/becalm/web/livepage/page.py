@@ -1,4 +1,4 @@
-"""The live page: the state that all viewers share, updated by a timer in the server's thread."""
+"""The live page: the state that all its viewers share. Timers in the server's thread update it."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from starlette.responses import Response
     from starlette.routing import BaseRoute
 
-_HEALTH_S, _LOOK_S = 1.0, 0.1
-_GOODBYE_S = 2.0  # time to send the last bins when a stream ends
+_HEALTH_S, _LOOK_S = 1.0, 0.1  # time between two status messages, and between two calls of a timer
+_GOODBYE_S = 2.0  # how long `close` waits until the last bins are sent
 
 _log = logging.getLogger(__name__)
 
 
 class News(NamedTuple):
-    """A message that every viewer gets when its number changes."""
+    """A message for every viewer, who gets it when its number changes."""
 
     number: int
     text: str
@@ -48,7 +48,7 @@ class LivePage:
     meter : Meter
         Counters of the stream.
     retune : callable
-        Requests another recipe, as `Runner.retune` does.
+        Function that requests another recipe, as `Runner.retune` does.
     """
 
     def __init__(self, feed: Feed, meter: Meter, retune: Retune) -> None:
@@ -60,7 +60,7 @@ class LivePage:
         self._closing, self._look_again_s = False, 0.0
         self._meter, self._scrub = meter, Scrubber()
         self._run = secrets.token_hex(8)
-        self._recipe: tuple[str, bool] | None = None  # described by `tuning`
+        self._recipe: tuple[str, bool] | None = None  # recipe and `can_undo` that `tuning` describes
         self._viewers = 0
         self._clocks: list[asyncio.Task[None]] = []
 
@@ -73,7 +73,7 @@ class LivePage:
 
     @asynccontextmanager
     async def looked_at(self) -> AsyncIterator[None]:
-        """Count a viewer; the shared state is updated while there is at least one."""
+        """Count a viewer as long as the context lasts; timers run while there is at least one."""
         self._viewers += 1
         try:
             if not self._clocks:
@@ -88,7 +88,7 @@ class LivePage:
                 self._clocks = []
 
     def close(self) -> None:
-        """Send all viewers the last messages and disconnect them, for at most two seconds."""
+        """Let all viewers get the last messages and disconnect; wait for it two seconds at most."""
         self._closing = True
         until = time.monotonic() + _GOODBYE_S
         while self._viewers and time.monotonic() < until:
@@ -119,7 +119,7 @@ class LivePage:
         )
 
     async def _update(self) -> None:
-        """Update the status of the stream every second, and once more when it has ended."""
+        """Update the status of the stream once a second, and at once when the page closes."""
         if self._closing or time.monotonic() >= self._look_again_s:
             self.ending = self._closing
             self._look()
@@ -159,7 +159,7 @@ class LivePage:
 
 
 async def _repeat(do: Callable[[], Awaitable[None]]) -> None:
-    """Call a function again and again; an exception is logged, and the page goes on."""
+    """Call a function every `_LOOK_S`; log an exception and go on."""
     while True:
         await asyncio.sleep(_LOOK_S)
         try:

@@ -1,4 +1,4 @@
-"""Encode bins as frames, once for all viewers: values are float32 relative to an offset for each channel."""
+"""Encode bins as frames, once for all viewers; values are float32 differences from an offset for each channel."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _CACHED = 16  # frames: viewers request the same ones at about the same time
 
 
 class LivePictures:
-    """The frames of a stream's bins.
+    """Encodes and caches frames with the bins of a stream.
 
     Parameters
     ----------
@@ -30,9 +30,9 @@ class LivePictures:
         self._cache: OrderedDict[tuple[int, int, int], tuple[int, bytes]] = OrderedDict()
 
     def following(self, level: int, first: int, most: int) -> tuple[int, bytes] | None:
-        """Return the number of the next bin, and a frame with up to `most` bins from `first` on; None if none closed.
+        """Return a frame with up to `most` bins from `first` on, after the number of the next bin; None without bins.
 
-        The header's "gap" counts the bins that were dropped before the first one of the frame.
+        "gap" in the header is the number of bins from `first` on that are no longer kept.
         """
         stop = min(self._bins.newest(level), max(first, self._bins.oldest(level)) + most)
         if stop <= first:
@@ -47,7 +47,7 @@ class LivePictures:
         return self._cache[key]
 
     def past(self, level: int, first: int, count: int, answers: int) -> bytes:
-        """Return a frame with some closed bins, as far as they are still kept."""
+        """Return a frame with `count` closed bins from `first` on, as far as they are kept; it answers a message."""
         return self._frame(level, self._bins.read(level, first, first + count), {"answers": answers})
 
     def _frame(self, level: int, span: Span, more: dict[str, Any]) -> bytes:
@@ -79,7 +79,7 @@ class LivePictures:
 
 
 def _middles(low: Floats, high: Floats) -> Floats:
-    """Return the middle of each channel's range, (m,); relative to it, float32 keeps enough digits."""
+    """Return the middle of each channel's range, (m,), from minima and maxima (n, 2, m); 0 without values."""
     least = np.fmin.reduce(low, axis=(0, 1), initial=np.inf)
     most = np.fmax.reduce(high, axis=(0, 1), initial=-np.inf)
     has_values = least <= most

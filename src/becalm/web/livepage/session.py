@@ -1,4 +1,4 @@
-"""The session of one viewer: it sends bins as they close, 30 times a second, and answers requests."""
+"""The session of one viewer of a live page: it sends bins as they close, 30 times a second, and answers requests."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
 UPDATES_PER_S = 30
-_MOST_ANSWERS = 16  # unsent or unfinished answers, above which no more messages are read
-_MOST_HEARD = 8  # messages between two updates; a person causes fewer, and other viewers need time too
+_MOST_ANSWERS = 16  # with so many unsent or unfinished answers no message is read
+_MOST_HEARD = 8  # most messages between two updates; a person causes fewer, and other viewers need time too
 _NORMAL = 1000  # close code of a WebSocket
 
 
 class Viewer:
-    """The session of one viewer, which has a read position of its own.
+    """The session of one viewer, with its own position in the stream.
 
     Parameters
     ----------
     page : LivePage
-        Page that the viewer looks at.
+        Page, common to all viewers.
     websocket : WebSocket
         Connection, accepted already.
     """
@@ -37,10 +37,10 @@ class Viewer:
     def __init__(self, page: LivePage, websocket: WebSocket) -> None:
         self._page, self._websocket = page, websocket
         self._answers: deque[Callable[[], str | bytes]] = deque()
-        self._tunings = 0  # requested changes without an answer
-        self._received = 0  # messages since the last update
+        self._tunings = 0  # number of requested changes without an answer
+        self._received = 0  # number of messages since the last update
         self._level = 0
-        self._next: int | None = None  # next bin to send; None until the page has chosen one
+        self._next: int | None = None  # number of the next bin to send; None until the page has chosen one
         self._welcomed = False
         self._sent_tuning = self._sent_health = -1  # numbers of the last messages of their kind
 
@@ -120,7 +120,7 @@ class Viewer:
         loop = asyncio.get_running_loop()
         while True:
             self._received = 0
-            ending = self._page.ending  # read first: then the following updates are the last ones
+            ending = self._page.ending  # read first: if it is set, the following updates are the last ones
             for each in self._updates():
                 await self._send(each)
             if ending:
@@ -157,7 +157,7 @@ class Viewer:
 
 
 async def converse(page: LivePage, websocket: WebSocket) -> None:
-    """Serve one viewer until it disconnects."""
+    """Accept a WebSocket, and serve this viewer until it disconnects or the stream has ended."""
     await websocket.accept()
     async with page.looked_at():
         await Viewer(page, websocket).converse()

@@ -1,4 +1,4 @@
-"""The tuner: a page that shows a recording and its filter, with a dial between a fast and a smooth output."""
+"""Serve the tuner: a page that shows a recording and its filter, with a dial between fast and smooth output."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Tuner:
     upload_limit : int
         Size limit of a file that a page uploads, in bytes.
     options : ReadOptions
-        Options for the time base of the first file.
+        Options for the time base of the file to open first.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Tuner:
         return _Download(await _while_there(request, self._saved(reported)))
 
     async def _saved(self, make: Callable[[CleaningJob], Awaitable[Made]]) -> Made:
-        """Save the open recording with the present settings, after earlier requests are finished."""
+        """Save the open recording with the present settings, once earlier savings are finished."""
         desk = self._shared.open_desk
         opened, recipe = desk.opened, desk.recipe().to_toml()
         async with self._saving:
@@ -91,7 +91,7 @@ class Tuner:
                 self._unchanged(opened)  # a changed file may be the cause, and raises a clearer error
                 raise
         try:
-            self._unchanged(opened)  # it may have changed during the second reading
+            self._unchanged(opened)  # the file may have changed while it was read again
         except InputError:
             made.close()
             raise
@@ -109,7 +109,7 @@ class Tuner:
 
 
 async def _while_there(request: Request, work: Coroutine[None, None, Made]) -> Made:
-    """Await some work, and cancel it if the client disconnects."""
+    """Await some work; cancel it and raise a ClientDisconnect if the client disconnects."""
     job, gone = asyncio.ensure_future(work), asyncio.ensure_future(_gone(request))
     try:
         await asyncio.wait((job, gone), return_when=asyncio.FIRST_COMPLETED)
@@ -128,7 +128,7 @@ async def _gone(request: Request) -> None:
 
 
 class _Download(StreamingResponse):
-    """A response that sends a temporary file and then removes it, also if the client disconnects."""
+    """A response that sends a temporary file and then removes it, even if the client disconnects."""
 
     def __init__(self, made: Made) -> None:
         headers = {**as_file(made.name), "content-length": str(made.bytes)}

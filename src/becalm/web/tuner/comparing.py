@@ -1,4 +1,4 @@
-"""Run a classic filter for comparison, with the cutoff at which it leaves as much noise as the channel's filter."""
+"""Run a classic filter for comparison, at the cut-off at which it leaves as much noise as the channel's filter."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from becalm.errors import UsageError
 from becalm.report.envelope import Envelope
 from becalm.web.tuner.picture import View
 
-_SETTLED = 12.0  # divided by the cutoff: rows after which the slowest filter has settled
-_DIGITS = 3  # digits of a noise gain, so that the search for a cutoff is done once for similar gains
-_MIDDLE = 0.1  # cutoff in cycles per row, for filters whose noise gain cannot be matched
+_SETTLED = 12.0  # rows after which the slowest filter has settled, times the cut-off
+_DIGITS = 3  # significant digits of a noise gain, so that similar gains need only one search for a cut-off
+_MIDDLE = 0.1  # cut-off in cycles per row, for filters whose noise gain cannot be matched
 
 
 def run_classic(rows: ChannelRows, view: View, name: str, noise_gain: float | None) -> Envelope:
@@ -25,13 +25,13 @@ def run_classic(rows: ChannelRows, view: View, name: str, noise_gain: float | No
     Parameters
     ----------
     rows : ChannelRows
-        Readings; impossible ones count as missing.
+        Readings of the channel; impossible ones count as missing.
     view : View
         Rows to show.
     name : str
         Name of the classic filter.
     noise_gain : float or None
-        Share of the power of white noise that the channel's filter leaves; None if it is unknown.
+        Noise gain of the channel's filter: variance of white noise after it over that before; None if it is unknown.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Map how well each pair of noise and process noise density predicts the next reading of a channel."""
+"""Compute how well each pair of noise and process noise density predicts the next reading of a channel."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from becalm.identification.gating import forecasts
 from becalm.identification.likelihood import UNSCORED, Evidence, Tuning
 from becalm.identification.likelihood_surface import surface
 
-MOST_READINGS = 20_000
+MOST_READINGS = 20_000  # number of rows that a map uses at most
 
-_STRETCHES = 4
+_STRETCHES = 4  # number of stretches that they are taken from in a longer record
 
 
 class CostMap(NamedTuple):
@@ -27,18 +27,18 @@ class CostMap(NamedTuple):
     process_noise_density: Floats  # (l,) in unit^2/s^(2 order - 1)
     cost: Floats  # (k, l) in nats per reading, 0 at the minimum
     best: tuple[int, int]  # indices of the minimum: of the noise, of the density
-    here: tuple[float, float]  # noise and density of the present setting
+    here: tuple[float, float]  # noise and density of the present setting, in the same units
 
 
 def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
-    """Compute how much worse each noise and density predicts readings than the best pair.
+    """Compute how much worse each pair of noise and density predicts readings than the best pair.
 
     Parameters
     ----------
     rows : ChannelRows
-        Readings of the channel; the map uses 20 000 of them, in a few long stretches.
+        Readings of the channel; of a long record the map uses four stretches of 5000 rows.
     channel : ChannelRecipe
-        Present setting; the map is that of its kinematic model alone, without tones or further modes.
+        Present setting. The map is that of its kinematic model alone, without tones or further modes.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
 
 
 def _stretches(rows: ChannelRows, channel: ChannelRecipe, tuning: Tuning) -> list[Evidence]:
-    """Return a few stretches of the readings, without those that the gate rejects."""
+    """Return a few stretches of the readings; those that the gate rejects are missing."""
     readings, count = rows.healthy(channel.limits, None).readings, len(rows)
     length = MOST_READINGS if count <= MOST_READINGS else MOST_READINGS // _STRETCHES
     starts = [0] if count <= length else np.linspace(0, count - length, _STRETCHES).astype(int).tolist()

@@ -9,8 +9,8 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.identification.likelihood import Tuning
 
-_ALIKE = 5e-4  # smaller relative differences of the error are not shown
-_ROUND = 0.1  # larger differences are shown in whole percent
+_ALIKE = 5e-4  # relative difference of the error below which models count as equal
+_ROUND = 0.1  # relative difference from which on it is shown in whole percent
 
 
 def described(channel: ChannelRecipe) -> str:
@@ -25,12 +25,12 @@ def described(channel: ChannelRecipe) -> str:
 
 
 def compared_with_best(rivals: Sequence[Tuning]) -> dict[int, str]:
-    """Return, for each order, a sentence on how much worse it predicts readings than the best one.
+    """Return for each order a sentence on how much worse it predicts readings than the best one.
 
     Parameters
     ----------
     rivals : sequence of Tuning
-        Tunings of different orders on one record. Smoothers are compared by `loss`, filters by their likelihood.
+        Tunings of different orders on one record. Smoothers are compared by their loss, filters by their likelihood.
     """
     if not rivals:
         return {}

@@ -1,4 +1,4 @@
-"""List the files that a page may open: those of one folder, and those that were uploaded."""
+"""List the files that a page may open: those in one folder, one named at the start, and uploaded ones."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ READ_ENDINGS = (
     ".ulg",
     ".ide",
 )
-"""Endings of the names of recordings; the format of a file is decided by its content."""
+"""Endings of the names of files that are listed; their content decides the format."""
 
-_MOST_LISTED = 2000
+_MOST_LISTED = 2000  # files of the folder
 
 
 class OpenableFile(NamedTuple):
@@ -47,13 +47,13 @@ class OpenableFile(NamedTuple):
     Attributes
     ----------
     id : str
-        Name of the file in messages.
+        Name of the file in messages to and from a page.
     path : Path
         Path of the file.
     bytes : int
         Size in bytes.
     changed : float
-        Time of the last change, in seconds since 1970.
+        Time of the last change, in seconds since the start of 1970 (UTC).
     """
 
     id: str
@@ -62,18 +62,18 @@ class OpenableFile(NamedTuple):
     changed: float
 
     def as_dict(self) -> dict[str, object]:
-        """Return the file as a message for a page, without its path."""
+        """Return the file as a part of messages to a page, without its path."""
         name = os.fsencode(self.path.name).decode("utf-8", "replace")
         return {"id": self.id, "name": name, "bytes": self.bytes, "changed": self.changed}
 
 
 class Folder:
-    """The folder of the tuner, with the uploaded files.
+    """The files that the pages of a tuner may open.
 
     Parameters
     ----------
     folder : Path
-        Folder whose files may be opened, but not those in its subfolders.
+        Folder whose files may be opened; those in its subfolders may not.
     file : Path or None
         Another file that may be opened, in any folder.
     """
@@ -89,11 +89,11 @@ class Folder:
 
     @property
     def first(self) -> str | None:
-        """Return the id of the file that was named at the start."""
+        """Return the id of the file that was named at the start, or None."""
         return None if self._file is None else _id("given", self._file.name)
 
     def known(self) -> list[OpenableFile]:
-        """List the files that may be opened: the one named at the start, the uploaded ones, those in the folder."""
+        """List the files that may be opened: the one named at the start, uploaded ones, and those in the folder."""
         return [*self._elsewhere(), *self._in_folder()]
 
     def path_of(self, file: str) -> Path:
@@ -121,14 +121,14 @@ class Folder:
         return [one for one in files if one is not None]
 
     def _in_folder(self, name: str | None = None) -> list[OpenableFile]:
-        """List the files in the folder, or only those that a name may stand for."""
+        """List the files in the folder, or only those that a name from a page may mean."""
         given = None if self._file is None else os.path.realpath(self._file)
         paths = self._listed() if name is None else self._named(name)
         files = [_openable("folder", path) for path in paths if os.path.realpath(path) != given]
         return [one for one in files if one is not None]
 
     def _named(self, name: str) -> list[Path]:
-        """Return the paths that a name may stand for, without reading the whole folder if possible."""
+        """Return the paths that a name from a page may mean, if possible without reading the whole folder."""
         if "\ufffd" in name:  # a replacement character: the real name is not valid text
             return self._listed()
         path = self.folder / name
@@ -149,7 +149,7 @@ def _looks_readable(path: Path) -> bool:
 
 
 def _openable(room: str, path: Path, *, leaving: bool = False) -> OpenableFile | None:
-    """Describe a file; None for a pipe, a device, a link out of its folder, or a file that cannot be examined."""
+    """Describe a file; None for a pipe, a device, an unreadable file or, unless `leaving`, a link out of its folder."""
     try:
         if not leaving and Path(os.path.realpath(path)).parent != Path(os.path.realpath(path.parent)):
             return None

@@ -1,4 +1,4 @@
-"""Judge a channel over the whole record, with the report's verdict and figures, until another request interrupts."""
+"""Compute the verdict and the figures of a channel's report over the whole record, unless a request interrupts it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from becalm.report.payload import payload
 _CHUNK = 1 << 18  # rows between two checks for an interruption
 
 _TONES: dict[Decision, str] = {"fits": "fits", "constant": "fits", "fits except": "except", "does not fit": "not"}
-_DIGITS = 4
+_DIGITS = 4  # significant digits of the numbers
 
 
 def judged(
     rows: ChannelRows, recipe: Recipe, channel: ChannelRecipe, number: int, wanted: Callable[[], bool]
 ) -> dict[str, Any] | None:
-    """Clean a channel, and draw the figures of its report.
+    """Clean a whole channel, and draw the figures of its report.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def judged(
     number : int
         Number of the channel, from 0.
     wanted : callable
-        Returns whether the result is still wanted.
+        Function that returns whether the result is still wanted.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def _message(drawn: Pictured, number: int) -> dict[str, Any]:
 
 
 def _numbers(drawn: Pictured) -> list[list[str]]:
-    """Return the known numbers of the report, each with its name."""
+    """Return the known numbers of the report as text, each after its name."""
     report = drawn.report
     values = [
         ("noise of a reading", report.noise_std, report.unit),

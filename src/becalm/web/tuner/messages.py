@@ -1,4 +1,4 @@
-"""Define and check the messages that a page of the tuner may send."""
+"""Define and check the messages that a page of the tuner may send; the docstring of each says what it requests."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from becalm.web import incoming_messages
 from becalm.web.incoming_messages import Numbered
 
 MOST_STRETCHES = 4000
-"""Maximum number of stretches of a picture."""
+"""Largest number of stretches of a picture."""
 
 _LONGEST_NAME, _LONGEST_RECIPE = 500, 1_000_000
 
@@ -24,9 +24,9 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Open(Numbered):
-    """Open a file of the folder or an uploaded one; `group` chooses one of several time axes.
+    """Open a file of the folder, or an uploaded one; `group` chooses one of several time axes.
 
-    With a rate, rows are counted at it, and times in the file are ignored.
+    A rate replaces the times in the file.
     """
 
     do: Literal["open"]
@@ -42,7 +42,7 @@ class ListFiles(Numbered):
 
 
 class Look(Numbered):
-    """Show a part of a channel in at most `width` stretches; null means from the beginning, or to the end."""
+    """Show a part of a channel in at most `width` stretches; null is the beginning or the end of the record."""
 
     do: Literal["look"]
     channel: Channel
@@ -52,7 +52,7 @@ class Look(Numbered):
 
 
 class Turned(BaseModel):
-    """Changes of a channel's settings; values that are left out stay."""
+    """Changes of a channel's settings; values that are left out do not change."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -64,7 +64,7 @@ class Turned(BaseModel):
 
 
 class Turn(Numbered):
-    """Change the settings of a channel; a change during a drag is not final."""
+    """Change the settings of a channel; the changes during a drag are not final."""
 
     do: Literal["turn"]
     channel: Channel

@@ -1,4 +1,4 @@
-"""Name saved files after the recording, and write the command line that makes the same files."""
+"""Name saved files after the recording, and write the command that makes the same files."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from pathlib import Path
 from becalm.files.registry import ENDINGS
 
 _FORMAT = re.compile(r"(\.(csv|txt|tsv|dat|log))?\.gz$|\.[^.]*$", re.IGNORECASE)
-_UNTYPED = ("Cc", "Cf", "Cs")  # Unicode categories that a terminal interprets, hides or cannot show
+_UNTYPED = ("Cc", "Cf", "Cs")  # Unicode categories of characters that a terminal interprets, hides or cannot show
 
 
 def stem_of(file: Path) -> str:
-    """Return the name of a file without the endings for its format."""
+    """Return the name of a file without the ending of its format."""
     return _FORMAT.sub("", file.name) or "recording"
 
 
 def command(file: Path, group: str | None) -> str:
-    """Return the command that cleans a file in its folder, once its recipe is saved there.
+    """Return the command that cleans a file; it is for the folder of the file, with the recipe saved there too.
 
     Parameters
     ----------
     file : Path
         Recording to clean.
     group : str or None
-        Time axis to choose, for a file with several.
+        Name of the time axis, for a file with several.
 
     Returns
     -------
     str
-        The command; "" if a name cannot be typed.
+        The command; "" if a name has characters that cannot be typed.
     """
     stem, suffix = stem_of(file), file.suffix if file.suffix in ENDINGS else ".csv"
     names = [file.name, f"{stem}-clean{suffix}", f"{stem}.recipe.toml"]

@@ -1,4 +1,4 @@
-"""The open recording of the tuner: it is read and its filters are identified as on the command line."""
+"""Read the recording that the tuner shows, and identify its filters, as on the command line."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from becalm.web.tuner.settings import Options
 Progress = Callable[[str], None]
 
 AS_IT_IS = ReadOptions()
-"""Read options for a file with times."""
+"""Options that read a file with its own times."""
 
 MOST_SAMPLES = 1 << 28
-"""Maximum number of samples in memory, 2 GiB; each channel that a page shows needs two more copies."""
+"""Largest number of samples in memory, 2 GiB; each channel that a page shows needs two more copies."""
 
 
 class Opened:
@@ -34,13 +34,13 @@ class Opened:
     Parameters
     ----------
     id : str
-        Name of the file in messages.
+        Name of the file in messages to and from a page.
     path : Path
         Path of the file.
     group : str or None
-        Time axis to choose, for a file with several; None takes the first.
+        Name of the time axis, for a file with several; None takes the first.
     progress : callable
-        Gets a sentence about the work in progress.
+        Function that gets a sentence on the work in progress.
     said : ReadOptions
         Options for the file's time base.
 
@@ -110,7 +110,7 @@ class Opened:
         return None if even and not len(time.repeats) else self._row_times
 
     def is_unchanged(self, path: Path) -> bool:
-        """Return whether a file is unchanged since it was read."""
+        """Return whether the file, now at `path`, is unchanged since it was read."""
         return bool(self._stamps) and _stamps(path) == self._stamps
 
     def as_filter(self, mode: str, lag_s: float | None) -> bool:
@@ -118,11 +118,11 @@ class Opened:
         return tuned_as_filter(mode == "causal", lag_s, self.step_s)
 
     def options(self, as_filter: bool) -> tuple[Options, ...]:
-        """Return the possible settings of each channel; the first call identifies all filters, which takes a while."""
+        """Return the possible settings of each channel; the first call takes a while, as it identifies all filters."""
         return self._exploring(as_filter)[1]
 
     def origin(self, as_filter: bool) -> Origin:
-        """Return the origin of the identified numbers."""
+        """Return the origin of the identified parameters, for a recipe."""
         return self._exploring(as_filter)[0].recipe.tuned_on.model_copy(update={"sha256": self._sha256})
 
     def check_channel(self, channel: int) -> None:
@@ -131,7 +131,7 @@ class Opened:
             raise UsageError(f"There is no channel {channel + 1}; there are {len(self.recording.names)}.")
 
     def rows(self, channel: int) -> ChannelRows:
-        """Return the rows of a channel, copied at the first call; raise a UsageError if there is no such channel."""
+        """Return the rows of a channel, a copy that is made once; raise a UsageError if there is no such channel."""
         self.check_channel(channel)
         if channel not in self._rows:
             limits = next(iter(self._explored.values()))[1][channel].channel.limits if self._explored else None

@@ -1,4 +1,4 @@
-"""Send messages to a page one after the other, and a sentence for each request that failed."""
+"""Send messages to a page, one after the other, and report requests that failed."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ class Wire:
         self.gone = False
 
     async def send_message(self, message: dict[str, Any]) -> None:
-        """Send a message."""
+        """Send a message as JSON."""
         await self._transmit(self._websocket.send_text, text(message))
 
     async def send_frame(self, data: bytes) -> None:
-        """Send a frame."""
+        """Send a binary frame."""
         await self._transmit(self._websocket.send_bytes, data)
 
     async def trouble(self, says: str, answers: int | None) -> None:
-        """Report an error, with the number of the message that caused it."""
+        """Send a sentence on an error, with the number of the message that caused it."""
         await self.send_message({"kind": "trouble", "says": says, "answers": answers})
 
     async def guarded(self, doing: Callable[[], Awaitable[None]], number: int | None) -> None:
-        """Await some work, and report an error to the page if it fails."""
+        """Await some work; if it fails, report the error to the page."""
         try:
             await doing()
         except WebSocketDisconnect:

@@ -1,4 +1,4 @@
-"""Compute the frames of a page in a thread: pictures, dial positions, a classic filter, cost maps."""
+"""Compute the frames for a page: pictures, dial positions, a classic filter, cost maps."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from becalm.web.tuner.costs import cost_map
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.picture import LONG, Clean, Raw, View, clean_of, raw_of, view_of
 
-_MOST_RAW = 8  # views whose readings are kept
-_DECIBEL = 10.0
+_MOST_RAW = 8  # number of views whose readings are cached
+_DECIBEL = 10.0  # decibels of a factor of 10 in power
 
 
 class PictureRequest(NamedTuple):
@@ -36,22 +36,22 @@ class PictureRequest(NamedTuple):
     width: int
     answers: int
     classic: str | None = None
-    hurried: bool = False
+    hurried: bool = False  # whether to be fast, see `Painter.picture`
     setting: list[object] | None = None  # the setting in the form that pages get
 
     @property
     def dial_key(self) -> tuple[object, ...]:
-        """Return everything that the positions of the dial depend on."""
+        """Return the key of the dial: a frame with its positions is sent when the key changes."""
         return self.channel, self.recipe.order, self.recipe.noise_std, self.lag, self.recipe.model
 
     @property
     def judged_key(self) -> tuple[object, ...]:
-        """Return everything that the verdict on the whole record depends on, and by which a page recognises it."""
+        """Return the key of the verdict on the whole record: all that it depends on, and the setting for the page."""
         return self.channel, self.recipe, self.lag, self.setting
 
 
 class Painted(NamedTuple):
-    """A finished picture with the data to add further curves."""
+    """A finished picture, with the data for adding the curve of a classic filter."""
 
     header: dict[str, Any]
     view: View
@@ -69,7 +69,7 @@ class Painted(NamedTuple):
 
 
 class _Gated(NamedTuple):
-    """The rows of a channel without the spikes that its gate rejected."""
+    """The rows of a channel without the spikes that its gate rejected in the whole record."""
 
     spikes: Integers
     limits: LimitsRecipe | None
@@ -82,7 +82,7 @@ class Painter:
     Parameters
     ----------
     pool : Executor
-        Two threads, which filter the halves of a long view in parallel.
+        Two threads that filter the halves of a long view in parallel.
     """
 
     def __init__(self, pool: Executor) -> None:
@@ -94,13 +94,13 @@ class Painter:
     def picture(self, wanted: PictureRequest) -> Painted:
         """Compute a picture.
 
-        A hurried one is faster: instead of running the gate, it leaves out the spikes that the gate rejected in the
-        whole record before. The result is the same unless the gate would now decide differently.
+        A hurried one is faster: instead of running the gate, it leaves out the spikes that the gate rejected before, in
+        the whole record. The result is the same unless the gate would now decide differently.
 
         Raises
         ------
         BecalmError
-            If the numbers of the recipe do not give a filter.
+            If the parameters of the recipe do not make a valid filter.
         """
         opened, recipe = wanted.opened, wanted.recipe
         if opened is not self._of:
@@ -142,7 +142,7 @@ class Painter:
         view, gate = painted.view, wanted.recipe.gate
         if gate is None or wanted.hurried or view.stop - view.first < max(len(rows), LONG):
             return
-        if (painted.clean.verdicts & (1 << Verdict.STEP)).any():  # after a step the gate restarts
+        if (painted.clean.verdicts & (1 << Verdict.STEP)).any():  # the gate restarts the filter at a step
             self._gated.clear()
             return
         spikes, limits, before = painted.clean.spikes, wanted.recipe.limits, self._gated.get(wanted.channel)
@@ -150,7 +150,7 @@ class Painter:
             self._gated = {wanted.channel: _Gated(spikes, limits, rows.without(spikes, limits, wanted.lag))}
 
     def classic(self, wanted: PictureRequest, painted: Painted) -> bytes:
-        """Add a classic filter that leaves as much noise as the channel's own, and return the frame.
+        """Return the frame of a picture with a classic filter that leaves as much noise as the channel's own.
 
         Raises
         ------
@@ -181,14 +181,14 @@ class Painter:
 
 
 def dial_frame(wanted: PictureRequest) -> bytes:
-    """Return a frame that describes the filter at each position of a channel's dial."""
+    """Return a frame with the figures of the filter at each position of a channel's dial."""
     opened = wanted.opened
     arrays = dial(wanted.recipe, opened.step_s, wanted.lag, len(opened.recording))
     return frame({"kind": "dial", "channel": wanted.channel, "order": wanted.recipe.order}, arrays)
 
 
 def map_frame(wanted: PictureRequest) -> bytes:
-    """Return a frame with the map of how well each noise and density predicts readings.
+    """Return a frame with the map of how well each pair of noise and density predicts readings.
 
     Raises
     ------

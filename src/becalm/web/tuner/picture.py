@@ -1,4 +1,4 @@
-"""Compute a part of a channel for a page: the minimum and maximum of each stretch, so that spikes stay visible."""
+"""Compute the picture of a part of a channel: minimum and maximum of each stretch, so that spikes stay visible."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from becalm.report.envelope import Envelope, Kinds, Stretches
 from becalm.report.gathering import WIDTH
 
 LONG = 1 << 19
-"""Number of rows above which two halves are filtered in parallel."""
+"""Number of rows from which on two halves are filtered in parallel."""
 
 _PIECE = 1 << 16  # rows that fit into the cache
 
@@ -26,7 +26,7 @@ _WORTH = 4  # a view is split only if it is this many times as long as the run-u
 
 
 class View(NamedTuple):
-    """A range of rows of a channel, and the maximum number of stretches."""
+    """A range of rows, from `first` to before `stop`, and the largest number of stretches (`width`)."""
 
     first: int
     stop: int
@@ -34,14 +34,14 @@ class View(NamedTuple):
 
     @property
     def rows_each(self) -> int:
-        """Return the number of rows in each stretch."""
+        """Return the number of rows in each stretch; the last one may have fewer."""
         return Stretches(self.stop - self.first, self.width).rows_each
 
 
 class Raw(NamedTuple):
     """The part of a picture that does not depend on the filter."""
 
-    times_s: Floats  # (k,) begin of each stretch, in seconds since the first row
+    times_s: Floats  # (k,) start of each of the k stretches, in seconds since the first row
     readings: Envelope
 
 
@@ -49,9 +49,9 @@ class Clean(NamedTuple):
     """The output of a filter over a view."""
 
     signal: Envelope
-    band: Envelope
+    band: Envelope  # signal -/+ WIDTH sigma
     verdicts: NDArray[np.uint16]  # (k,) one bit for each verdict that occurs
-    spikes: Integers  # (n,) rows that the gate rejected
+    spikes: Integers  # (n,) numbers of the rows that the gate rejected as spikes
 
 
 def view_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, span_s: tuple[float, float], width: int) -> View:
@@ -60,13 +60,13 @@ def view_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, span_s: tup
     Parameters
     ----------
     rows : ChannelRows
-        All rows.
+        All rows of the channel.
     times_s : callable or None
         Returns the time of each row since the first, (N,), in seconds; None if the rows are evenly spaced.
     span_s : tuple of float
-        Begin and end in seconds since the first row; they are limited to the recording.
+        Start and end, in seconds since the first row; they are limited to the recording.
     width : int
-        Maximum number of stretches.
+        Largest number of stretches.
     """
     count = len(rows)
     if times_s is None:
@@ -97,7 +97,7 @@ def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: Vi
     Raises
     ------
     RecipeError
-        If the numbers of the recipe do not give a filter.
+        If the parameters of the recipe do not make a valid filter.
     """
     if recipe.motion is None:
         return _unchanged(rows, recipe, view)
@@ -111,7 +111,7 @@ def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: Vi
 
 
 class _Enclosing:
-    """Envelopes of the estimates of a view, which arrive in blocks."""
+    """Computes the envelopes of a view from estimates that arrive in blocks."""
 
     def __init__(self, view: View, each: int) -> None:
         rows = view.stop - view.first
@@ -121,7 +121,7 @@ class _Enclosing:
         self._row, self._spikes = view.first, [np.empty(0, np.int64)]
 
     def clean(self) -> Clean:
-        """Return the envelopes and verdicts of all rows."""
+        """Return the envelopes, verdicts and spikes of all rows so far."""
         return Clean(self.signal, self.band, self.kinds.met, np.concatenate(self._spikes))
 
     def add(self, estimates: EstimatedRows) -> None:
@@ -156,7 +156,7 @@ def _enclosed(run: ChannelRun, view: View, each: int) -> Clean:
 
 
 def _unchanged(rows: ChannelRows, recipe: ChannelRecipe, view: View) -> Clean:
-    """Return the readings themselves as the output, without sigma."""
+    """Return the usable readings as the output, without sigma."""
     healthy, enclosing = rows.healthy(recipe.limits), _Enclosing(view, view.rows_each)
     part = slice(view.first, view.stop)
     unknown = np.full(view.stop - view.first, np.nan)

@@ -1,4 +1,4 @@
-"""Queue the pictures of a page: the newest request first, quick ones before slow ones."""
+"""Send the pictures that a page requests: only the newest one, and slow figures after fast ones."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from becalm.web.tuner.painting import Painter, PictureRequest, dial_frame, map_f
 if TYPE_CHECKING:
     from becalm.web.tuner.sharing import Shared
 
-_WIDTH = 2000  # stretches, until a page sends its own number
+_WIDTH = 2000  # stretches of a picture, until a page sends its own number
 
 
 @dataclass
 class _Shown:
-    """The dial and the figures that a page has got since the recording was sent."""
+    """The keys of the dial and of the figures that a page has; empty after a new recording."""
 
     dial: tuple[object, ...] = ()
     figures: tuple[object, ...] = ()
 
 
 class Showing:
-    """The queue of pictures for one page.
+    """Computes and sends the pictures of one page.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Showing:
     Attributes
     ----------
     dragging : bool
-        Whether the person drags the dial; slow figures wait then.
+        Whether the person drags the dial; the slow figures wait meanwhile.
     answers : int
         Number of the newest message that the next picture answers.
     """
@@ -55,14 +55,14 @@ class Showing:
         self.dragging = False
 
     async def run(self) -> None:
-        """Send requested pictures for ever, and slower figures while no picture is requested."""
+        """Send requested pictures, and slow figures while none is requested; this never ends."""
         while True:
             await self._requested.wait()
             self._requested.clear()
             await self._wire.guarded(self._show_newest, self.answers)
 
     def begin(self) -> None:
-        """Start again with a new recording: nothing of it has been sent."""
+        """Forget what the page has: a new recording was opened."""
         self._look = Look(number=0, do="look", channel=0, width=self._look.width)
         self._shown = _Shown()
         self._classics.clear()
@@ -72,7 +72,7 @@ class Showing:
         self._requested.clear()
 
     def ask(self, number: int | None = None) -> None:
-        """Request a picture; it replaces a request that has not been started."""
+        """Request a picture; the request replaces one that has not started, and may answer a message."""
         self.answers = self.answers if number is None else number
         self._requested.set()
 
@@ -88,7 +88,7 @@ class Showing:
         self.ask(number)
 
     def compare(self, message: messages.Compare) -> None:
-        """Draw a classic filter for comparison with a channel, or none.
+        """Choose a classic filter for comparison with a channel, or none, and request a picture.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Save cleaned files and reports by running the command line, so that they equal what anyone gets from the recipe."""
+"""Save cleaned files and reports by the command line in a subprocess: everyone gets the same files from the recipe."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from becalm.files.registry import ENDINGS
 from becalm.installation import MODULE, environment
 from becalm.web.tuner.naming import stem_of
 
-_BLOCK = 1 << 18
+_BLOCK = 1 << 18  # bytes that are read at once
 
 
 class CleaningJob(NamedTuple):
@@ -26,7 +26,7 @@ class CleaningJob(NamedTuple):
 
 
 class Made:
-    """A finished file in a private folder, which is removed with it."""
+    """A finished file in a private folder; `close` removes both."""
 
     def __init__(self, folder: tempfile.TemporaryDirectory[str], path: Path, name: str) -> None:
         self._folder, self.path, self.name = folder, path, name
@@ -54,7 +54,7 @@ async def cleaned(job: CleaningJob, ending: str) -> Made:
     job : CleaningJob
         File and recipe.
     ending : str
-        Ending of the output's name without the dot; it decides the format.
+        Ending of the output's name, without the dot; it decides the format.
 
     Raises
     ------
@@ -107,7 +107,7 @@ async def _made_in(folder: tempfile.TemporaryDirectory[str], job: CleaningJob, o
 
 
 async def _run(words: list[str], inside: Path) -> None:
-    """Run becalm in a private folder; the process is killed if the task is cancelled.
+    """Run becalm in a private folder; kill the process if the task is cancelled.
 
     Raises
     ------

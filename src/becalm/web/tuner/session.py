@@ -1,4 +1,4 @@
-"""The session of one page of the tuner: requests change the view model at once, and only the newest picture is sent."""
+"""The session of one page of the tuner: it applies requests to the view model, and sends messages and pictures."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Conversation:
         await self.send_state()
 
     async def send_state(self, but: Conversation | None = None) -> None:
-        """Send the page all settings and a new picture; the page `but` has already requested its picture."""
+        """Send the page all settings and a new picture; `but` is a page whose picture is already requested."""
         if but is not self:
             self._showing.ask()
         turned = self._turned
@@ -84,7 +84,7 @@ class Conversation:
             self._start(lambda: self._wire.guarded(lambda: what(self), None))
 
     async def working(self, says: str) -> None:
-        """Send the page a sentence about the work in progress; "" if it is finished."""
+        """Send the page a sentence on the work in progress; "" if it is finished."""
         await self._wire.send_message({"kind": "working", "says": says})
 
     async def _receive(self, frame: Mapping[str, Any]) -> None:
@@ -165,7 +165,7 @@ class Conversation:
         await self._shared.estimate_all(Conversation.send_all if anew else Conversation.send_state, self)
 
     def _start(self, doing: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
-        """Start a task, which ends when the page is closed."""
+        """Start a task, which is cancelled when the page is closed."""
 
         async def quietly() -> None:
             with suppress(WebSocketDisconnect):

@@ -1,4 +1,4 @@
-"""The settings of a channel's filter, and the recipe that they make from the identified one."""
+"""Define the settings of a channel's filter, and make recipes from them and from the identified recipe."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ _ORDER, _TONE = "order-", "tone-"
 class Setting(NamedTuple):
     """The settings of a channel; None is the identified value."""
 
-    choice: str = FOUND
-    noise_std: float | None = None
-    process_noise_density: float | None = None
-    off: frozenset[str] = frozenset()
-    unchanged: bool = False
-    given: ChannelRecipe | None = None
+    choice: str = FOUND  # key of the model
+    noise_std: float | None = None  # in unit
+    process_noise_density: float | None = None  # in unit^2/s^(2 order - 1)
+    off: frozenset[str] = frozenset()  # keys of the components that are switched off
+    unchanged: bool = False  # whether the channel passes unchanged
+    given: ChannelRecipe | None = None  # the recipe that the person loaded
 
 
 class Options:
-    """The possible settings of a channel.
+    """The possible settings of a channel, and the recipes that they make.
 
     Parameters
     ----------
     found : ChannelTuning
         Result of the identification, with the models that were compared.
     channel : ChannelRecipe
-        Recipe of the chosen model, with calibration and other later additions.
+        Recipe of the chosen model, with the calibration and the like.
     step_s : float
         Length of one step, in seconds.
     causal : bool
@@ -53,7 +53,7 @@ class Options:
 
     @cached_property
     def choices(self) -> list[dict[str, object]]:
-        """Return the models to choose from, each with its evidence."""
+        """Return the models to choose from, each with a sentence on how well it predicts readings."""
         chosen = {"key": FOUND, "name": f"becalm's choice: {described(self.channel)}", "order": self.channel.order}
         evidence = compared_with_best(self._found.choice.rivals)
         return [
@@ -65,7 +65,7 @@ class Options:
         ]
 
     def changed(self, setting: Setting, turned: Turned) -> Setting:
-        """Return a setting after a change.
+        """Return a setting with changes applied.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class Options:
         return _without_alarms(_with_fair_gate(recipe.model_copy(update=update), base, self._step_s))
 
     def as_dict(self, setting: Setting) -> dict[str, object]:
-        """Return a setting as a message for a page."""
+        """Return a setting as the part of a message to a page."""
         recipe, base = self.recipe(setting), self._base(setting)
         on = dict.fromkeys(components(self.channel), False)
         on |= {key: key not in setting.off for key in components(base)}
@@ -121,7 +121,7 @@ class Options:
         }
 
     def as_given(self, given: ChannelRecipe) -> Setting:
-        """Return the simplest setting that gives a channel's recipe."""
+        """Return the simplest setting that makes a given recipe of the channel."""
         for choice in (FOUND, *self._rivals):
             base = self._base(Setting(choice))
             off = frozenset(key for key in components(base) if not _has(given, key, base))
@@ -178,7 +178,7 @@ class Options:
 
 
 def components(recipe: ChannelRecipe) -> dict[str, str]:
-    """Return the components of a channel's filter that can be switched off: a name for people for each key."""
+    """Return the components of a channel's filter that can be switched off: their names for people, by key."""
     named = {f"{_TONE}{k}": f"tone at {tone.frequency_hz:.4g} Hz" for k, tone in enumerate(recipe.tone)}
     if recipe.coloured_noise is not None:
         named["coloured"] = "coloured noise"
@@ -197,7 +197,7 @@ _FIELDS = {"coloured": "coloured_noise"} | {key: key for key in ("gate", "switch
 
 
 def _has(recipe: ChannelRecipe, key: str, base: ChannelRecipe) -> bool:
-    """Return whether a recipe has the component with a key; the numbers of tones are those of `base`."""
+    """Return whether a recipe has the component with this key; tones are numbered as in `base`."""
     if key in _FIELDS:
         return getattr(recipe, _FIELDS[key]) is not None
     return base.tone[int(key.removeprefix(_TONE))] in recipe.tone
@@ -211,7 +211,7 @@ def _without(recipe: ChannelRecipe, off: frozenset[str]) -> ChannelRecipe:
 
 
 def _with_fair_gate(dialled: ChannelRecipe, base: ChannelRecipe, step_s: float) -> ChannelRecipe:
-    """Remove the gate of a recipe if its filter is now slower than the identified one."""
+    """Return a recipe without its gate if the filter is slower, or its noise smaller, than in `base`."""
     if dialled.gate is None or dialled.motion is None or base.motion is None:
         return dialled
     if may_judge(in_steps(dialled.motion, step_s), in_steps(base.motion, step_s)):
@@ -220,7 +220,7 @@ def _with_fair_gate(dialled: ChannelRecipe, base: ChannelRecipe, step_s: float) 
 
 
 def _without_alarms(recipe: ChannelRecipe) -> ChannelRecipe:
-    """Remove the drift and dead-sensor alarms of a recipe: their thresholds hold for the identified filter only."""
+    """Return a recipe without drift and dead-sensor alarms: their thresholds hold for the identified filter only."""
     if recipe.limits is None:
         return recipe
     limits = recipe.limits.model_copy(update={"drift_threshold": None, "dead_variance": None})

@@ -1,4 +1,4 @@
-"""The state that all pages of a tuner share: the folder, the open recording and the threads."""
+"""Hold the state that all pages of a tuner share: the folder, the open recording and the threads."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from becalm.web.tuner.opened import AS_IT_IS, Opened
 from becalm.web.tuner.view_model import ViewModel
 from becalm.web.uploads import Uploads
 
-_HALVES, _WORKERS = 2, 6
+_HALVES, _WORKERS = 2, 6  # threads for the two halves of a long picture, and for all other work
 
 T = TypeVar("T")
 Sender = Callable[[Any], Coroutine[Any, Any, None]]
-"""A function that sends something to a page."""
+"""A function that sends something to the page that it gets."""
 
 
 class OpenPage(Protocol):
-    """An open page."""
+    """The interface of an open page."""
 
     def start_sending(self, what: Sender) -> None:
         """Send the page something, without waiting for it."""
@@ -45,7 +45,7 @@ class Shared:
     upload_limit : int
         Size limit of a file that a page uploads, in bytes.
     options : ReadOptions
-        Options for the time base of the first file.
+        Options for the time base of the file to open first.
     """
 
     def __init__(self, folder: Path, file: Path | None, upload_limit: int, options: ReadOptions = AS_IT_IS) -> None:
@@ -63,7 +63,7 @@ class Shared:
 
     @property
     def first(self) -> str | None:
-        """Return the id of the file that is opened first."""
+        """Return the id of the file to open first, or None."""
         return self.folder.first
 
     def welcome(self) -> dict[str, Any]:
@@ -87,7 +87,7 @@ class Shared:
         }
 
     def is_open(self, file: str, group: str | None, rate_hz: float | None) -> bool:
-        """Return whether a file is open already, and unchanged or deleted since it was read."""
+        """Return whether a file is open with these options, and unchanged (or deleted) since it was read."""
         if self.desk is None or self.desk.opened.id != file or group not in (None, self.desk.opened.group):
             return False
         if rate_hz not in (None, self.desk.opened.said.rate_hz):
@@ -104,10 +104,10 @@ class Shared:
         Raises
         ------
         BecalmError
-            If the file cannot be read.
+            If the file cannot be read, or its filters cannot be identified.
         """
         opening = asyncio.create_task(self._open(file, group, rate_hz))
-        self._openings.add(opening)  # goes on if the page is reloaded, because it will then request the file again
+        self._openings.add(opening)  # goes on if the page is reloaded, because the page then requests the file again
         opening.add_done_callback(self._opened)
         await asyncio.shield(opening)
 
@@ -144,7 +144,7 @@ class Shared:
                 raise
 
     async def estimate_all(self, what: Sender, asker: OpenPage | None) -> None:
-        """Send every page something, and wait only for the page that requested it."""
+        """Send something to every page; wait only for the page `asker`, which requested it."""
         for page in tuple(self.pages):
             if page is not asker:
                 page.start_sending(what)
@@ -175,5 +175,5 @@ class Shared:
         self.uploads.close()
 
     async def working(self, says: str) -> None:
-        """Send every page a sentence about the work in progress; "" if it is finished."""
+        """Send every page a sentence on the work in progress; "" if it is finished."""
         await self.estimate_all(lambda page: page.working(says), None)

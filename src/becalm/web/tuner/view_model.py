@@ -13,12 +13,12 @@ from becalm.web.tuner.naming import command
 from becalm.web.tuner.opened import Opened
 from becalm.web.tuner.settings import GIVEN, Options, Setting, components
 
-_MOST_STEPS = 1000  # changes that can be undone
-_MOST_WAITED = 10_000_000_000  # rows times lag in rows; a picture takes about ten seconds then
+_MOST_STEPS = 1000  # most changes that can be undone
+_MOST_WAITED = 10_000_000_000  # largest product of rows and lag in rows, for which a picture takes about ten seconds
 
 
 class Doing(NamedTuple):
-    """The settings of all channels."""
+    """The mode, its lag, and the settings of all channels."""
 
     mode: Mode
     lag_s: float | None
@@ -43,12 +43,12 @@ class ViewModel:
 
     @property
     def now(self) -> Doing:
-        """Return the present settings, which may be those of an unfinished drag."""
+        """Return the present settings, which may be those during a drag."""
         return self._dragged
 
     @property
     def lag(self) -> int | None:
-        """Return the lag in rows: 0 for a filter, None for a smoother of the whole record."""
+        """Return the lag in rows: 0 for a causal filter, None for a smoother."""
         mode, lag_s, _ = self.now
         if mode == "lagged" and lag_s is not None:
             return lag_in_rows(lag_s, self.opened.step_s)
@@ -66,12 +66,12 @@ class ViewModel:
 
     @property
     def can_redo(self) -> bool:
-        """Return whether a change was undone."""
+        """Return whether an undone change can be redone."""
         return self._at + 1 < len(self._steps)
 
     @property
     def classics(self) -> list[str]:
-        """Return the classic filters that can be compared in the present mode."""
+        """Return the names of the classic filters that can be compared in the present mode."""
         return classics_of(self.now.mode)
 
     def begin(self) -> None:
@@ -79,7 +79,7 @@ class ViewModel:
         self.opened.options(self.opened.as_filter(self.now.mode, self.now.lag_s))
 
     def turn(self, channel: int, turned: Turned, *, final: bool) -> None:
-        """Change the settings of a channel; a change that is not final cannot be undone."""
+        """Change the settings of a channel; a change that is not final is no step of its own for undo."""
         options = self._options_of(channel)
         setting = options.changed(self.now.settings[channel], turned)
         settings = list(self.now.settings)
@@ -87,12 +87,12 @@ class ViewModel:
         self._do(self.now._replace(settings=tuple(settings)), final=final)
 
     def put_in_mode(self, mode: Mode, lag_s: float | None) -> None:
-        """Set the mode: smoother, filter, or fixed lag. The first call may take a while.
+        """Set the mode: smoother, causal filter, or fixed lag. The first call may take a while.
 
         Raises
         ------
         UsageError
-            If the lag is shorter than a row, or so long that a picture would take minutes.
+            If the lag is shorter than one step, or so long that a picture would take more than about ten seconds.
         """
         self._refuse_endless(mode, lag_s)
         self.opened.options(self.opened.as_filter(mode, lag_s))
@@ -115,6 +115,8 @@ class ViewModel:
         ------
         RecipeError
             If the text is not a recipe, or the recipe does not fit this recording.
+        UsageError
+            If the lag of the recipe is not possible, as in `put_in_mode`.
         """
         recipe = Recipe.from_toml(text)
         self._refuse_endless(recipe.mode, recipe.lag_s)
@@ -138,7 +140,7 @@ class ViewModel:
         return self._options_of(channel).recipe(self.now.settings[channel])
 
     def setting_message(self, channel: int) -> list[object]:
-        """Return the settings of a channel as a message for a page: the mode, its lag, the settings."""
+        """Return the mode, its lag and the settings of a channel, as a part of messages to a page."""
         mode, lag_s, settings = self.now
         return [mode, lag_s, self._options_of(channel).as_dict(settings[channel])]
 
@@ -239,7 +241,7 @@ class ViewModel:
 
 
 def classics_of(mode: Mode) -> list[str]:
-    """Return the classic filters that can be compared with a mode; a fixed lag has none."""
+    """Return the names of the classic filters that can be compared with a mode; none for a fixed lag."""
     if mode == "lagged":
         return []
     return [classic.name for classic in (CAUSAL if mode == "causal" else ZERO_PHASE)]
