@@ -171,6 +171,7 @@ def test_the_euler_form_is_refused() -> None:
         ((((0.5,), (0.2, 0.1)),), r"not numbers"),
         ((None,), r"finite numbers|not numbers"),
         (((0.9,), -1.0), r"^std = -1.0"),
+        (((0.9,), 0.0), r"^std = 0.0"),
         (((0.9,), 1e200), r"^std = 1e\+200 leaves the range"),
         (((0.9,), "1"), r"^std = '1'"),
         (((0.9,), 1.0, 0.0), r"^step_s = 0.0"),

@@ -139,4 +139,5 @@ def test_rms_error_and_coverage_by_hand() -> None:
     truth = np.array([0.5, 3.0, 2.0, 7.0])
     assert rms_error(signal, truth) == pytest.approx(np.sqrt((0.25 + 4) / 3), rel=1e-15)
     assert coverage(signal, sigma, truth) == pytest.approx(2 / 3, rel=1e-15)
+    assert coverage(signal, sigma, np.array([0.5, np.nan, 2.0, 7.0])) == 1.0
     assert coverage(np.zeros(100_000), np.ones(100_000), white(100_000)) == pytest.approx(0.683, abs=0.01)

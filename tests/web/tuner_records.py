@@ -11,6 +11,7 @@ from becalm.cleaning.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
     GateRecipe,
+    HoleRecipe,
     LimitsRecipe,
     ModeRecipe,
     SwitchingRecipe,
@@ -119,6 +120,11 @@ def cases() -> dict[str, Case]:
     gated, toned = two.model_copy(update={"gate": GATE}), two.model_copy(update={"tone": TONES})
     spikes, begun = with_spikes(with_gaps(z)), with_gaps(z)
     begun[:60] = z[:60]  # a smoother of many states tells a start with holes to a few digits only
+    corrections = tuple(
+        HoleRecipe(readings=count, model_fading=fading, sigma_growth=0.3)
+        for count, fading in ((8, 0.1), (40, 0.4), (200, 0.9))
+    )
+    unknown = {"spread_std": 1.5}
     wider = one.model_copy(update={"tuning_spread": 0.1, "calibration": calibrated, "timing": timing})
     return {
         "order 1": Case(even(z), recipe_of(one)),
@@ -142,6 +148,11 @@ def cases() -> dict[str, Case]:
         "tones, causal": Case(even(z), recipe_of(toned, "causal")),
         "coloured": Case(even(z), recipe_of(one.model_copy(update={"coloured_noise": COLOURED}))),
         "limits": Case(even(stuck), recipe_of(gated.model_copy(update={"limits": LIMITS}))),
+        "holes": Case(even(with_gaps(z)), recipe_of(two.model_copy(update={"hole": corrections}))),
+        "unknown in holes": Case(
+            even(with_gaps(z)), recipe_of(two.model_copy(update={"hole": corrections, **unknown}))
+        ),
+        "unknown in holes, causal": Case(even(with_gaps(z)), recipe_of(two.model_copy(update=unknown), "causal")),
         "wider": Case(uneven(z), recipe_of(wider)),
         "switching": Case(even(with_gaps(z)), recipe_of(one.model_copy(update={"switching": SWITCHING}))),
         "switching, causal": Case(even(z), recipe_of(one.model_copy(update={"switching": SWITCHING}), "causal")),

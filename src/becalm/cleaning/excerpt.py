@@ -1,23 +1,22 @@
-"""Filter only some rows of a channel, with the same results as for filtering all of them.
-
-Unlike in a cleaned file, estimates in holes are neither corrected nor removed, and runaways stay.
-"""
+"""Filter only some rows of a channel, with the same results as for filtering all of them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from becalm.cleaning.faults import SensorWatch, merged_verdicts
 from becalm.cleaning.filters import Filter
+from becalm.cleaning.holes import Holes
 from becalm.cleaning.judging import Uncertainty
-from becalm.cleaning.limits_entry import rows_that_judge
+from becalm.cleaning.limits_entry import limits_of, rows_that_judge
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.slopes import TimingNoise
 from becalm.core.arrays import BLOCK, Codes, Floats, Integers
+from becalm.core.health.sentinel import Sentinel
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
 
@@ -111,6 +110,39 @@ def _reading_limits(limits: LimitsRecipe | None) -> LimitsRecipe | None:
     return None if limits is None else limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
 
 
+class _LastStages:
+    """What happens to the estimates of a filter: correction in holes, removal of implausible ones, wider sigma."""
+
+    def __init__(self, recipe: ChannelRecipe, used: Filter, step_s: float) -> None:
+        is_smoothed = used.lag is None
+        self._holes = Holes(recipe.hole, recipe.own_steps(step_s)) if is_smoothed and recipe.hole else None
+        self._sentinel = Sentinel(limits_of(recipe.limits), recipe.unknown_from)
+        self._timing = None if recipe.timing is None else TimingNoise(recipe.timing, used.noise_std, step_s)
+        self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
+        self._verdicts = np.empty(0, np.int8)
+
+    def push(self, usable: Floats, elapsed: Floats, verdicts: Codes) -> None:
+        """Take the next rows before their estimates: usable readings, steps before them, and verdicts so far (B,)."""
+        self._sentinel.push(usable)
+        self._verdicts = np.append(self._verdicts, verdicts)
+        if self._holes is not None:
+            self._holes.push(elapsed)
+        if self._timing is not None:
+            self._timing.push(elapsed)
+
+    def process(self, estimates: Sequence[EstimatedRows], *, is_last: bool) -> list[EstimatedRows]:
+        """Return the rows that are ready."""
+        if self._holes is not None:
+            estimates = [*self._holes.bridged(estimates), *(self._holes.finish() if is_last else [])]
+        return self._uncertainty.widened([self._plausible(rows) for rows in estimates])
+
+    def _plausible(self, rows: EstimatedRows) -> EstimatedRows:
+        count = len(rows.signal)
+        before, self._verdicts = self._verdicts[:count], self._verdicts[count:]
+        rows = self._sentinel.mark_implausible(rows._replace(verdicts=merged_verdicts(rows.verdicts, before)))
+        return rows if self._timing is None else self._timing.widened(rows)
+
+
 class ChannelRun:
     """A run of a channel's filter over all its rows, or over some of them.
 
@@ -143,29 +175,29 @@ class ChannelRun:
 
     def estimates_of(self, first: int, stop: int) -> Iterator[EstimatedRows]:
         """Yield the estimates of rows first to stop, in parts; the filter starts as many rows earlier as it needs."""
-        recipe, rows = self._recipe, self._rows
-        begin, end = self._start_row(first), self._stop_row(stop)
-        flow, uncertainty = self.filter.alone(), Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
-        timing = None
-        if recipe.timing is not None:
-            timing = TimingNoise(recipe.timing, self.filter.noise_std, rows.step_s)
-        at = begin
+        begin, end = self._run_for(first, stop)
+        flow, last_stages, at = self.filter.alone(), _LastStages(self._recipe, self.filter, self._rows.step_s), begin
         for start in range(begin, end, _PUSHED):
             part = slice(start, min(start + _PUSHED, end))
-            elapsed = rows.elapsed[part]
-            if timing is not None:
-                timing.push(elapsed)
-            estimates = flow.push(self.healthy.readings[part], elapsed)
-            for one in [*estimates, *(flow.finish() if part.stop == end else [])]:
-                wider = one if timing is None else timing.widened(one)
-                wanted = slice(max(first - at, 0), max(min(stop - at, len(one.signal)), 0))
-                at += len(one.signal)
+            readings, elapsed = self.healthy.readings[part], self._rows.elapsed[part]
+            estimates = flow.push(readings, elapsed)
+            if part.stop == end:
+                estimates = [*estimates, *flow.finish()]
+            last_stages.push(readings, elapsed, self.healthy.verdicts[part])
+            for rows in last_stages.process(estimates, is_last=part.stop == end):
+                wanted = slice(max(first - at, 0), max(min(stop - at, len(rows.signal)), 0))
+                at += len(rows.signal)
                 if wanted.start < wanted.stop:
-                    before = self.healthy.verdicts[at - len(one.signal) :][wanted]
-                    yield from self._widened(uncertainty, wider.rows(wanted), before)
+                    yield rows.rows(wanted)
 
-    def _widened(self, uncertainty: Uncertainty, estimates: EstimatedRows, before: Codes) -> list[EstimatedRows]:
-        return uncertainty.widened([estimates._replace(verdicts=merged_verdicts(estimates.verdicts, before))])
+    def _run_for(self, first: int, stop: int) -> tuple[int, int]:
+        """Return the rows to start with and to stop before; what is estimated in a hole depends on both of its ends."""
+        used = np.flatnonzero(np.isfinite(self.healthy.readings))
+        before, after = np.searchsorted(used, first, "right") - 1, np.searchsorted(used, stop - 1)
+        first = int(used[before]) if before >= 0 else 0
+        if self._lag is None:
+            stop = int(used[after]) + 1 if after < len(used) else len(self._rows)
+        return self._start_row(first), self._stop_row(stop)
 
     def _start_row(self, first: int) -> int:
         """Return the row to start with, so that enough readings and enough time come before `first`."""

@@ -80,12 +80,14 @@ class KnownSource:
         Raises
         ------
         InputError
-            If the file is damaged, or a Parquet file changes while it is read.
+            If the file is damaged, or changes while it is read.
         """
         row = first
         for table in rebatched(self._blocks_until(first, stop, rows), rows):
             yield Chunk(row, table, self.elapsed(row, table.num_rows), self._known.names, self._raw.decimal)
             row += table.num_rows
+        if self._raw.original is not None:
+            self._raw.original.refuse_changed()
 
     def elapsed(self, first: int, count: int) -> Floats:
         """Return the time since the previous row in steps, (count,), for each row from `first` on."""

@@ -14,5 +14,5 @@ def rms_error(signal: Floats, truth: Floats) -> float:
 
 def coverage(signal: Floats, sigma: Floats, truth: Floats) -> float:
     """Return the share of samples whose truth lies within one sigma of the signal; 0.683 is ideal."""
-    estimated = np.isfinite(signal) & np.isfinite(sigma)
+    estimated = np.isfinite(signal) & np.isfinite(sigma) & np.isfinite(truth)
     return float(np.mean(np.abs(signal - truth)[estimated] <= sigma[estimated]))

@@ -149,4 +149,5 @@ def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_p
     missed = np.abs(1 - moved) ** 2
     quiet = left <= 10 ** ((input_snr_paper_db - output_snr_paper_db) / 20)
     close = missed <= 10 ** (-output_snr_paper_db / 20)
-    return Reach(float(f[quiet].min()) if quiet.any() else np.inf, float(f[np.argmin(close)]))
+    far = f[~close]
+    return Reach(float(f[quiet].min()) if quiet.any() else np.inf, float(far.min()) if len(far) else np.inf)

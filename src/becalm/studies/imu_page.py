@@ -227,7 +227,7 @@ white noise at rest, then a step, medians of {len(imu_switching.SEEDS)} records 
 [switching](../switching.md)). Steps are in standard deviations of a reading, noise at rest is relative to that of one:
 
 {_table(["step", "nine tenths after", "noise at rest"], rows)}
-The paper's optimum on the same records; the last two columns are in each sensor's own unit:
+The paper's optimum on records of the same noise; the last two columns are in each sensor's own unit:
 
 {_table(["sensor", "nine tenths after", "noise at rest", "in unit", "switching, in unit"], fixed)}
 """

@@ -57,7 +57,7 @@ def autoregressive(coefficients: Sequence[float], std: float = 1.0, step_s: floa
     Raises
     ------
     ModelError
-        If all coefficients are zero, the noise is not stationary, a number is not finite, `std` is negative or
+        If all coefficients are zero, the noise is not stationary, a number is not finite, or `std` or
         `step_s` is not positive.
 
     Notes
@@ -65,7 +65,7 @@ def autoregressive(coefficients: Sequence[float], std: float = 1.0, step_s: floa
     The states are e[k] to e[k-p+1]. Order 1 with phi > 0 is Gauss-Markov noise with phi = exp(-T / correlation_s).
     """
     phi = _checked_coefficients(coefficients)
-    std = checked_number("std", std, "a standard deviation", "a positive number", zero=True)
+    std = checked_number("std", std, "a standard deviation", "a positive number")
     step_s = checked_step(step_s)
     partial = partial_autocorrelations(phi)
     if not all(abs(kappa) < 1 for kappa in partial):

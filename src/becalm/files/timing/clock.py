@@ -163,7 +163,7 @@ class _Dates:
     """Collect from all dates of a column what they show about the order of day, month and year."""
 
     def __init__(self) -> None:
-        self._some = self._named = self._day_wrong = self._month_wrong = False
+        self._named = self._day_wrong = self._month_wrong = False
         self._first_years = self._last_years = self._halves = False
         self._same = True
         self._mark = ""

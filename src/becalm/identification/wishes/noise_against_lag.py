@@ -20,7 +20,6 @@ from becalm.identification.wishes.dial import Dial, Kind, ratio_for
 from becalm.identification.wishes.gain_of_waiting import refuse_variance
 
 _CUTOFFS = np.geomspace(1e-4, 4.0, 48)  # default cut-offs, in radians a step
-_SAME = 1e-9  # relative difference below which two numbers are equal
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,8 @@ class PictureRequest(NamedTuple):
     @property
     def dial_key(self) -> tuple[object, ...]:
         """Return the key of the dial: a frame with its positions is sent when the key changes."""
-        return self.channel, self.recipe.order, self.recipe.noise_std, self.lag, self.recipe.model
+        recipe = self.recipe
+        return self.channel, recipe.order, recipe.noise_std, self.lag, recipe.model, recipe.limits
 
     @property
     def judged_key(self) -> tuple[object, ...]:
