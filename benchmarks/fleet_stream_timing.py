@@ -18,7 +18,7 @@ from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan, query, sources
 from becalm.fleet.stream.columns import ANSWER, StreamSchema
 from becalm.fleet.stream.output_batches import to_output_batches
 from becalm.fleet.stream.processor import SensorProcessor
-from becalm.fleet.stream.sensor import SensorWalk
+from becalm.fleet.stream.sensor import SensorStreamProcessor
 from fleet_stream_kills import CHANNELS, NAMES, RATE_HZ, RECIPE
 from fleet_stream_runs import below, write_rows
 from live_runs import readings
@@ -72,7 +72,7 @@ def in_frames() -> Iterator[None]:
 
     def filtered(shape: StreamSchema, blocks: DataFrame, plan: SensorPlan) -> DataFrame:
         answers = blocks.groupBy("sensor").transformWithStateInPandas(
-            _Frames(SensorWalk(plan, shape.channels)), ANSWER, "Append", "ProcessingTime"
+            _Frames(SensorStreamProcessor(plan, shape.channels)), ANSWER, "Append", "ProcessingTime"
         )
         return answers.mapInArrow(partial(to_output_batches, shape), shape.output_ddl)
 

@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Output
-from becalm.live.protocols import Keeper
+from becalm.live.protocols import CheckpointSink
 from becalm.live.sinks.delta import DeltaSink
 from becalm.live.sinks.parquet import ParquetSink
 from becalm.live.sinks.postgres import PostgresSink
@@ -65,7 +65,7 @@ def made(rows: int) -> list[Output]:
     return outputs
 
 
-def kept(keeper: Keeper, outputs: list[Output]) -> None:
+def kept(keeper: CheckpointSink, outputs: list[Output]) -> None:
     """Keep outputs one by one, as a stream does."""
     keeper.last()
     keeper.open(HEAD)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import becalm
 from becalm.core.model.components import motion
-from becalm.identification.wishes.noise_against_lag import noise_lag_front
+from becalm.identification.wishes.noise_against_lag import trade_off_curve
 from becalm.report.description import Axis, Curve, Figure, Layer, Look
 from becalm.report.printing import Kind, printed, refuse_unprintable
 from pages import page_parser, publish
@@ -125,7 +125,7 @@ def table(sensor: Sensor, got: Measured) -> str:
 def figure(got: dict[str, Measured]) -> Figure:
     """Say what the figure shows: fixed gains, the paper's, and the filter that switches."""
     layers, std = list[Layer](), float(np.sqrt(ACCELEROMETER.variance))
-    front = noise_lag_front(ACCELEROMETER.variance, 1 / RATE_HZ).points
+    front = trade_off_curve(ACCELEROMETER.variance, 1 / RATE_HZ).points
     for order, look in zip((1, 2, 3), LOOKS, strict=True):
         points = np.array([(1e3 * one.step_90_s, one.noise_std / std) for one in front if one.order == order])
         layers.append(Curve(f"fixed gain, order {order}", points[:, 0], points[:, 1], "other", look))

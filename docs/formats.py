@@ -30,7 +30,7 @@ from real_recordings import DATA
 
 from becalm.errors import BecalmError
 from becalm.files import library_process, registry
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.source import RawTable
 from becalm.files.time_bases import open_file
 
@@ -70,13 +70,13 @@ def read(path: Path) -> Reading:
 def _libraries() -> Iterator[list[str]]:
     """Note which libraries are asked for."""
     loaded: list[str] = []
-    theirs = Foreign.library
+    theirs = LibraryFile.library
 
-    def library(self: Foreign, module: str) -> ModuleType:
+    def library(self: LibraryFile, module: str) -> ModuleType:
         loaded.append(module.partition(".")[0])
         return theirs(self, module)
 
-    with patch.object(Foreign, "library", library), _in_this_process():
+    with patch.object(LibraryFile, "library", library), _in_this_process():
         yield loaded
 
 

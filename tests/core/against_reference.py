@@ -24,7 +24,7 @@ class Known(NamedTuple):
 
     model: Model
     steps: list[reference.ReferenceStep]
-    beliefs: list[reference.Belief]  # smoothed; none where nothing is to be smoothed
+    beliefs: list[reference.StateEstimate]  # smoothed; none where nothing is to be smoothed
 
 
 def drawn(model: Model, rows: int) -> Floats:
@@ -43,7 +43,7 @@ def known(model: Model, z: Floats, *, smooth: bool = True) -> Known:
     """Ask the reference; it is slow, so smooth only where that is compared."""
     assert model.x0 is not None
     assert model.P0 is not None
-    belief = reference.Belief(model.x0, model.P0)
+    belief = reference.StateEstimate(model.x0, model.P0)
     steps = reference.filter_readings(belief, model.F, model.process_covariance, (model.H, model.R), arrived(z))
     return Known(model, steps, reference.smooth(steps, model.F, model.H) if smooth else [])
 
@@ -89,7 +89,7 @@ def assert_smoother(
 
 
 def _assert_beliefs(
-    got: Estimate, about: Known, beliefs: list[reference.Belief], measure: tuple[Floats | None, float | None]
+    got: Estimate, about: Known, beliefs: list[reference.StateEstimate], measure: tuple[Floats | None, float | None]
 ) -> None:
     H, (means, scale), before = about.model.H, measure, [step.filtered.cov for step in about.steps]
     covs = [belief.cov for belief in beliefs]

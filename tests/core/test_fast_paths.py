@@ -141,13 +141,13 @@ def followed(model: Model, F: Floats, Q: Floats, z: Floats) -> Known:
     assert model.P0 is not None
     steps: list[reference.ReferenceStep] = []
     for k, reading in enumerate(z):
-        start = reference.Belief(model.x0, model.P0)
+        start = reference.StateEstimate(model.x0, model.P0)
         belief = reference.predict(steps[-1].filtered, F[k], Q[k]) if steps else start
         steps.append(reference.update(belief, model.H, model.R, reading))
     smoothed, r, N = [], np.zeros(2), np.zeros((2, 2))
     for k in range(len(z) - 1, -1, -1):
         (x, P), nu = steps[k].filtered, steps[k].innovation
-        smoothed.append(reference.Belief(x + P @ r, P - P @ N @ P))
+        smoothed.append(reference.StateEstimate(x + P @ r, P - P @ N @ P))
         H = model.H[np.isfinite(nu)]
         S_inverse = np.linalg.inv(steps[k].innovation_cov)
         A = np.eye(2) - steps[k].predicted.cov @ H.T @ S_inverse @ H

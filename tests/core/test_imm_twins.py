@@ -19,7 +19,7 @@ SIZES = [(1, 1), (1, 2), (1, 4), (2, 2), (2, 3), (2, 4), (3, 1), (3, 2)]
 KINDS = ["even", "holes", "uneven", "repeats", "wild"]
 
 
-def told(switching: InteractingModels, beliefs: list[reference.Beliefs]) -> dict[str, Floats]:
+def told(switching: InteractingModels, beliefs: list[reference.ModeStates]) -> dict[str, Floats]:
     """Return signal, sigma, probabilities and means as the kernels write them."""
     C = switching.component.signal_output[0]
     merged = [reference.collapse(own.mu, own.x, own.P) for own in beliefs]

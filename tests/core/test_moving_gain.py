@@ -30,16 +30,16 @@ def going_on(model: Model, count: int) -> Timeline:
     return Timeline(model_system(model), np.array([0, count]), np.array([0]), np.ones(1))
 
 
-def start_of(model: Model) -> reference.Belief:
+def start_of(model: Model) -> reference.StateEstimate:
     assert model.x0 is not None and model.P0 is not None  # noqa: PT018
-    return reference.Belief(model.x0, model.P0)
+    return reference.StateEstimate(model.x0, model.P0)
 
 
 class Told(NamedTuple):
     """What the reference says of a record."""
 
     steps: list[reference.ReferenceStep]
-    beliefs: list[reference.Belief]  # smoothed
+    beliefs: list[reference.StateEstimate]  # smoothed
 
 
 def filtered(model: Model, timeline: Timeline, z: Floats) -> list[reference.ReferenceStep]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.filtering import WantedResults, kalman_filter, new_beliefs, new_kernel, rows_of
+from becalm.core.filter.filtering import WantedResults, kalman_filter, new_buffers, new_kernel, rows_of
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.model import Model
 from becalm.core.model.step_matrices import even_timeline
@@ -40,14 +40,17 @@ def record_of(model: Model, rows: int = 1000) -> Floats:
 def test_any_cut_gives_the_same_bits(size: tuple[int, int], start: str) -> None:
     model = model_of(*size, start)
     z = record_of(model)
-    whole, beliefs = new_kernel(model, even_timeline(model, len(z)), WANTED), new_beliefs(model, len(z), WANTED)
+    whole, beliefs = (
+        new_kernel(model, even_timeline(model, len(z)), WANTED),
+        new_buffers(model, len(z), WANTED),
+    )
     whole.filter(rows_of(even_timeline(model, len(z)), z), beliefs)
     assert whole.head["settled_row"] > 0
     for length in (11, 64, 333):
         cut = new_kernel(model, even_timeline(model, len(z)), WANTED)
         for first in range(0, len(z), length):
             part = z[first : first + length]
-            found = new_beliefs(model, len(part), WANTED)
+            found = new_buffers(model, len(part), WANTED)
             cut.filter(rows_of(even_timeline(model, len(part), goes_on=first > 0), part), found)
             for name, got in found._asdict().items():
                 expected = getattr(beliefs, name)[first : first + length]

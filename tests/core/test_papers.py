@@ -46,7 +46,7 @@ class TestCar:
         got = kalman_filter(model, z, states=True, covariances=True)
         assert got.mean is not None
         assert got.cov is not None
-        belief = reference.Belief(model.x0, model.P0)
+        belief = reference.StateEstimate(model.x0, model.P0)
         size = np.abs(got.mean).max(axis=0)
         for k, reading in enumerate(z):
             sensor = (model.H, model.R)
@@ -56,7 +56,7 @@ class TestCar:
             S = belief.cov + model.R
             filtered_gain = belief.cov @ np.linalg.inv(S)
             np.testing.assert_allclose(step.gain, model.F @ filtered_gain, rtol=1e-12, atol=1e-14)
-            belief = reference.Belief(step.state, step.cov)
+            belief = reference.StateEstimate(step.state, step.cov)
 
     def test_white_noise_leaves_with_the_printed_share_of_its_power(self) -> None:
         """The sum of squares of the impulse responses; 30.02 dB and 30.00 dB in the paper's convention."""
@@ -75,12 +75,12 @@ class TestCar:
         sensor = (model.H, model.R)
         rng = np.random.default_rng(3)
         z = rng.normal(size=(50, 3)) + 1j * rng.normal(size=(50, 3))
-        whole, real = (reference.Belief(np.zeros(3), 100 * np.eye(3)) for _ in range(2))
+        whole, real = (reference.StateEstimate(np.zeros(3), 100 * np.eye(3)) for _ in range(2))
         for reading in z:
             both = reference.predict_one_step(whole, model.F, model.process_covariance, sensor, reading)
             part = reference.predict_one_step(real, model.F, model.process_covariance, sensor, reading.real)
             np.testing.assert_allclose(both.state.real, part.state, rtol=1e-12, atol=1e-12)
-            whole, real = reference.Belief(both.state, both.cov), reference.Belief(part.state, part.cov)
+            whole, real = reference.StateEstimate(both.state, both.cov), reference.StateEstimate(part.state, part.cov)
 
 
 def imu(output: tuple[float, float], density: float) -> Component:

@@ -33,7 +33,7 @@ def test_a_wide_prior_filters_as_the_reference_does(P0: float, R: float) -> None
     model = track(P0, R, q=1e-3)
     found = kalman_filter(model, z, states=True, covariances=True)
     steps = reference.filter_readings(
-        reference.Belief(np.array([1.0, 2.0]), model.P0 if model.P0 is not None else np.eye(2)),
+        reference.StateEstimate(np.array([1.0, 2.0]), model.P0 if model.P0 is not None else np.eye(2)),
         model.F,
         model.process_covariance,
         (model.H, model.R),

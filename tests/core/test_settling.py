@@ -98,7 +98,11 @@ def test_a_gain_that_settles_late_is_the_full_recursion() -> None:
         np.array([[1, T], [0, 1]]), [[1, 0]], np.eye(2), [[1e-6]], G=T * np.eye(2), x0=[0, 0], P0=np.ones((2, 2))
     )
     z = 1e-3 * drawn(model, 200_000)
-    means, spread, belief = np.empty((len(z), 2)), np.empty((len(z), 1)), reference.Belief(np.zeros(2), np.ones((2, 2)))
+    means, spread, belief = (
+        np.empty((len(z), 2)),
+        np.empty((len(z), 1)),
+        reference.StateEstimate(np.zeros(2), np.ones((2, 2))),
+    )
     for k, reading in enumerate(z):
         before = reference.predict(belief, model.F, model.process_covariance) if k else belief
         belief = reference.update(before, model.H, model.R, reading).filtered

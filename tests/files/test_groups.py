@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from becalm.errors import InputError, UsageError
+from becalm.files.column_statistics import Column
 from becalm.files.groups import TIME, Group, chosen_table, tables
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import Column
+from becalm.files.library_reader import LibraryFile
 from becalm.files.opening import OpenSource
 from becalm.files.read_options import ReadOptions
 from becalm.files.source import FormatTime, RawTable
 
 PATH = Path("log.xyz")
-FOREIGN = Foreign(PATH, "XYZ")
+FOREIGN = LibraryFile(PATH, "XYZ")
 
 
 def column(rows: int, seed: int = 0, unit: str = "m/s^2") -> Column:
@@ -133,6 +133,6 @@ def test_a_library_that_is_not_here_is_named_with_what_brings_it() -> None:
 def test_a_claim_beyond_what_noise_packs_to_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "bomb.xyz"
     path.write_bytes(b"x" * 1000)
-    Foreign(path, "XYZ").refuse_claim(100 << 20)
+    LibraryFile(path, "XYZ").refuse_claim(100 << 20)
     with pytest.raises(InputError, match="claims to hold 10,000,000,000 bytes in a file of 1,000"):
-        Foreign(path, "XYZ").refuse_claim(10_000_000_000)
+        LibraryFile(path, "XYZ").refuse_claim(10_000_000_000)

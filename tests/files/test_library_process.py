@@ -35,9 +35,9 @@ READER = '''
 """A reader whose library misbehaves in the way that the file says."""
 import ctypes, os, sys, time
 import numpy as np, pyarrow as pa
-from becalm.files.numbers import Column
+from becalm.files.column_statistics import Column
 from becalm.files.groups import Group, tables
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 
 def misbehave(how):
     print("a library prints", flush=True)
@@ -58,7 +58,7 @@ def read(path):
         if first or not reading.startswith("later-"):
             misbehave(reading.removeprefix("later-"))
         return np.arange(first, last)
-    foreign = Foreign(path, "TEST")
+    foreign = LibraryFile(path, "TEST")
     return tables(foreign, "test", [Group("", {"a": Column(pa.int64(), rows), "b": Column.of(np.arange(10))}, 10)])
 '''
 

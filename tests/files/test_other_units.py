@@ -13,7 +13,7 @@ import becalm
 from becalm.errors import UsageError
 from becalm.files.opening import open_source, read_source
 from becalm.files.other_units import ColumnConversion, ConvertedRows
-from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
+from becalm.files.read_options import ReadOptions, RequestOrigin, RequiredUnits
 from becalm.files.rows import HeldRows
 from becalm.files.time_bases import open_file
 from becalm.files.unit_conversion import Conversion
@@ -34,7 +34,7 @@ def in_units(**units: str) -> ReadOptions:
 
 
 def fit(**units: str) -> ReadOptions:
-    return ReadOptions(fitting=Fitting(RequestOrigin("The recipe", " Make another."), units))
+    return ReadOptions(fitting=RequiredUnits(RequestOrigin("The recipe", " Make another."), units))
 
 
 @pytest.mark.parametrize("asked", ["Accelerometer X", "Accelerometer X (g)"])
@@ -123,13 +123,13 @@ def test_a_recipe_tells_no_unit_that_the_file_does_not(log: Path) -> None:
 
 
 def test_what_a_person_tells_comes_before_what_a_recipe_needs(log: Path) -> None:
-    options = ReadOptions(units={"force": "kN"}, fitting=Fitting(RequestOrigin("The recipe"), {"force": "N"}))
+    options = ReadOptions(units={"force": "kN"}, fitting=RequiredUnits(RequestOrigin("The recipe"), {"force": "N"}))
     with open_source(log, options) as source:
         assert source.recording().channel("force")[0] == 10000
 
 
 def test_only_channels_that_are_wanted_need_a_recipe_s_unit(log: Path) -> None:
-    fitting = Fitting(RequestOrigin("The recipe"), {"Accelerometer X": "V", "force": ""})
+    fitting = RequiredUnits(RequestOrigin("The recipe"), {"Accelerometer X": "V", "force": ""})
     with open_source(log, ReadOptions(channels=("force",), fitting=fitting)) as source:
         assert source.names == ("force",)
 

@@ -15,10 +15,10 @@ from becalm.errors import RecipeError
 from becalm.fleet.stream.blocks import Event, SensorRows
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
 from becalm.fleet.stream.reading import Entry
-from becalm.fleet.stream.sensor import SensorStep, SensorWalk
+from becalm.fleet.stream.sensor import SensorStep, SensorStreamProcessor
 from becalm.fleet.stream.state import SensorState
 from becalm.live.block import Block
-from becalm.live.learning import resolution_of
+from becalm.live.learning_buffer import resolution_of
 from becalm.live.stream import Stream
 from made import RATE_HZ, recipe_of, walk
 
@@ -82,7 +82,7 @@ class Walker:
     steps: list[SensorStep] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._walk = SensorWalk(self.plan, CHANNELS)
+        self._walk = SensorStreamProcessor(self.plan, CHANNELS)
         self._places: Iterator[int] = count()
 
     def hear(self, *batches: SensorRows) -> SensorStep:

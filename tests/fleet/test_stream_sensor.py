@@ -15,9 +15,9 @@ from becalm.cleaning.recipe import Origin
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import Timebase
 from becalm.errors import ModelError, UsageError
-from becalm.fleet.stream.blocks import Garbled, SensorRows
+from becalm.fleet.stream.blocks import SensorRows, UnreadableInput
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan, StreamPlan
-from becalm.fleet.stream.sensor import SensorWalk
+from becalm.fleet.stream.sensor import SensorStreamProcessor
 from made import RATE_HZ, recipe_of
 from streaming import (
     BEGINS_S,
@@ -105,7 +105,7 @@ def test_a_wild_stamp_hurries_nobody_and_is_left_out() -> None:
 
 def test_blocks_that_are_none_are_counted() -> None:
     one = walker()
-    step = one.hear(rows_of(100)._replace(garbled=(Garbled(3, "3 blocks."), Garbled(None, "A file."))))
+    step = one.hear(rows_of(100)._replace(garbled=(UnreadableInput(3, "3 blocks."), UnreadableInput(None, "A file."))))
     assert [event for event in step.events if event.kind == "garbled"] == [
         ("garbled", 3, "3 blocks."),
         ("garbled", None, "A file."),
@@ -141,7 +141,7 @@ def test_units_that_are_not_the_recipe_s_are_refused() -> None:
 def test_rows_that_wait_go_under_the_channels_that_there_are_now() -> None:
     rows, one = rows_of(40), walker(recipe_of("b"))
     one.hear(part(rows, slice(0, 10)))
-    one._walk = SensorWalk(one.plan, ("b", "c"))  # the stream was begun again, with others
+    one._walk = SensorStreamProcessor(one.plan, ("b", "c"))  # the stream was begun again, with others
     one.hear(SensorRows(rows.time_s[10:], rows.values[10:, [1, 0]]))
     np.testing.assert_array_equal(one.said.signal[:, 0], by_stream(rows).signal[:, 1])
 
@@ -149,7 +149,7 @@ def test_rows_that_wait_go_under_the_channels_that_there_are_now() -> None:
 def test_so_do_their_units() -> None:
     rows, one = rows_of(40)._replace(units=("m", "m")), walker(recipe_of("b"))
     one.hear(part(rows, slice(0, 10)))
-    one._walk = SensorWalk(one.plan, ("b", "c", "a"))
+    one._walk = SensorStreamProcessor(one.plan, ("b", "c", "a"))
     step = one.hear(SensorRows(rows.time_s[10:], rows.values[10:, [1, 0, 0]], ("m", "mm", "m")))
     assert {event.kind for event in step.events} == {"gap"}
     np.testing.assert_array_equal(one.said.signal[:, 0], by_stream(rows).signal[:, 1])
@@ -157,7 +157,7 @@ def test_so_do_their_units() -> None:
 
 def test_a_file_of_nobody_that_cannot_be_read_is_one_event() -> None:
     one = Walker(SensorPlan(Shelf()), sensor="")
-    step = one.hear(SensorRows(np.empty(0), np.empty((0, 2)), (), (Garbled(None, "It is damaged."),)))
+    step = one.hear(SensorRows(np.empty(0), np.empty((0, 2)), (), (UnreadableInput(None, "It is damaged."),)))
     assert [event.kind for event in step.events] == ["garbled"]
     assert step.state is None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from becalm.fleet.stream.blocks import SensorRows
-from becalm.fleet.stream.sensor import SensorWalk
+from becalm.fleet.stream.sensor import SensorStreamProcessor
 from streaming import CHANNELS, assert_same_bits, by_stream, part, rows_of, walker
 
 
@@ -34,13 +34,13 @@ def test_silence_is_said_once_and_its_end() -> None:
 def test_a_stream_that_looks_for_silence_now_or_no_longer() -> None:
     rows, one = rows_of(300), walker()
     one.hear(part(rows, slice(0, 100)))
-    one._walk = SensorWalk(replace(one.plan, silent_s=60.0), CHANNELS)  # it was begun again
+    one._walk = SensorStreamProcessor(replace(one.plan, silent_s=60.0), CHANNELS)  # it was begun again
     assert one.hear(part(rows, slice(100, 200))).wake_ms == 60_000
-    one._walk = SensorWalk(one.plan, CHANNELS)
+    one._walk = SensorStreamProcessor(one.plan, CHANNELS)
     one.now_ms = 60_000
     step = one.wake()
     assert (step.estimates, step.events, step.wake_ms) == (None, (), None)
-    one._walk = SensorWalk(replace(one.plan, silent_s=60.0), CHANNELS)
+    one._walk = SensorStreamProcessor(replace(one.plan, silent_s=60.0), CHANNELS)
     assert one.hear(part(rows, slice(200, 300))).wake_ms == 120_000
 
 
@@ -60,7 +60,7 @@ def test_rows_that_wait_for_channels_that_are_no_more_are_left_out_and_counted()
     rows, one = rows_of(100), walker(silent_s=5.0, lateness_s=0.3)
     one.hear(rows)
     waiting = 100 - len(one.said.time_s)
-    one._walk = SensorWalk(one.plan, ("c",))  # it was begun again, with others
+    one._walk = SensorStreamProcessor(one.plan, ("c",))  # it was begun again, with others
     one.now_ms = 5000
     events = one.wake().events
     assert [(event.kind, event.rows) for event in events] == [("silent", None), ("refused", waiting)]

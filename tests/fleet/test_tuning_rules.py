@@ -17,8 +17,8 @@ from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.tuning.class_differences import reasons
 from becalm.fleet.tuning.class_recipe import Typical, medoid, typical
 from becalm.fleet.tuning.classes import chosen_of
-from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.fleet.tuning.limits import limits_of_class
+from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 from becalm.report.fleet_rows import FleetRow
 
 LIMITS = LimitsRecipe(stuck_readings=6, even_time=True, drift_threshold=13.0, dead_variance=0.05)

@@ -11,7 +11,7 @@ from becalm.core.imm.flow import ImmFlow
 from becalm.identification.choose import choose
 from becalm.identification.likelihood import Evidence
 from becalm.identification.modes.banks import middle_variance, quiet_variance
-from becalm.identification.modes.switching import Switched, find_surprise, find_switching, robust_filter
+from becalm.identification.modes.switching import IdentifiedImm, find_surprise, find_switching, robust_filter
 
 COUNT = 8000
 
@@ -32,14 +32,14 @@ def rests_and_motion(seed: int) -> tuple[Floats, Booleans]:
     return signal, moves
 
 
-def found(z: Floats, causal: bool = True) -> Switched | None:
+def found(z: Floats, causal: bool = True) -> IdentifiedImm | None:
     elapsed = np.ones(len(z))
     tuning = choose(z, elapsed, causal).tuning
     assert tuning is not None
     return find_switching(tuning, Evidence.of(z, elapsed), causal)
 
 
-def filtered(switched: Switched, z: Floats, causal: bool = True) -> Floats:
+def filtered(switched: IdentifiedImm, z: Floats, causal: bool = True) -> Floats:
     flow = ImmFlow(switched.switching, causal=causal)
     return np.concatenate([told.signal for told in [*flow.push(z, np.ones(len(z))), *flow.finish()]])
 

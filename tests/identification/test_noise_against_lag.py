@@ -14,7 +14,7 @@ from becalm.core.steady.dials import motion_filter
 from becalm.errors import ModelError, UsageError
 from becalm.identification.likelihood import Evidence, tune_motion
 from becalm.identification.wishes.gain_of_waiting import waiting_curve
-from becalm.identification.wishes.noise_against_lag import TradeOffCurve, noise_lag_front, pick
+from becalm.identification.wishes.noise_against_lag import TradeOffCurve, pick, trade_off_curve
 
 RATE_HZ = 500.0
 R = 0.04  # unit^2
@@ -22,7 +22,7 @@ R = 0.04  # unit^2
 
 @pytest.fixture(scope="module")
 def front() -> TradeOffCurve:
-    return noise_lag_front(R, 1 / RATE_HZ)
+    return trade_off_curve(R, 1 / RATE_HZ)
 
 
 def test_the_front_has_no_point_that_another_beats(front: TradeOffCurve) -> None:
@@ -45,7 +45,7 @@ def test_the_front_foretells_the_noise_of_a_recording() -> None:
     walk = np.cumsum(0.02 * sd * rng.normal(size=count))
     elapsed = np.append(0.0, np.ones(count - 1))
     tuned = tune_motion(1, Evidence.of(walk + noise, elapsed))
-    for point in noise_lag_front(tuned.noise_variance, 1 / RATE_HZ, (1, 2), (tuned.ratio, 0.05)).points:
+    for point in trade_off_curve(tuned.noise_variance, 1 / RATE_HZ, (1, 2), (tuned.ratio, 0.05)).points:
         left = kalman_filter(motion(point.order, point.ratio).to_model(1.0, 1.0), noise).signal[2000:, 0]
         independent = 2 * point.noise_bandwidth_hz / RATE_HZ * len(left)
         assert left.std() == pytest.approx(point.noise_std, rel=4 / np.sqrt(2 * independent) + 0.02)
@@ -92,7 +92,7 @@ def test_no_point_of_the_front_beats_a_pick(front: TradeOffCurve) -> None:
 
 
 def test_a_front_of_one_order_keeps_it() -> None:
-    picked = pick(noise_lag_front(R, 1 / RATE_HZ, (3,), (0.1,)), max_lag_s=0.01)
+    picked = pick(trade_off_curve(R, 1 / RATE_HZ, (3,), (0.1,)), max_lag_s=0.01)
     assert picked.point.order == 3
     assert picked.rivals == ()
 
@@ -141,11 +141,11 @@ def test_wishes_that_cannot_be_are_said(front: TradeOffCurve) -> None:
     with pytest.raises(UsageError, match="give noise_gain_db = -14"):
         pick(front, noise_gain_db=3.0)
     with pytest.raises(UsageError, match="noise_variance = -1"):
-        noise_lag_front(-1.0, 0.01)
+        trade_off_curve(-1.0, 0.01)
     with pytest.raises(UsageError, match="each q/r must be positive"):
-        noise_lag_front(1.0, 0.01, (1,), (1.0, float("nan")))
+        trade_off_curve(1.0, 0.01, (1,), (1.0, float("nan")))
     with pytest.raises(UsageError, match="needs an order"):
-        noise_lag_front(1.0, 0.01, ())
+        trade_off_curve(1.0, 0.01, ())
     with pytest.raises(UsageError, match=r"^waits = \[-1\] contains a negative wait; .* 0 or more"):
         waiting_curve(1, 0.1, R, 0.01, [-1])
     with pytest.raises(UsageError, match=r"^ratio = 0 is not a q/r; give a positive number"):

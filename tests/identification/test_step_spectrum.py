@@ -34,7 +34,7 @@ def by_definition(trial: StepTrial, R: float, Q: float) -> tuple[float, float]:
     S = np.where(t >= trial.step_at_s, trial.step, 0.0)
 
     def filtered(z: Floats) -> Floats:
-        start = reference.Belief(np.zeros(2), P0)
+        start = reference.StateEstimate(np.zeros(2), P0)
         steps = reference.filter_readings(start, model.F, model.process_covariance, (model.H, model.R), z[:, None])
         return np.array([float((model.H @ step.filtered.mean)[0]) for step in steps])
 

@@ -1,4 +1,4 @@
-"""Rests are found where they are, in any unit, and never where there are none."""
+"""RestPeriods are found where they are, in any unit, and never where there are none."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError
-from becalm.identification.at_rest.detection import Stillness, detect_rests, named_rests
+from becalm.identification.at_rest.detection import RestPeriods, detect_rests, named_rests
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 RATE_HZ = 100.0
@@ -34,7 +34,7 @@ def record(seed: int = 0) -> Floats:
     return np.asarray(truth + np.array([0.0, 981.0]) + rng.normal(size=truth.shape))
 
 
-def hits(found: Stillness, still: Booleans) -> tuple[float, float]:
+def hits(found: RestPeriods, still: Booleans) -> tuple[float, float]:
     """Return precision and recall by samples."""
     mask = found.mask(len(still))
     return float(still[mask].mean()) if mask.any() else 0.0, float(mask[still].mean())

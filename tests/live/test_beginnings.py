@@ -11,10 +11,10 @@ from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, InputError
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.commit_thread import Outlets
-from becalm.live.learning import Early, Learner
+from becalm.live.commit_thread import StreamSinks
+from becalm.live.learning_buffer import Learner, LearningBuffer
 from becalm.live.runner import Runner
-from becalm.live.stream_start import Beginning
+from becalm.live.stream_start import StreamStarter
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.watch import Watch
 from stand_ins import ListSource, MemoryKeeper, blocks_of, drive, recipe_of
@@ -27,9 +27,9 @@ def runner_of(source: ListSource, keeper: MemoryKeeper, recipe: Recipe | None = 
     return Runner(
         source=source,
         address="list:rows",
-        outlets=Outlets(keeper, ()),
+        outlets=StreamSinks(keeper, ()),
         watch=watch,
-        beginning=Beginning(recipe, Learner(2.0)),
+        beginning=StreamStarter(recipe, Learner(2.0)),
     )
 
 
@@ -69,8 +69,8 @@ def test_stamps_that_tell_no_rate_are_refused_by_what_a_source_may_be_told() -> 
     assert "--" not in str(refused.value)
 
 
-def early_of(stamps: list[Floats], arrivals: list[float]) -> Early:
-    early = Early()
+def early_of(stamps: list[Floats], arrivals: list[float]) -> LearningBuffer:
+    early = LearningBuffer()
     for time_s, arrived_s in zip(stamps, arrivals, strict=True):
         early.add(Block(("ax",), ("",), time_s, np.zeros((len(time_s), 1)), arrived_s=arrived_s))
     return early

@@ -18,7 +18,7 @@ import polars
 import pytest
 
 from becalm.live.block import Loss, LossKind, Output
-from becalm.live.protocols import AwayError, Keeper, StorageFullError
+from becalm.live.protocols import AwayError, CheckpointSink, StorageFullError
 from becalm.live.sinks.delta_files import DeltaFiles
 from becalm.live.tables import output_table
 from delta_tables import checkpoint_files, close_all, keeper_of, last_of, opened, rows_of
@@ -35,7 +35,7 @@ def _closed() -> Iterator[None]:
 def test_every_bit_comes_back(tmp_path: Path, form: str) -> None:
     place = form.format(tmp_path)
     keeper, head = keeper_of(place), head_of("a", 'b"; drop, {x}')
-    assert isinstance(keeper, Keeper)
+    assert isinstance(keeper, CheckpointSink)
     assert keeper.last() is None
     keeper.open(head)
     assert keeper.last() is None

@@ -24,7 +24,7 @@ from becalm.live.journal.journal import Journal
 from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import BlockRow
 from becalm.live.journal.row_bytes import by_period, joined, packed, unpacked
-from becalm.live.protocols import Keeper
+from becalm.live.protocols import CheckpointSink
 from journals import EPOCH_S, HEAD, SOURCE, assert_rows, checkpoint_at, fill, journal_in, rows_of, table_of
 
 HOUR_S = 1_700_002_800  # 2023-11-14 23:00 UTC
@@ -32,7 +32,7 @@ FLOATS = st.floats(allow_nan=True, allow_infinity=True)
 
 
 def test_it_is_a_keeper(tmp_path: Path) -> None:
-    assert isinstance(Journal(Address.parsed(f"journal:{tmp_path}")), Keeper)
+    assert isinstance(Journal(Address.parsed(f"journal:{tmp_path}")), CheckpointSink)
 
 
 def test_a_new_folder_has_no_checkpoint_and_is_made(tmp_path: Path) -> None:

@@ -15,14 +15,14 @@ from becalm.errors import UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block, LossKind
 from becalm.live.lines.columns import LineOptions
-from becalm.live.lines.feeding import LONGEST_LINE, Lines
+from becalm.live.lines.line_parser import LONGEST_LINE, LineParser
 
 _CAME_S = 1_700_000_000.0
 
 
 def _read(*pieces: bytes, finish: bool = True, **told: Any) -> list[Block]:
     """Feed pieces, one a second."""
-    lines = Lines(LineOptions(**told))
+    lines = LineParser(LineOptions(**told))
     blocks = [lines.feed(piece, _CAME_S + k) for k, piece in enumerate(pieces)]
     if finish:
         blocks.append(lines.finish(_CAME_S + len(pieces)))
@@ -199,7 +199,7 @@ def test_a_last_line_without_its_end_is_not_trusted() -> None:
 
 
 def test_lines_without_end_are_not_held() -> None:
-    lines = Lines(LineOptions())
+    lines = LineParser(LineOptions())
     lines.feed(b"time,a\n1,2\n", _CAME_S)
     blocks = [lines.feed(b"9" * 300_000, _CAME_S) for _ in range(50)]
     blocks += [lines.feed(b"\n3,4\n", _CAME_S)]
@@ -216,7 +216,7 @@ def test_what_says_nothing_at_all_is_counted() -> None:
 
 
 def test_after_a_break_a_half_line_is_left_out() -> None:
-    lines = Lines(LineOptions())
+    lines = LineParser(LineOptions())
     first = lines.feed(b"time,a\n1,2\n2,3", _CAME_S)
     lines.begin_within()
     second = lines.feed(b"5,44\n4,5\n", _CAME_S + 1)
@@ -243,7 +243,7 @@ def test_what_was_said_must_fit(told: dict[str, Any], text: bytes, said: str) ->
 def test_a_garbled_line_takes_its_time_however_lines_come() -> None:
     pieces = [b"a\n0\n", b"1\n", b"\xff?\n", b"3\n", b"?,?\n?\n", b"6\n"]
     for cuts in (pieces, [b"".join(pieces)]):
-        lines = Lines(LineOptions.of(Address.parsed("stdin:?format=csv&rate=10")))
+        lines = LineParser(LineOptions.of(Address.parsed("stdin:?format=csv&rate=10")))
         found = [block for cut in cuts if (block := lines.feed(cut, 100.0)) is not None]
         stamps = np.concatenate([block.time_s for block in found])
         np.testing.assert_allclose(stamps - stamps[0], [0.0, 0.1, 0.3, 0.6])

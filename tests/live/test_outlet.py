@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from becalm.live.block import Head, Output
-from becalm.live.outlet import Outlet
+from becalm.live.buffered_sink import BufferedSink
 from becalm.live.protocols import AwayError
 from stand_ins import MemorySink
 
@@ -20,7 +20,7 @@ def output(row: int) -> Output:
 
 def test_rows_wait_for_a_sink_that_went_away() -> None:
     sink = MemorySink()
-    outlet = Outlet(sink)
+    outlet = BufferedSink(sink)
     outlet.open(HEAD)
     sink.trouble_writing = [AwayError("gone")]
     for row in range(4):
@@ -33,7 +33,7 @@ def test_rows_wait_for_a_sink_that_went_away() -> None:
 
 def test_a_flush_that_fails_is_told_and_tried_again() -> None:
     sink = MemorySink()
-    outlet = Outlet(sink)
+    outlet = BufferedSink(sink)
     outlet.open(HEAD)
     outlet.write(output(0))
     sink.trouble_flushing = [AwayError("gone")]

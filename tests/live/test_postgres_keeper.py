@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from becalm.live.block import Loss, LossKind
-from becalm.live.protocols import AwayError, Keeper, StorageFullError
+from becalm.live.protocols import AwayError, CheckpointSink, StorageFullError
 from becalm.live.sinks.postgres import PostgresSink
 from becalm.live.sinks.postgres_rows import BinaryRows
 from live_postgres import PostgresServer, postgres_server
@@ -31,7 +31,7 @@ def bits(values: object) -> list[int]:
 def test_every_bit_comes_back(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keeper, head = keeper_of(server, "bits"), head_of("a", "b")
     keepers.append(keeper)
-    assert isinstance(keeper, Keeper)
+    assert isinstance(keeper, CheckpointSink)
     assert keeper.last() is None
     keeper.open(head)
     assert keeper.last() is None

@@ -17,13 +17,13 @@ from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, RecipeError, UsageError
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
-from becalm.live.commit_thread import Outlets
-from becalm.live.learning import Learner
-from becalm.live.outlet import Outlet
+from becalm.live.buffered_sink import BufferedSink
+from becalm.live.commit_thread import StreamSinks
+from becalm.live.learning_buffer import Learner
 from becalm.live.protocols import AwayError, StorageFullError
 from becalm.live.runner import Runner
 from becalm.live.settings import Settings
-from becalm.live.stream_start import Beginning
+from becalm.live.stream_start import StreamStarter
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.watch import Watch
 from stand_ins import ListSource, MemoryKeeper, MemorySink, blocks_of, drive, recipe_of
@@ -33,8 +33,8 @@ EVERY_BLOCK = Settings(commit_s=0.0, patience_s=0.5)
 
 
 def runner_of(source: ListSource, keeper: MemoryKeeper | None, recipe: Recipe | None = None, **more: Any) -> Runner:
-    outlets = Outlets(keeper, tuple(Outlet(sink) for sink in more.pop("sinks", ())))
-    told: dict[str, Any] = {"beginning": Beginning(recipe, Learner(2.0)), "settings": EVERY_BLOCK, **more}
+    outlets = StreamSinks(keeper, tuple(BufferedSink(sink) for sink in more.pop("sinks", ())))
+    told: dict[str, Any] = {"beginning": StreamStarter(recipe, Learner(2.0)), "settings": EVERY_BLOCK, **more}
     return Runner(source=source, address="list:rows", outlets=outlets, watch=Watch(Meter()), **told)
 
 
@@ -169,7 +169,7 @@ def test_without_a_recipe_it_learns_one_and_loses_no_row() -> None:
     runner_of(
         ListSource(lambda row: blocks_of(VALUES, 50, row)),
         keeper,
-        beginning=Beginning(None, Learner(2.0), learned.append),
+        beginning=StreamStarter(None, Learner(2.0), learned.append),
     ).run()
     assert [channel.name for channel in learned[0].channel] == ["ax", "ay"]
     assert learned[0].mode == "causal"

@@ -23,7 +23,7 @@ from becalm.errors import OutputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
 from becalm.live.lines.columns import LineOptions
-from becalm.live.lines.feeding import Lines
+from becalm.live.lines.line_parser import LineParser
 from becalm.live.sinks.stdout import StdoutSink
 
 
@@ -89,7 +89,7 @@ def test_json_gives_each_number_back_to_the_bit(time_s: Floats, signal: Floats, 
 def test_the_next_becalm_reads_it(form: str) -> None:
     signal = np.array([[1.0, np.nan], [3.0, 4.0]])
     text = _written(f"stdout:?format={form}", _head(), _output(np.array([0.5, 1.5]), signal, signal / 8))
-    block = Lines(LineOptions()).feed(text, 0.0)
+    block = LineParser(LineOptions()).feed(text, 0.0)
     assert block is not None
     assert not block.losses
     assert block.time_s.tolist() == [0.5, 1.5]

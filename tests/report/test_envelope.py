@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
-from becalm.report.envelope import Envelope, Kinds, Means, Stretches
+from becalm.report.envelope import Envelope, Means, Stretches, VerdictsByStretch
 
 VALUES = st.lists(st.one_of(st.just(float("nan")), st.floats(-1e6, 1e6)), min_size=1, max_size=60)
 CODES = st.lists(st.integers(0, max(Verdict)), min_size=1, max_size=60)
@@ -60,7 +60,7 @@ def test_means_are_of_what_came(values: list[float], most: int, cuts: list[int])
 @given(codes=CODES, most=MOST, cuts=CUTS)
 def test_kinds_are_those_that_came_up(codes: list[int], most: int, cuts: list[int]) -> None:
     every, cutting = np.array(codes, np.int8), Stretches(len(codes), most)
-    found = Kinds(cutting.count)
+    found = VerdictsByStretch(cutting.count)
     for block in blocks(codes, cuts):
         found.add(*cutting.next(len(every[block])), every[block])
     parts = stretches(len(codes), most)

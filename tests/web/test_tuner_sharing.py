@@ -14,11 +14,11 @@ from starlette.websockets import WebSocketDisconnect
 
 from becalm.errors import InputError
 from becalm.web.frames import frame
-from becalm.web.tuner import picture_queue, sharing
+from becalm.web.tuner import picture_sender, sharing
 from becalm.web.tuner.messages import Map
 from becalm.web.tuner.painting import PictureRequest
-from becalm.web.tuner.session import Conversation
 from becalm.web.tuner.sharing import Shared
+from becalm.web.tuner.tuner_session import TunerSession
 from becalm.web.tuner.view_model import ViewModel
 from served import PATIENCE_S, until
 from tuner_served import drive_in, served
@@ -69,7 +69,7 @@ def test_nobody_waits_for_a_page_that_does_not_listen(tmp_path: Path) -> None:
     async def tell() -> list[int]:
         shared = Shared(tmp_path, None, 1)
         ears = [Ear(deaf=True), Ear(), Ear()]
-        pages: list[Any] = [Conversation(shared, ear) for ear in ears]  # type: ignore[arg-type]
+        pages: list[Any] = [TunerSession(shared, ear) for ear in ears]  # type: ignore[arg-type]
         shared.pages.update(pages)
         try:
             await asyncio.wait_for(shared.estimate_all(lambda page: page.working("..."), pages[1]), PATIENCE_S)
@@ -116,7 +116,7 @@ def test_a_page_that_goes_is_no_failure(tmp_path: Path) -> None:
     async def leave() -> list[str]:
         said, shared, leaving = complaints(), Shared(tmp_path, tmp_path / "nowhere.csv", 1), Leaving()
         try:
-            await asyncio.wait_for(Conversation(shared, leaving).run(), PATIENCE_S)  # type: ignore[arg-type]
+            await asyncio.wait_for(TunerSession(shared, leaving).run(), PATIENCE_S)  # type: ignore[arg-type]
         finally:
             shared.close()
         gc.collect()
@@ -168,7 +168,7 @@ def test_of_two_maps_only_the_newer_is_told(tmp_path: Path, monkeypatch: pytest.
     drive_in(tmp_path)
     with served(tmp_path) as tuner, tuner.talk() as page:
         page.opened("folder/drive.csv")
-        monkeypatch.setattr(picture_queue, "map_frame", draw)
+        monkeypatch.setattr(picture_sender, "map_frame", draw)
         page.ask("map", channel=0)
         assert drawing.wait(PATIENCE_S)
         newer = page.ask("map", channel=0)
@@ -181,7 +181,7 @@ def test_of_two_maps_only_the_newer_is_told(tmp_path: Path, monkeypatch: pytest.
 def test_a_map_that_is_overtaken_before_it_is_begun_leaves_nothing(tmp_path: Path) -> None:
     async def ask() -> list[str]:
         shared, ear = Shared(tmp_path, None, 1), Ear()
-        page = Conversation(shared, ear)  # type: ignore[arg-type]
+        page = TunerSession(shared, ear)  # type: ignore[arg-type]
         try:
             for number in (1, 2):
                 await page._do(Map(number=number, do="map", channel=0))

@@ -12,7 +12,7 @@ import pytest
 import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.core.reading_verdicts import Verdict
-from becalm.web.tuner import picture_queue
+from becalm.web.tuner import picture_sender
 from tuner_served import ROWS, Served, Talk, drive_in, served
 
 
@@ -269,7 +269,7 @@ def test_what_nobody_foresaw_is_told_and_the_wire_stays_open(page: Talk, monkeyp
         raise ZeroDivisionError("as it was told to")
 
     with monkeypatch.context() as patch:
-        patch.setattr(picture_queue, "map_frame", broken)
+        patch.setattr(picture_sender, "map_frame", broken)
         page.ask("map", channel=0)
         assert "unexpected error" in page.until("trouble").told["says"]
     assert page.picture(page.ask("look", channel=0, width=10)).arrays["t"].size == 10

@@ -24,7 +24,7 @@ from becalm.identification.trust.tuning_spread import excess_error
 _NOTHING_REMOVED = "Next to nothing was removed: noise and motion cannot be distinguished here; noise_std is a guess."
 
 
-class Filtered(NamedTuple):
+class FilterResults(NamedTuple):
     """The results of a channel's filter, for its report."""
 
     runs: Filter
@@ -38,7 +38,7 @@ class Filtered(NamedTuple):
     settled_row: int | None
 
 
-def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filtered) -> ChannelReport:
+def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: FilterResults) -> ChannelReport:
     """Return the report of a channel that was filtered."""
     tuning, modes, own_steps = found.runs.tuning, found.runs.modes, recipe.own_steps(step_s)
     if modes is not None:

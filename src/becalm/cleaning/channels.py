@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from becalm.cleaning.causal_channel import CausalChannel, is_causal
-from becalm.cleaning.channel_report import Filtered, advice_on, named, report_of, with_advice
+from becalm.cleaning.channel_report import FilterResults, advice_on, named, report_of, with_advice
 from becalm.cleaning.faults import Findings, SensorWatch
 from becalm.cleaning.filters import Filter, FilteredChannel
 from becalm.cleaning.holes import Holes
@@ -178,7 +178,7 @@ class MotionChannel(FilteredChannel):
 
     def report(self) -> ChannelReport:
         """Return the report, after `finish`."""
-        results = Filtered(
+        results = FilterResults(
             self._runs,
             self.counts,
             self.sensor.findings,
@@ -253,7 +253,7 @@ class CausalMotion:
         """Return the report, after `finish`."""
         causal = self._channel.filter
         findings = Findings(self._channel.settings.limits, self._step_s, self._rows, causal.faults, self._monitor)
-        results = Filtered(
+        results = FilterResults(
             self._runs,
             self._counts,
             findings,

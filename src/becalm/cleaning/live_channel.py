@@ -85,7 +85,7 @@ class LiveFilteredChannel(FilteredChannel):
         if not len(usable):
             return []
         self._sentinel.push(usable)
-        steps = np.round(elapsed) if self._runs.tuning.component.goes_in_steps else elapsed
+        steps = np.round(elapsed) if self._runs.tuning.component.has_recursion else elapsed
         return self._flow.push(usable, steps)
 
     def _counted(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:

@@ -31,7 +31,7 @@ from becalm.identification.damping import spread_std
 from becalm.identification.gating import choose_gated, forecasts
 from becalm.identification.imputation import nearly_complete
 from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
-from becalm.identification.modes.switching import Switched, choose_robust, find_switching
+from becalm.identification.modes.switching import IdentifiedImm, choose_robust, find_switching
 from becalm.identification.tones import MOST_TONES
 from becalm.identification.trust.tuning_spread import tuning_spread
 from becalm.identification.wishes.dial import Dial, may_judge, turn
@@ -265,7 +265,9 @@ def _identify_channel(recording: Recording, causal: bool, wishes: Wishes, name: 
     )
 
 
-def _switched(tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | None, wild: Evidence) -> Switched | None:
+def _switched(
+    tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | None, wild: Evidence
+) -> IdentifiedImm | None:
     """Return modes for a channel, or None; `spikes`: whether a gate rejects readings, None for a robust filter."""
     if spikes is None:
         return choose_robust(tuning, evidence, causal)

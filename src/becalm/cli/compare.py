@@ -16,7 +16,7 @@ from becalm.cli.opened_file import AS_WRITTEN, shown_name
 from becalm.files.atomic_file import make_folder, refuse_unwritable, write_text
 from becalm.files.opening import open_source
 from becalm.files.portions import beginning, cut_short
-from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
+from becalm.files.read_options import ReadOptions, RequestOrigin, RequiredUnits
 
 if TYPE_CHECKING:
     from becalm.cleaning.comparison import ChannelComparison, Comparison
@@ -83,7 +83,7 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
 def _truth(path: Path, source: OpenSource, file_options: FileOptions) -> Recording:
     """Read the channels of `source` from the file with the true signal; the time options hold for both files."""
     origin = RequestOrigin("The recording", " Give a truth of the same channels, or choose some with --channels.")
-    fitting = Fitting(origin, dict(zip(source.names, source.units, strict=True)))
+    fitting = RequiredUnits(origin, dict(zip(source.names, source.units, strict=True)))
     kept = file_options.stamps == AS_WRITTEN
     options = ReadOptions(
         file_options.time, file_options.rate_hz, tuple(source.names), origin, fitting=fitting, as_written=kept

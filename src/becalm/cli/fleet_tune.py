@@ -12,7 +12,7 @@ from becalm.cli.fleet import SparkAddress, say_some, spark_at
 from becalm.errors import NOT_DESCRIBED
 from becalm.fleet.lake import FILE
 from becalm.fleet.tuning.lake import LakeTuningOptions, TunedLake, chosen_in, tune
-from becalm.fleet.tuning.written import values_of
+from becalm.fleet.tuning.tuning_output import values_of
 from becalm.report.fleet_rows import counted
 
 

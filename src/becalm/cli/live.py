@@ -16,16 +16,16 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cli.stopping import call_in_thread, stop_cleanly
 from becalm.errors import BecalmError, UsageError
 from becalm.live.address import Address, seconds_of
-from becalm.live.commit_thread import Outlets
-from becalm.live.learning import Learner
-from becalm.live.outlet import Outlet
-from becalm.live.protocols import Keeper, Sink, Source
+from becalm.live.buffered_sink import BufferedSink
+from becalm.live.commit_thread import StreamSinks
+from becalm.live.learning_buffer import Learner
+from becalm.live.protocols import CheckpointSink, Sink, Source
 from becalm.live.queueing import Policy
 from becalm.live.registry import open_sink, open_source
 from becalm.live.retuning import Retune
 from becalm.live.runner import Runner
 from becalm.live.settings import Settings
-from becalm.live.stream_start import Beginning
+from becalm.live.stream_start import StreamStarter
 from becalm.live.watching.logs import Log
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.metrics import MetricsServer
@@ -109,9 +109,9 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
         runner = Runner(
             source=opened_source,
             address=address,
-            outlets=Outlets(keeper, tuple(Outlet(sink) for sink in others)),
+            outlets=StreamSinks(keeper, tuple(BufferedSink(sink) for sink in others)),
             watch=watch,
-            beginning=Beginning(
+            beginning=StreamStarter(
                 recipe,
                 learner,
                 learned=partial(_save, path=_learned_path(names), log=log),
@@ -170,8 +170,8 @@ def _run_logged(runner: Runner, log: Log) -> None:
         raise StreamError(log.unexpected(cause)) from cause
 
 
-def _split_sinks(sinks: list[Sink | Keeper]) -> tuple[Keeper | None, list[Sink]]:
-    keepers = [sink for sink in sinks if isinstance(sink, Keeper)]
+def _split_sinks(sinks: list[Sink | CheckpointSink]) -> tuple[CheckpointSink | None, list[Sink]]:
+    keepers = [sink for sink in sinks if isinstance(sink, CheckpointSink)]
     if len(keepers) > 1:
         raise UsageError("Only one sink can store a stream's state; give one of journal:, postgres: and delta:.")
     return (keepers[0] if keepers else None), [sink for sink in sinks if isinstance(sink, Sink)]

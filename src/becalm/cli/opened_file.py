@@ -105,7 +105,7 @@ def open_every(file: Path, file_options: FileOptions) -> AbstractContextManager[
 
 
 def _options(file: Path, file_options: FileOptions) -> ReadOptions:
-    from becalm.files.read_options import COMMAND_LINE, Fitting, ReadOptions, RequestOrigin
+    from becalm.files.read_options import COMMAND_LINE, ReadOptions, RequestOrigin, RequiredUnits
 
     origin = COMMAND_LINE
     if file_options.recipe is not None and file_options.channels is None:
@@ -114,7 +114,7 @@ def _options(file: Path, file_options: FileOptions) -> ReadOptions:
     fitting = None
     if file_options.recipe is not None:
         needs = RequestOrigin("The recipe", f" Make another recipe with: becalm tune {file} -o R.toml")
-        fitting = Fitting(needs, {channel.name: channel.unit for channel in file_options.recipe.channel})
+        fitting = RequiredUnits(needs, {channel.name: channel.unit for channel in file_options.recipe.channel})
     kept = file_options.stamps == AS_WRITTEN
     return ReadOptions(
         file_options.time,

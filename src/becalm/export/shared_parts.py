@@ -71,7 +71,7 @@ def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
     return context | {"block": render("block.c.jinja", context)}
 
 
-def look_of(design: Design, prefix: str, number: NumberType, largest: float) -> dict[str, Any]:
+def reading_check(design: Design, prefix: str, number: NumberType, largest: float) -> dict[str, Any]:
     """Return the values that templates need to check a reading, and the C function that checks it."""
     limits = design.limits
     rails = []

@@ -11,7 +11,7 @@ _ALWAYS = 1 << 24  # bytes that may be read in addition, whatever the size
 _CALL = 64  # bytes that each call of `read` counts in addition, so that empty reads cannot go on for ever
 
 
-class WatchedFile:
+class BoundedFile:
     """A binary file that never reads past its end, limits the total number of bytes read, and detects truncation.
 
     Parameters
@@ -59,6 +59,6 @@ class WatchedFile:
         self._file.close()
 
 
-def watched(data: bytes) -> WatchedFile:
-    """Return a WatchedFile that reads bytes in memory."""
-    return WatchedFile(io.BytesIO(data))
+def bounded_bytes(data: bytes) -> BoundedFile:
+    """Return a BoundedFile that reads bytes in memory."""
+    return BoundedFile(io.BytesIO(data))

@@ -30,7 +30,7 @@ class Thermometer(NamedTuple):
     size: Conversion
 
 
-class Sensed(NamedTuple):
+class MatchedSensor(NamedTuple):
     """A sensor and the columns of a file that hold its raw readings.
 
     Attributes
@@ -83,20 +83,20 @@ class Sensed(NamedTuple):
         return f", and corrected for temperature by {by}"
 
 
-class SensedRows:
+class CalibratedRows:
     """Rows of a file whose sensor columns are converted to measured quantities.
 
     Parameters
     ----------
     rows : TableRows
         The rows as they are in the file; `close` closes them.
-    sensed : sequence of Sensed
+    sensed : sequence of MatchedSensor
         The sensors; no two share a column.
     decimal : str
         The decimal separator of numbers in text.
     """
 
-    def __init__(self, rows: TableRows, sensed: Sequence[Sensed], decimal: str) -> None:
+    def __init__(self, rows: TableRows, sensed: Sequence[MatchedSensor], decimal: str) -> None:
         self._rows, self._decimal = rows, decimal
         self._by_name = {name: one for one in sensed for name in one.names}
         renamed = {
@@ -131,7 +131,7 @@ class SensedRows:
     def _columns_of(self, name: str) -> tuple[str, ...]:
         return self._by_name[name].columns if name in self._by_name else (name,)
 
-    def _convert(self, one: Sensed, block: pa.Table, converted: dict[str, Floats]) -> dict[str, Floats]:
+    def _convert(self, one: MatchedSensor, block: pa.Table, converted: dict[str, Floats]) -> dict[str, Floats]:
         """Return the converted columns of one sensor by their new names; `converted` holds those of other sensors."""
         readings = [
             self._values(block, own) * size.factor + size.offset

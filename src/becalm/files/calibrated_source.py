@@ -6,7 +6,7 @@ from collections.abc import Container, Sequence
 from dataclasses import replace
 
 from becalm.errors import UsageError
-from becalm.files.calibrated_rows import Sensed, SensedRows, Thermometer
+from becalm.files.calibrated_rows import CalibratedRows, MatchedSensor, Thermometer
 from becalm.files.groups import holds, listed
 from becalm.files.read_options import ReadOptions, RequestOrigin
 from becalm.files.roles import refuse_no_numbers, unit_of
@@ -59,7 +59,7 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
     return converted, replace(options, channels=tuple(renamed.get(name, name) for name in options.channels))
 
 
-def _match(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, Sensed]:
+def _match(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, MatchedSensor]:
     """Return the table that holds the columns of a sensor, and the sensor with the names of these columns."""
     holding = [table for table in tables if all(holds(table, name) for name in record.needed)]
     if len(tables) == 1:
@@ -73,10 +73,12 @@ def _match(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, 
     (table,) = holding
     columns = tuple(named_column(table, name, SENSORS_OPTION) for name in record.channels)
     sizes = tuple(_size(table, column, record.raw_unit) for column in columns)
-    return table, Sensed(record, columns, sizes, tuple(_new_name(table, column, record.unit) for column in columns))
+    return table, MatchedSensor(
+        record, columns, sizes, tuple(_new_name(table, column, record.unit) for column in columns)
+    )
 
 
-def _refuse_twice(sensed: Sequence[Sensed]) -> None:
+def _refuse_twice(sensed: Sequence[MatchedSensor]) -> None:
     """Refuse a column that belongs to two sensors, and two columns that would get the same new name."""
     columns = [column for one in sensed for column in one.columns]
     names = [name for one in sensed for name in one.names]
@@ -88,7 +90,7 @@ def _refuse_twice(sensed: Sequence[Sensed]) -> None:
             raise UsageError(f"--sensors makes both {other!r} and {column!r} {name!r}; rename one in the file.")
 
 
-def _with_thermometer(table: RawTable, one: Sensed, others: Sequence[Sensed]) -> Sensed:
+def _with_thermometer(table: RawTable, one: MatchedSensor, others: Sequence[MatchedSensor]) -> MatchedSensor:
     """Return a sensor with its temperature column, if it needs one; a sensor of its own may calibrate that column."""
     channel = None if one.record.temperature is None else one.record.temperature.channel
     if channel is None:
@@ -125,14 +127,14 @@ def _new_name(table: RawTable, column: str, unit: str) -> str:
     return renamed
 
 
-def _convert(table: RawTable, matches: Sequence[Sensed], options: ReadOptions) -> RawTable:
+def _convert(table: RawTable, matches: Sequence[MatchedSensor], options: ReadOptions) -> RawTable:
     if not matches:
         return table
     sensed = with_tares(table, [_with_thermometer(table, one, matches) for one in matches], options)
     own = {name for one in sensed for name in one.columns}
     units = {name: unit for name, unit in table.units.items() if name not in own}
     units |= {name: one.record.unit for one in sensed for name in one.names}
-    rows = SensedRows(table.rows, sensed, table.decimal)
+    rows = CalibratedRows(table.rows, sensed, table.decimal)
     notes = (*table.notes, *(note for one in sensed for note in (*one.notes, *_assumed_units(table, one, own))))
     calibrations = {
         name: Calibration(share, one.record.offset_std, one.tare, one.record.sheet.resonance)
@@ -142,7 +144,7 @@ def _convert(table: RawTable, matches: Sequence[Sensed], options: ReadOptions) -
     return replace(table, rows=rows, units=units, notes=notes, calibrations=calibrations)
 
 
-def _assumed_units(table: RawTable, one: Sensed, sensed: Container[str]) -> tuple[str, ...]:
+def _assumed_units(table: RawTable, one: MatchedSensor, sensed: Container[str]) -> tuple[str, ...]:
     """Return a note for columns without a unit in the file, with the unit that is assumed."""
     columns = [(one.columns, one.record.raw_unit)]
     if one.thermometer is not None and one.thermometer.column in table.names and one.thermometer.column not in sensed:

@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.errors import InputError, UsageError
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import Column, ColumnRows
+from becalm.files.column_statistics import Column, ColumnRows
+from becalm.files.library_reader import LibraryFile
 from becalm.files.read_options import ReadOptions
 from becalm.files.source import FormatTime, RawTable, shared_closers
 from becalm.files.text.csv_header import unique_names
@@ -51,13 +51,13 @@ class Group(NamedTuple):
 
 
 def tables(
-    foreign: Foreign, form: str, groups: Sequence[Group], close: Callable[[], None] | None = None
+    foreign: LibraryFile, form: str, groups: Sequence[Group], close: Callable[[], None] | None = None
 ) -> tuple[RawTable, ...]:
     """Return a table for each group.
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file.
     form : str
         The short name of its format, such as "mf4".

@@ -14,7 +14,7 @@ _MOST_RATIO = 200  # highest plausible ratio of unpacked to stored size: noise d
 _SMALL = 256 << 20  # bytes that a file may claim to hold whatever its size
 
 
-class Foreign:
+class LibraryFile:
     """A file of a format that another library reads.
 
     Parameters

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from becalm.errors import UsageError
 from becalm.files.groups import holds, listed
-from becalm.files.read_options import Fitting, ReadOptions, RequestOrigin
+from becalm.files.read_options import ReadOptions, RequestOrigin, RequiredUnits
 from becalm.files.roles import SIGMA, unit_of
 from becalm.files.rows import TableRows
 from becalm.files.source import RawTable
@@ -132,7 +132,7 @@ def _requested_conversions(tables: Sequence[RawTable], units: Mapping[str, str])
 
 
 def _needed_conversions(
-    tables: Sequence[RawTable], options: ReadOptions, fitting: Fitting
+    tables: Sequence[RawTable], options: ReadOptions, fitting: RequiredUnits
 ) -> dict[str, ColumnConversion]:
     """Return the conversions of columns to the names and units of a recipe; names are matched without their units."""
     owners = {name: table for table in tables for name in table.names}

@@ -12,9 +12,9 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
+from becalm.files.column_statistics import least_bytes
 from becalm.files.decoding import PARQUET, Original
 from becalm.files.library_reader import refuse_claim
-from becalm.files.numbers import least_bytes
 from becalm.files.source import RawTable
 from becalm.files.text.csv_header import unique_names
 

@@ -32,7 +32,7 @@ class RequestOrigin(NamedTuple):
 COMMAND_LINE = RequestOrigin("--channels")
 
 
-class Fitting(NamedTuple):
+class RequiredUnits(NamedTuple):
     """Names and units that channels must have.
 
     Attributes
@@ -63,7 +63,7 @@ class ReadOptions:
         The origin of `channels`, for messages.
     group : str, optional
         The time base to read from a file with several.
-    fitting : Fitting, optional
+    fitting : RequiredUnits, optional
         Names and units that channels must have; a column with the same name in another unit is converted.
     units : mapping of str to str
         Units to convert columns to, by column name as in the header or without its unit.
@@ -78,7 +78,7 @@ class ReadOptions:
     channels: tuple[str, ...] | None = None
     origin: RequestOrigin = COMMAND_LINE
     group: str | None = None
-    fitting: Fitting | None = None
+    fitting: RequiredUnits | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     sensors: tuple[SensorRecord, ...] = ()
     as_written: bool = False
@@ -101,7 +101,7 @@ def asked_by(recipe: Recipe, again: str) -> ReadOptions:
         recipe.rate_hz,
         tuple(units),
         origin,
-        fitting=Fitting(origin, units),
+        fitting=RequiredUnits(origin, units),
         as_written=recipe.stamps is not None,
     )
 

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.numbers import Signal
+from becalm.files.column_statistics import ChannelTest
 from becalm.files.read_options import COMMAND_LINE, RequestOrigin
 from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
@@ -140,17 +140,19 @@ def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
         elif kind_of_column(raw.head.column(name)) != NUMBERS:
             reasons[name] = _why_not_numbers(raw, name, times)
         else:
-            signals[name] = Signal(pa.types.is_integer(kind))
+            signals[name] = ChannelTest(pa.types.is_integer(kind))
     _examine(raw, signals, _FIRST_ROWS)
-    undecided = {name: Signal(pa.types.is_integer(raw.type_of(name))) for name in signals if not signals[name].decided}
+    undecided = {
+        name: ChannelTest(pa.types.is_integer(raw.type_of(name))) for name in signals if not signals[name].decided
+    }
     if raw.count > _FIRST_ROWS and undecided:
         _examine(raw, undecided, raw.count)
         signals |= undecided
     return reasons | {name: signal.why_passed for name, signal in signals.items()}
 
 
-def _examine(raw: RawTable, signals: Mapping[str, Signal], rows: int) -> None:
-    """Read the first rows of columns into their `Signal` objects, until all of them are decided."""
+def _examine(raw: RawTable, signals: Mapping[str, ChannelTest], rows: int) -> None:
+    """Read the first rows of columns into their `ChannelTest` objects, until all of them are decided."""
     if not signals:
         return
     for block in raw.blocks(list(signals), most_rows=min(rows, block_rows(raw.rows.schema))):

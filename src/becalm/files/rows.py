@@ -20,7 +20,7 @@ HELD_ROWS = 1 << 24
 
 _SPOOL_BLOCK = 1 << 16  # numbers that `Spool.blocks` yields at a time
 
-Numbers = NDArray[Any]  # float64 or int64
+ColumnStatistics = NDArray[Any]  # float64 or int64
 
 
 class TableRows(Protocol):
@@ -174,9 +174,9 @@ class Spool:
         The total number of numbers.
     """
 
-    def __init__(self, blocks: Iterable[Numbers], count: int) -> None:
+    def __init__(self, blocks: Iterable[ColumnStatistics], count: int) -> None:
         self._file: IO[bytes] | None = None
-        self._held: Numbers = np.empty(0)
+        self._held: ColumnStatistics = np.empty(0)
         self.count = count
         if count <= HELD_ROWS:
             at = 0
@@ -198,7 +198,7 @@ class Spool:
             self._file.close()
             raise
 
-    def read(self, start: int, stop: int) -> Numbers:
+    def read(self, start: int, stop: int) -> ColumnStatistics:
         """Return the numbers from row `start` up to row `stop`."""
         if self._file is None:
             return self._held[start:stop]
@@ -207,7 +207,7 @@ class Spool:
         self._file.readinto(out.data.cast("B"))  # type: ignore[attr-defined]  # buffered files have readinto
         return out
 
-    def blocks(self) -> Iterator[Numbers]:
+    def blocks(self) -> Iterator[ColumnStatistics]:
         """Yield all numbers in small blocks."""
         for start in range(0, self.count, _SPOOL_BLOCK):
             yield self.read(start, start + _SPOOL_BLOCK)

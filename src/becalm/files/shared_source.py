@@ -28,7 +28,7 @@ class ParsedSource(NamedTuple):
     stamps: str  # path of the file with the time of each row in seconds, as float64; "" for an even clock
 
 
-def known_of(source: OpenSource, stamps: Path) -> ParsedSource:
+def parse_source(source: OpenSource, stamps: Path) -> ParsedSource:
     """Return a source's channels, clock and number of rows; if its time is uneven, write its stamps to a file.
 
     Parameters
@@ -51,7 +51,7 @@ def known_of(source: OpenSource, stamps: Path) -> ParsedSource:
     return ParsedSource(source.names, source.clock, source.rows, str(stamps))
 
 
-class KnownSource:
+class SharedSource:
     """A source whose channels and clock another process has determined.
 
     Parameters

@@ -9,7 +9,7 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.errors import SensorError
-from becalm.files.calibrated_rows import Sensed, SensedRows
+from becalm.files.calibrated_rows import CalibratedRows, MatchedSensor
 from becalm.files.read_options import ReadOptions
 from becalm.files.roles import values_of
 from becalm.files.source import RawTable
@@ -21,14 +21,14 @@ from becalm.sensors.tare import MOST_READINGS, Tare, zero_of
 _AS_READ = CalibrationCurve((0.0, 1.0))  # does not change readings
 
 
-def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) -> list[Sensed]:
+def with_tares(table: RawTable, sensed: Sequence[MatchedSensor], options: ReadOptions) -> list[MatchedSensor]:
     """Measure the zero of each sensor that has a tare interval, and return the sensors with their zeros.
 
     Parameters
     ----------
     table : RawTable
         The table as it is in the file.
-    sensed : sequence of Sensed
+    sensed : sequence of MatchedSensor
         Its sensors.
     options : ReadOptions
         The options for its time.
@@ -44,7 +44,7 @@ def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) 
     if all(one.record.tare_s is None for one in sensed):
         return list(sensed)
     as_read = [one if one.record.tare_s is None else _as_read(one) for one in sensed]
-    readings = replace(table, rows=SensedRows(table.rows, as_read, table.decimal))
+    readings = replace(table, rows=CalibratedRows(table.rows, as_read, table.decimal))
     if options.group not in (None, table.group):  # the options describe the time of another table
         options = replace(options, time=None, rate_hz=None)
     times = row_times(table, options)
@@ -55,7 +55,7 @@ def with_tares(table: RawTable, sensed: Sequence[Sensed], options: ReadOptions) 
             times.stamps.close()
 
 
-def _as_read(one: Sensed) -> Sensed:
+def _as_read(one: MatchedSensor) -> MatchedSensor:
     """Return a sensor that passes its raw readings on, NaN where one is clipped."""
     bare = replace(
         one.record, conversion=_AS_READ, unit=one.record.raw_unit, reading_size=1.0, result_size=1.0, temperature=None
@@ -63,7 +63,7 @@ def _as_read(one: Sensed) -> Sensed:
     return one._replace(record=bare, thermometer=None)
 
 
-def _tared(one: Sensed, readings: RawTable, times: RowTimes) -> Sensed:
+def _tared(one: MatchedSensor, readings: RawTable, times: RowTimes) -> MatchedSensor:
     (channel,), (start_s, stop_s) = one.columns, one.record.tare_s or (0.0, 0.0)
     try:
         first, stop = rows_between(times, start_s, stop_s)
@@ -86,7 +86,7 @@ def _tared(one: Sensed, readings: RawTable, times: RowTimes) -> Sensed:
         ) from cause
 
 
-def _temperature(one: Sensed, readings: RawTable, first: int, stop: int) -> float | None:
+def _temperature(one: MatchedSensor, readings: RawTable, first: int, stop: int) -> float | None:
     """Return the mean temperature in the interval, in degC; None if the sensor has no temperature."""
     if one.record.temperature is None:
         return None

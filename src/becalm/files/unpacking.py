@@ -6,17 +6,17 @@ import bz2
 import zlib
 
 from becalm.errors import BecalmError
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 
 ZSTD = b"\x28\xb5\x2f\xfd"  # the first bytes of zstd data
 
 
-def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bool = False) -> bytes:
+def unpacked(foreign: LibraryFile, compression: str, data: bytes, size: int, cut: bool = False) -> bytes:
     """Unpack a part of a file.
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file.
     compression : str
         "deflate", "zstd", "lz4", "bz2"; "" or "none" for an uncompressed part.
@@ -50,7 +50,7 @@ def unpacked(foreign: Foreign, compression: str, data: bytes, size: int, cut: bo
     return plain
 
 
-def _plain(foreign: Foreign, compression: str, data: bytes, size: int) -> bytes:
+def _plain(foreign: LibraryFile, compression: str, data: bytes, size: int) -> bytes:
     if compression == "deflate":
         return zlib.decompressobj().decompress(data, size)
     if compression == "bz2":

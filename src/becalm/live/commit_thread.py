@@ -10,8 +10,8 @@ from functools import partial
 from typing import NamedTuple
 
 from becalm.live.block import Checkpoint, Head, Loss, LossKind, Output
-from becalm.live.outlet import Outlet
-from becalm.live.protocols import AwayError, Keeper, Source, StorageFullError
+from becalm.live.buffered_sink import BufferedSink
+from becalm.live.protocols import AwayError, CheckpointSink, Source, StorageFullError
 from becalm.live.reader import BackOff
 from becalm.live.watching.watch import Watch
 
@@ -26,20 +26,20 @@ class Transaction(NamedTuple):
     checkpoint: Checkpoint
 
 
-class Outlets(NamedTuple):
+class StreamSinks(NamedTuple):
     """The keeper of a stream, if any, and its other sinks."""
 
-    keeper: Keeper | None
-    others: tuple[Outlet, ...]
+    keeper: CheckpointSink | None
+    others: tuple[BufferedSink, ...]
 
 
-class Keeping:
+class CommitThread:
     """Commits batches in order in a separate thread; if the keeper is full or away, it tries again.
 
     Parameters
     ----------
-    outlets : Outlets
-        Keeper and sinks. The sinks are flushed before a batch is committed, so that they have all committed rows.
+    outlets : StreamSinks
+        The sinks. The sinks are flushed before a batch is committed, so that they have all committed rows.
     source : Source
         Source that is called with each committed position.
     watch : Watch
@@ -48,7 +48,7 @@ class Keeping:
         Names, units, rate and recipe of the stream.
     """
 
-    def __init__(self, outlets: Outlets, source: Source, watch: Watch, head: Head) -> None:
+    def __init__(self, outlets: StreamSinks, source: Source, watch: Watch, head: Head) -> None:
         self._outlets, self._source, self._watch, self._head = outlets, source, watch, head
         self._batches: queue.Queue[Transaction | None] = queue.Queue(_BATCHES)
         self._give_up = threading.Event()

@@ -8,7 +8,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import ModelError
 
 
-class Waiting:
+class DelayedRows:
     """A buffer of the rows that a filter with a lag has taken and not estimated yet.
 
     `returned` is the number of rows at its front that were already returned, because the stream was finished and then

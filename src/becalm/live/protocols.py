@@ -93,7 +93,7 @@ class Sink(Protocol):
 
 
 @runtime_checkable
-class Keeper(Protocol):
+class CheckpointSink(Protocol):
     """A sink that commits rows, filters and position in one transaction, so that a crash leaves all or nothing."""
 
     def last(self) -> Checkpoint | None:

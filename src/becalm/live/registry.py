@@ -9,7 +9,7 @@ from becalm.errors import UsageError
 from becalm.live.address import Address
 
 if TYPE_CHECKING:
-    from becalm.live.protocols import Keeper, Sink, Source
+    from becalm.live.protocols import CheckpointSink, Sink, Source
 
 SOURCES = {
     "replay": "becalm.live.sources.replay:ReplaySource",
@@ -46,7 +46,7 @@ def open_source(text: str) -> Source:
     return cast("Source", _make(text, SOURCES, "source"))
 
 
-def open_sink(text: str) -> Sink | Keeper:
+def open_sink(text: str) -> Sink | CheckpointSink:
     """Make the sink of an address; it is not opened yet.
 
     Raises
@@ -54,7 +54,7 @@ def open_sink(text: str) -> Sink | Keeper:
     UsageError
         If the kind or an option is unknown.
     """
-    return cast("Sink | Keeper", _make(text, SINKS, "sink"))
+    return cast("Sink | CheckpointSink", _make(text, SINKS, "sink"))
 
 
 def _make(text: str, kinds: dict[str, str], what: str) -> object:

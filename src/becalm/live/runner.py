@@ -12,14 +12,14 @@ from math import nan
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
-from becalm.live.commit_thread import Keeping, Outlets, Transaction
+from becalm.live.commit_thread import CommitThread, StreamSinks, Transaction
 from becalm.live.protocols import Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.reader import Reader
 from becalm.live.retuning import Heard, Retuning
 from becalm.live.settings import Settings
 from becalm.live.stream import Stream
-from becalm.live.stream_start import Beginning, Begun, open_keeper, retry_until_reachable
+from becalm.live.stream_start import StartedStream, StreamStarter, open_keeper, retry_until_reachable
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25  # longest wait for a block, in seconds
@@ -38,11 +38,11 @@ class Runner:
         Source of the blocks.
     address : str
         The source's address without secrets; a keeper with rows of another source is refused.
-    outlets : Outlets
+    outlets : StreamSinks
         Sinks and keeper that get the rows.
     watch : Watch
         Records states, counts and losses.
-    beginning : Beginning
+    beginning : StreamStarter
         Makes the filters.
     settings : Settings
         Commit interval, queue and patience.
@@ -50,9 +50,9 @@ class Runner:
 
     source: Source
     address: str
-    outlets: Outlets
+    outlets: StreamSinks
     watch: Watch
-    beginning: Beginning
+    beginning: StreamStarter
     settings: Settings = field(default_factory=Settings)
 
     def __post_init__(self) -> None:
@@ -93,7 +93,7 @@ class Runner:
         begun = None if last is None else self._resume(last)
         reader = self._reader = Reader(self.source, self._queue, self.watch, self._position)
         reader.start()
-        keeping: Keeping | None = None
+        keeping: CommitThread | None = None
         try:
             begun = begun or self._begin()
             if begun is not None:
@@ -111,7 +111,7 @@ class Runner:
             finally:
                 self._close(reader)
 
-    def _resume(self, last: Checkpoint) -> Begun:
+    def _resume(self, last: Checkpoint) -> StartedStream:
         begun = self.beginning.resumed(last, self.address)
         if self.beginning.timed is not None:
             self.source = self.beginning.timed(begun.stream.recipe)
@@ -124,7 +124,7 @@ class Runner:
             self._losses.append(Loss(LossKind.GAP, None, message))
         return begun
 
-    def _begin(self) -> Begun | None:
+    def _begin(self) -> StartedStream | None:
         begun = None
         try:
             begun = self.beginning.begun(self._next, self._queue, self.source, self.watch)
@@ -133,7 +133,7 @@ class Runner:
                 self.watch.lost(self._losses)
         return begun
 
-    def _open(self, begun: Begun) -> Keeping:
+    def _open(self, begun: StartedStream) -> CommitThread:
         head = begun.head
         if self.outlets.keeper is not None:
             retry_until_reachable(partial(open_keeper, self.outlets.keeper, head), self.watch, self._stop)
@@ -142,9 +142,9 @@ class Runner:
         self.watch.meter.begin(head.names, begun.stream.recipe.to_toml())
         self.watch.state("running")
         self._handed_over_s = time.monotonic()
-        return Keeping(self.outlets, self.source, self.watch, head)
+        return CommitThread(self.outlets, self.source, self.watch, head)
 
-    def _filter_all(self, begun: Begun, keeping: Keeping) -> None:
+    def _filter_all(self, begun: StartedStream, keeping: CommitThread) -> None:
         stream = begun.stream
         if begun.before:
             self._write(stream.take(Block.of_losses(*begun.before)))
@@ -168,7 +168,7 @@ class Runner:
         self.watch.meter.queued(*self._queue.depth)
         return block
 
-    def _take(self, block: Block, stream: Stream, keeping: Keeping) -> None:
+    def _take(self, block: Block, stream: Stream, keeping: CommitThread) -> None:
         self._emit(stream.take(block))
         self._position = block.position or self._position
         if sum(output.values.size for output in self._outputs) >= _MOST_VALUES:
@@ -189,7 +189,7 @@ class Runner:
         for outlet in self.outlets.others:
             outlet.write(output)
 
-    def _commit(self, stream: Stream, keeping: Keeping, *, at_once: bool = False) -> None:
+    def _commit(self, stream: Stream, keeping: CommitThread, *, at_once: bool = False) -> None:
         """Hand the rows since the last commit to the keeper, if the commit interval has passed."""
         now = time.monotonic()
         if not at_once and now - self._handed_over_s < self.settings.commit_s:

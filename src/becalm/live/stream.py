@@ -17,7 +17,7 @@ from becalm.core.time.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIM
 from becalm.errors import BecalmError, ModelError, RecipeError
 from becalm.files.unit_spelling import parse_header
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
-from becalm.live.delayed_rows import Waiting
+from becalm.live.delayed_rows import DelayedRows
 
 _VERSION = 1  # of the snapshot
 _COUNTABLE = 2.0**52  # steps; a longer gap does not give a number of lost rows
@@ -59,7 +59,7 @@ class Stream:
         self._cleaner: StreamCleaner | Handover = StreamCleaner(recipe, step_s)
         self._former = recipe  # of the outgoing filters during a handover
         self._cached_toml = recipe, ""  # the recipe that was serialized last, with its TOML
-        self._waiting = Waiting(len(recipe.channel))
+        self._waiting = DelayedRows(len(recipe.channel))
         self._columns: list[int] | None = None
         self._last_row = np.empty(0)  # stamp and readings of the last row received, used or left out
         self._step_s = step_s

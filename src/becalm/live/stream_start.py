@@ -10,8 +10,8 @@ from typing import NamedTuple, TypeVar
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import BecalmError, UsageError
 from becalm.live.block import Block, Checkpoint, Head, Loss
-from becalm.live.learning import Early, Learner, resolution_of
-from becalm.live.protocols import AwayError, Keeper, Source
+from becalm.live.learning_buffer import Learner, LearningBuffer, resolution_of
+from becalm.live.protocols import AwayError, CheckpointSink, Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.reader import BackOff
 from becalm.live.stream import Stream
@@ -20,7 +20,7 @@ from becalm.live.watching.watch import Watch
 Result = TypeVar("Result")
 
 
-class Begun(NamedTuple):
+class StartedStream(NamedTuple):
     """A stream that has its filters, with the blocks that arrived before the filters were ready.
 
     Attributes
@@ -42,7 +42,7 @@ class Begun(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Beginning:
+class StreamStarter:
     """Makes the filters of a stream, from a checkpoint, a recipe or the first rows.
 
     Attributes
@@ -62,7 +62,7 @@ class Beginning:
     learned: Callable[[Recipe], None] = lambda _: None
     timed: Callable[[Recipe], Source] | None = None
 
-    def resumed(self, last: Checkpoint, address: str) -> Begun:
+    def resumed(self, last: Checkpoint, address: str) -> StartedStream:
         """Continue from a checkpoint, with another recipe if one is given.
 
         Raises
@@ -82,11 +82,11 @@ class Beginning:
         if self.recipe is not None and self.recipe != stream.recipe:
             stream.retuned(self.recipe)
         stream.opened()
-        return Begun(stream, head, [], [])
+        return StartedStream(stream, head, [], [])
 
     def begun(
         self, following: Callable[[], Block | None], queue: BlockQueue, source: Source, watch: Watch
-    ) -> Begun | None:
+    ) -> StartedStream | None:
         """Wait for the first rows, or for enough rows to learn from; return None if the source ends without rows.
 
         Parameters
@@ -105,7 +105,7 @@ class Beginning:
         BecalmError
             If no recipe can be learned from the rows.
         """
-        early, stream, before = Early(), None, list[Loss]()
+        early, stream, before = LearningBuffer(), None, list[Loss]()
         watch.state("learning" if self.recipe is None else "running")
         ended = False
         try:
@@ -128,9 +128,9 @@ class Beginning:
         if stream is None:
             queue.raise_failure()
             return None
-        return Begun(stream, stream.head, early.blocks, before)
+        return StartedStream(stream, stream.head, early.blocks, before)
 
-    def _stream_of(self, early: Early, rate_hz: float | None, *, ended: bool) -> Stream | None:
+    def _stream_of(self, early: LearningBuffer, rate_hz: float | None, *, ended: bool) -> Stream | None:
         """Make a stream from the first blocks; return None if they are not enough yet."""
         if self.recipe is not None and early.rows:
             first = next(one for one in early.blocks if len(one))
@@ -143,7 +143,7 @@ class Beginning:
         return None
 
 
-def open_keeper(keeper: Keeper, head: Head) -> None:
+def open_keeper(keeper: CheckpointSink, head: Head) -> None:
     """Open a keeper; if the connection was lost since its last checkpoint was read, connect once more.
 
     Raises

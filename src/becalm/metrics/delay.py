@@ -42,7 +42,7 @@ def _sums(values: Floats, first: Integers, last: Integers) -> Floats:
     return np.asarray(sums[len(values) - last] - sums[first])
 
 
-class Followed(NamedTuple):
+class StepDelays(NamedTuple):
     """Delays and overshoot of the response to a step."""
 
     delay_50: float  # samples from the step to half of the height
@@ -50,13 +50,13 @@ class Followed(NamedTuple):
     overshoot: float  # beyond the final level, as a share of the height
 
 
-def follow(signal: Floats, row: int, before: float, after: float) -> Followed:
+def follow(signal: Floats, row: int, before: float, after: float) -> StepDelays:
     """Return how a signal (N,) follows a step at `row` from the level `before` to the level `after`.
 
     Delays to levels that are never reached are inf. The step counts as a straight line from the row before it.
     """
     risen = (signal[row - 1 :] - before) / (after - before)
-    return Followed(_crossing(risen, 0.5), _crossing(risen, 0.9), max(0.0, float(np.nanmax(risen)) - 1))
+    return StepDelays(_crossing(risen, 0.5), _crossing(risen, 0.9), max(0.0, float(np.nanmax(risen)) - 1))
 
 
 def _crossing(risen: Floats, level: float) -> float:

@@ -43,7 +43,7 @@ typedef struct {
     real weight[MODES_MAX];          /* density, without a common factor */
     real wild[MODES_MAX];            /* share of outliers in it */
     real square;                     /* the common factor is exp(-square / 2) over the root of 2 pi */
-} look_t;
+} mode_likelihoods_t;
 
 /* The modes over one step, and their measurement noise. */
 typedef struct {
@@ -143,7 +143,7 @@ INLINE void expect(const int n, const real *h, const pair_t R, const pair_t *x, 
 }
 
 /* Write the likelihood of a measurement for each mode, without a common factor (6). */
-INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z, look_t *look) {
+INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z, mode_likelihoods_t *look) {
     real half[MODES_MAX], half_wild[MODES_MAX], least = FARTHEST; /* half of squares over variances */
     for (int j = 0; j < m; j += 2) {
         const pair_t nu = z - *at(look->y + j), square = (real)0.5 * nu * nu;
@@ -190,7 +190,7 @@ INLINE void correct_pair(const int n, const real *h, const int rejects, const pa
 }
 
 /* Write the probability of each mode after a measurement (8); return its density, without the common factor. */
-INLINE real weigh(const int m, const look_t *look, real *mu) {
+INLINE real weigh(const int m, const mode_likelihoods_t *look, real *mu) {
     real total = 0;
     for (int j = 0; j < m; j++) mu[j] = look->prior[j] * look->weight[j], total += mu[j];
     const int possible = total > 1 / FARTHEST; /* a measurement that no mode explains has no information on them */
@@ -243,7 +243,7 @@ INLINE void write_pairs(const int n, const int m, const real *c, const real leve
 /* Write the innovation of the mixture. Its distribution is not Gaussian, but the probability of a smaller measurement
    is uniform, and the normal quantile of this probability, the score, is standard normal and white. Source: Rosenblatt,
    Annals of Mathematical Statistics 23 (1952) 470. */
-static void write_innovation(const int m, const imm_t *imm, const real z, const look_t *look, const int64_t row,
+static void write_innovation(const int m, const imm_t *imm, const real z, const mode_likelihoods_t *look, const int64_t row,
                              const imm_estimate_t *estimate) {
     real y = 0, v = 0, sides[2] = {0, 0}; /* probability of smaller measurements, of larger ones */
     for (int j = 0; j < m; j++) y += look->prior[j] * look->y[j];
@@ -263,7 +263,7 @@ static void write_innovation(const int m, const imm_t *imm, const real z, const 
    distance of the state from its mean x after the measurement. W is w / R, and p is W (z - h x). w is 1 or, if outliers
    are rejected, the probability that the measurement is none. g makes the mean of the whole over the mode's prediction
    equal to the likelihood in the filter (9). */
-INLINE void note(const int n, const int m, const imm_t *imm, const real z, const look_t *look, const pairs_t *now,
+INLINE void note(const int n, const int m, const imm_t *imm, const real z, const mode_likelihoods_t *look, const pairs_t *now,
                  real *noted) {
     for (int j = 0; j < m; j++, noted += NOTED) {
         const real t = imm->tail[j], R = imm->R[j], s = look->S[j] - R, nu = z - look->y[j];
@@ -280,7 +280,7 @@ INLINE void note(const int n, const int m, const imm_t *imm, const real z, const
 
 /* Update all modes with a measurement; return its density without the common factor. */
 INLINE real update(const int n, const int m, const imm_t *imm, const step_t *step, const real z, pairs_t *now, pair_t *Ph,
-                   look_t *look) {
+                   mode_likelihoods_t *look) {
     for (int q = 0; 2 * q < m; q++)
         expect(n, imm->h, step->R[q], now->x + q * n, now->P + q * n * n, Ph + q * n, at(look->y + 2 * q),
                at(look->S + 2 * q));
@@ -325,7 +325,7 @@ INLINE void filter_rows(const int n, const imm_t *imm, real *beliefs, const real
         const real z = block->z[row] - level;
         const int arrived = fabs(block->z[row]) <= imm->largest;
         int judged = 0;
-        look_t look;
+        mode_likelihoods_t look;
         if (passed->before && row % IMM_BLOCK == 0) save(n, m, &now, passed->before + row / IMM_BLOCK * size);
         if (now.mu[0] > 0) {
             if (block->step[row] != laid_out) laid_out = block->step[row], lay_out(n, m, imm, laid_out, &step);

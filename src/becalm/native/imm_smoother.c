@@ -194,11 +194,11 @@ typedef struct {
     pair_t *F, *Y, *YB, *L; /* the step; information after it; Y B; factors of I + B' Y B */
     pair_t D[N_MAX], c[N_MAX], r[N_MAX];
     pair_t g; /* without half the logarithm of the determinant */
-} way_t;
+} backward_step_t;
 
 /* Start the backward pass over a step, and write the information on the state before it (10): F' (A' Y A + W' W) F with
    W = (I + B' Y B)^-1 B' Y, A = I - B W. */
-INLINE void begin_way(const int n, const int i, const later_t *later, const rooms_t *rooms, way_t *way, pair_t *before) {
+INLINE void begin_way(const int n, const int i, const later_t *later, const rooms_t *rooms, backward_step_t *way, pair_t *before) {
     const int nn = n * n;
     pair_t powers, *room = rooms->step, *W = room + 4 * nn, *A = room + 5 * nn, *AF = room + 6 * nn, *WF = room + 7 * nn;
     way->B = rooms->B + i * nn;
@@ -238,7 +238,7 @@ INLINE void begin_way(const int n, const int i, const later_t *later, const room
 }
 
 /* Write r for the states before the step, about their means x; return g (11). */
-INLINE pair_t go_back(const int n, const way_t *way, const pair_t *x, pair_t *r) {
+INLINE pair_t go_back(const int n, const backward_step_t *way, const pair_t *x, pair_t *r) {
     pair_t d[N_MAX], q[N_MAX], u[N_MAX], y[N_MAX], g = way->g;
     UNROLL
     for (int a = 0; a < n; a++) d[a] = sum_of(n, way->F + a * n, x) - way->c[a];
@@ -279,7 +279,7 @@ INLINE pair_t agree(const int n, const pair_t *G, const pair_t *Y, const pair_t 
 
 /* Combine all modes before a step with all modes after it: write to `fit` (M, M) the logarithm of the probability of
    each pair, without a common factor (10) to (12). */
-INLINE void meet(const int n, const int m, const beliefs_t now, const later_t *later, rooms_t *rooms, real *fit) {
+INLINE void meet(const int n, const int m, const mode_states_t now, const later_t *later, rooms_t *rooms, real *fit) {
     const int nn = n * n;
     if (rooms->Q != later->Q)
         for (int i = 0; i < m; i++) {
@@ -292,7 +292,7 @@ INLINE void meet(const int n, const int m, const beliefs_t now, const later_t *l
     put(n, m, now.x, rooms->x);
     for (int i = 0; i < m; i++) {
         pair_t *Y = rooms->Y + i * nn;
-        way_t way;
+        backward_step_t way;
         begin_way(n, i, later, rooms, &way, Y);
         for (int q = 0; 2 * q < m; q++) {
             const int first = 2 * q, second = first + 1 < m ? first + 1 : first, at = q * m + i;
@@ -361,9 +361,9 @@ INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, c
 
 /* Pass back over the step after a row: write its smoothed states, if `wanted`, and the likelihood of the later rows as
    a function of its state. */
-INLINE void smooth_row(const int n, const int m, const beliefs_t now, const int wanted, later_t *later, rooms_t *rooms) {
+INLINE void smooth_row(const int n, const int m, const mode_states_t now, const int wanted, later_t *later, rooms_t *rooms) {
     const int nn = n * n;
-    const beliefs_t own = beliefs_in(n, m, rooms->beliefs);
+    const mode_states_t own = beliefs_in(n, m, rooms->beliefs);
     real fit[MODES_MAX * MODES_MAX], highest[MODES_MAX], best = LEAST, every = 0;
     pair_t share[MODES_MAX / 2 * MODES_MAX], sum[MODES_MAX / 2], top[MODES_MAX / 2];
     meet(n, m, now, later, rooms, fit);
@@ -409,7 +409,7 @@ INLINE void smooth_row(const int n, const int m, const beliefs_t now, const int 
 }
 
 /* Add the likelihood of a row's measurement to that of later ones, all about the filtered mean (9). */
-INLINE void take_back(const int n, const int m, const real *h, const beliefs_t now, const real *noted, later_t *later) {
+INLINE void take_back(const int n, const int m, const real *h, const mode_states_t now, const real *noted, later_t *later) {
     real best = LEAST;
     for (int j = 0; j < m; j++, noted += NOTED) {
         real *r = later->r + j * n, *Y = later->Y + j * n * n;
@@ -432,7 +432,7 @@ INLINE void smooth_rows(const int n, const imm_t *imm, const real level, const i
     const int m = (int)imm->modes, nn = n * n, wanted = estimate->signal || estimate->probability || estimate->mean;
     const int64_t size = imm_beliefs_size(n, m), noted = imm_note_size(n, m);
     for (int64_t row = rows - 1; row >= 0; row--) {
-        const beliefs_t now = beliefs_in(n, m, notes + row * noted);
+        const mode_states_t now = beliefs_in(n, m, notes + row * noted);
         const int64_t at = (int64_t)step[row] * m;
         if (!(now.mu[0] > 0)) break; /* before the first measurement */
         if (later->known)

@@ -146,7 +146,7 @@ typedef struct {
 typedef struct {
     monitor_t monitor;
     real now, opened; /* in steps from the very first row */
-} watched_t;
+} record_monitor_t;
 
 /* The sums over each complete hop. */
 typedef struct {
@@ -312,16 +312,16 @@ typedef struct {
    same measurements as the row before. */
 void clock_walk(stamps_t *state, const real *stamps, const int8_t *doubled, int64_t rows, real *elapsed, int8_t *codes);
 
-void scan_start(limits_t *limits, watched_t *watched);
+void scan_start(limits_t *limits, record_monitor_t *watched);
 /* Return whether these states, which may come from a file, are possible. */
-int scan_is_sound(const limits_t *limits, const watched_t *watched);
+int scan_is_sound(const limits_t *limits, const record_monitor_t *watched);
 /* Write faults of measurements over those of their times; return how many verdicts are then not 0. */
 int64_t scan_faults(const settings_t *settings, limits_t *state, const real *z, const real *elapsed, int64_t rows,
                     int8_t *verdict);
 /* Reduce the state of the limits to what later verdicts depend on. */
 void scan_reduce(const settings_t *settings, limits_t *state);
 /* Monitor innovations over their standard deviations, NaN where there is none; return how many hops ended. */
-int64_t scan_innovations(const settings_t *settings, watched_t *state, const real *normalised, const real *elapsed,
+int64_t scan_innovations(const settings_t *settings, record_monitor_t *state, const real *normalised, const real *elapsed,
                          int64_t rows, int8_t *verdict, const hops_t *hops);
 /* Write OUTLIER for each measurement, NaN where missing, that is farther than `distance` from its neighbours on both
    sides. Write STUCK for `stuck` or more equal ones in a row, from the first on, unless the signal rests; 0: any number

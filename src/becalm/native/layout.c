@@ -86,10 +86,10 @@ const field_t *channel_limits_fields(void) {
 }
 
 const field_t *channel_watched_fields(void) {
-#define IN(name) {#name, offsetof(watched_t, monitor.name), sizeof(((watched_t *)0)->monitor.name), 1}
+#define IN(name) {#name, offsetof(record_monitor_t, monitor.name), sizeof(((record_monitor_t *)0)->monitor.name), 1}
     static const field_t fields[] = {
         IN(rows), IN(above), IN(below), IN(drift_since), IN(hop_count), IN(hop_total), IN(hop_squares),
-        REALS(watched_t, now), END(watched_t),
+        REALS(record_monitor_t, now), END(record_monitor_t),
     };
 #undef IN
     return fields;
@@ -106,11 +106,11 @@ const field_t *channel_stamps_fields(void) {
 }
 
 const field_t *channel_knowledge_fields(void) {
-#define W(name) WHOLE(knowledge_t, name)
-#define IN(name, whole) {#name, offsetof(knowledge_t, score.name), sizeof(((knowledge_t *)0)->score.name), whole}
+#define W(name) WHOLE(multivariate_state_t, name)
+#define IN(name, whole) {#name, offsetof(multivariate_state_t, score.name), sizeof(((multivariate_state_t *)0)->score.name), whole}
     static const field_t fields[] = {
         W(phase), W(rows), W(opened), W(settled_row), W(closed), IN(squares, 0), IN(product, 0), IN(exponent, 1), IN(used, 1),
-        END(knowledge_t),
+        END(multivariate_state_t),
     };
 #undef W
 #undef IN

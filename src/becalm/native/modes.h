@@ -9,10 +9,10 @@
 
 typedef struct {
     real *mu, *x, *P; /* (M,), (M, n), (M, n, n) */
-} beliefs_t;
+} mode_states_t;
 
-INLINE beliefs_t beliefs_in(const int n, const int m, real *memory) {
-    const beliefs_t beliefs = {memory, memory + m, memory + m + m * n};
+INLINE mode_states_t beliefs_in(const int n, const int m, real *memory) {
+    const mode_states_t beliefs = {memory, memory + m, memory + m + m * n};
     return beliefs;
 }
 
@@ -34,7 +34,7 @@ INLINE void get(const int rows, const int m, pair_t *from, real *to) {
 }
 
 /* Write the estimates of a row. */
-INLINE void write_estimate(const int n, const int m, const real *c, const real level, const beliefs_t now,
+INLINE void write_estimate(const int n, const int m, const real *c, const real level, const mode_states_t now,
                            const int64_t row, const imm_estimate_t *estimate) {
     if (estimate->signal) {
         real own[MODES_MAX], y = 0, v = 0, Pc[N_MAX];

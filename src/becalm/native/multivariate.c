@@ -42,7 +42,7 @@ typedef struct {
 /* Return the number of reals in all of them but A and g. */
 INLINE int64_t kept(const int64_t n, const int64_t m) { return n + 2 * n * n + 2 * n * m + 2 * m * m + 4 * m; }
 
-INLINE parts_t parts_of(const int n, const int m, knowledge_t *state) {
+INLINE parts_t parts_of(const int n, const int m, multivariate_state_t *state) {
     parts_t p;
     p.x = state->numbers, p.P = p.x + n, p.K = p.P + n * n, p.L = p.K + n * m, p.D = p.L + m * m, p.nu = p.D + m;
     p.deviation = p.nu + m, p.K_then = p.deviation + m, p.L_then = p.K_then + n * m, p.D_then = p.L_then + m * m;
@@ -51,7 +51,7 @@ INLINE parts_t parts_of(const int n, const int m, knowledge_t *state) {
 }
 
 static int64_t packed(const int64_t n, const int64_t m) {
-    return (int64_t)offsetof(knowledge_t, numbers) + (int64_t)sizeof(real) * kept(n, m);
+    return (int64_t)offsetof(multivariate_state_t, numbers) + (int64_t)sizeof(real) * kept(n, m);
 }
 
 int64_t multivariate_size(const int64_t states, const int64_t channels) {
@@ -59,11 +59,11 @@ int64_t multivariate_size(const int64_t states, const int64_t channels) {
 }
 
 /* Save a state without the arrays that can be recomputed. */
-static void save(const multivariate_t *model, const knowledge_t *state, void *room) {
+static void save(const multivariate_t *model, const multivariate_state_t *state, void *room) {
     memcpy(room, state, (size_t)packed(model->states, model->channels));
 }
 
-static void load(const multivariate_t *model, const void *room, knowledge_t *state) {
+static void load(const multivariate_t *model, const void *room, multivariate_state_t *state) {
     memcpy(state, room, (size_t)packed(model->states, model->channels));
     state->closed = 0;
 }
@@ -71,13 +71,13 @@ static void load(const multivariate_t *model, const void *room, knowledge_t *sta
 /* Return how many numbers of a state later rows depend on: x, P, K, L, D and nu. */
 static int64_t numbers_in(const int64_t n, const int64_t m) { return n + n * n + n * m + m * m + 2 * m; }
 
-static void lose_gain(knowledge_t *state, real *D_then) {
+static void lose_gain(multivariate_state_t *state, real *D_then) {
     state->settled = state->agreed = state->closed = 0;
     state->steady = -1, state->next_check = FIRST_CHECK, state->last_step = -1;
     D_then[0] = -1; /* so that the next check finds a change */
 }
 
-void multivariate_start(const multivariate_t *model, const real *x, const real *P, knowledge_t *state) {
+void multivariate_start(const multivariate_t *model, const real *x, const real *P, multivariate_state_t *state) {
     const int n = (int)model->states, m = (int)model->channels;
     memset(state, 0, (size_t)multivariate_size(n, m));
     const parts_t p = parts_of(n, m, state);
@@ -91,7 +91,7 @@ void multivariate_start(const multivariate_t *model, const real *x, const real *
 
 /* Forget a state whose covariance has no digits left; it stays undetermined. Information is not gathered again: a prior
    belongs to the first row, and without one, gathering might never end. */
-static void lose_state(const multivariate_t *model, knowledge_t *state) {
+static void lose_state(const multivariate_t *model, multivariate_state_t *state) {
     const int64_t n = model->states, m = model->channels;
     const parts_t p = parts_of((int)n, (int)m, state);
     memset(state->numbers, 0, sizeof(real) * (size_t)numbers_in(n, m));
@@ -100,7 +100,7 @@ static void lose_state(const multivariate_t *model, knowledge_t *state) {
     state->phase = LOST;
 }
 
-int multivariate_is_sound(const multivariate_t *model, const knowledge_t *state) {
+int multivariate_is_sound(const multivariate_t *model, const multivariate_state_t *state) {
     const int64_t n = model->states, m = model->channels;
     const int64_t counts[] = {state->rows, state->opened, state->settled_row, state->steady, state->next_check,
                               state->agreed, state->score.used};
@@ -192,7 +192,7 @@ static int compare(const int n, const int m, const multivariate_t *model, const 
 }
 
 /* Check after a row what has settled; see settling.h. */
-INLINE void notice_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
+INLINE void notice_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state, const parts_t *p,
                        const real *F, const real length, const int complete) {
     if (!complete || length != state->last_step || !F) {
         lose_gain(state, p->D_then);
@@ -213,17 +213,17 @@ INLINE void notice_row(const int n, const int m, const multivariate_t *model, kn
 }
 
 INLINE void write_belief(const int n, const int m, const multivariate_t *model, const real *x, const real *P,
-                         const beliefs_t *beliefs, const int64_t row) {
-    for (int c = 0; c < m && beliefs->signal; c++) beliefs->signal[row * m + c] = dot(n, model->H + c * n, x);
-    if (beliefs->sigma) spread_of(n, m, model, P, beliefs->sigma + row * m);
-    if (beliefs->x) copy(n, x, beliefs->x + row * n);
-    if (beliefs->P) copy(n * n, P, beliefs->P + row * n * n);
+                         const estimates_t *estimates, const int64_t row) {
+    for (int c = 0; c < m && estimates->signal; c++) estimates->signal[row * m + c] = dot(n, model->H + c * n, x);
+    if (estimates->sigma) spread_of(n, m, model, P, estimates->sigma + row * m);
+    if (estimates->x) copy(n, x, estimates->x + row * n);
+    if (estimates->P) copy(n * n, P, estimates->P + row * n * n);
 }
 
-INLINE void write_innovation(const int m, const parts_t *p, const beliefs_t *beliefs, const int64_t row) {
-    for (int c = 0; c < m && beliefs->innovation; c++)
-        beliefs->innovation[row * m + c] = isnan(p->deviation[c]) ? NOT_A_NUMBER : p->nu[c];
-    for (int c = 0; c < m && beliefs->deviation; c++) beliefs->deviation[row * m + c] = p->deviation[c];
+INLINE void write_innovation(const int m, const parts_t *p, const estimates_t *estimates, const int64_t row) {
+    for (int c = 0; c < m && estimates->innovation; c++)
+        estimates->innovation[row * m + c] = isnan(p->deviation[c]) ? NOT_A_NUMBER : p->nu[c];
+    for (int c = 0; c < m && estimates->deviation; c++) estimates->deviation[row * m + c] = p->deviation[c];
 }
 
 INLINE int has_arrived(const real z) { return fabs(z) <= BEYOND_ANY_SENSOR; }
@@ -269,7 +269,7 @@ INLINE void predict(const int n, const real *F, const real *Q, real *x, real *P)
 }
 
 /* Filter one row and its covariance; F is NULL if there is no step before it. Return whether digits are left. */
-INLINE int filter_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
+INLINE int filter_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state, const parts_t *p,
                        const real *F, const real *Q, const real length, const real *z) {
     const real *H = model->H, *R = model->R;
     real PH[N_MAX * M_MAX], S[M_MAX * M_MAX];
@@ -336,14 +336,14 @@ INLINE void accumulate(const int rows, const int columns, const real *B, const r
 }
 
 /* Filter rows with the steady-state gain, until one is missing or a state runs away; return how many. */
-INLINE int64_t take_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+INLINE int64_t take_settled(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
                             const parts_t *p, const record_t *record, const int64_t from, const int64_t to,
-                            const beliefs_t *beliefs) {
+                            const estimates_t *estimates) {
     real A[NN_MAX], K[N_MAX * M_MAX], g[N_MAX * M_MAX], H[N_MAX * M_MAX], L[M_MAX * M_MAX], weight[M_MAX];
     real sigma[M_MAX] = {0}, deviation[M_MAX], x[N_MAX], nu[M_MAX];
     lay_out(n, n, p->A, 1, A), lay_out(n, m, p->K, 1, K), lay_out(m, n, p->g, -1, g), lay_out(m, n, model->H, 1, H);
     copy(m * m, p->L, L), copy(n, p->x, x), copy(m, p->deviation, deviation), copy(m, p->nu, nu);
-    if (beliefs->sigma) spread_of(n, m, model, p->P, sigma);
+    if (estimates->sigma) spread_of(n, m, model, p->P, sigma);
     score_t score = state->score;
     int64_t scale = 0, live = 0, row = from;
     real determinant = 1;
@@ -370,22 +370,22 @@ INLINE int64_t take_settled(const int n, const int m, const multivariate_t *mode
         if (!possible) break;
         UNROLL
         for (int i = 0; i < n; i++) x[i] = next[i];
-        if (beliefs->signal) {
+        if (estimates->signal) {
             accumulate(m, n, H, x, signal);
             UNROLL
-            for (int a = 0; a < m; a++) beliefs->signal[row * m + a] = signal[a];
+            for (int a = 0; a < m; a++) estimates->signal[row * m + a] = signal[a];
         }
-        if (beliefs->sigma)
+        if (estimates->sigma)
             UNROLL
-            for (int a = 0; a < m; a++) beliefs->sigma[row * m + a] = sigma[a];
-        if (beliefs->innovation)
+            for (int a = 0; a < m; a++) estimates->sigma[row * m + a] = sigma[a];
+        if (estimates->innovation)
             UNROLL
-            for (int a = 0; a < m; a++) beliefs->innovation[row * m + a] = e[a];
-        if (beliefs->deviation)
+            for (int a = 0; a < m; a++) estimates->innovation[row * m + a] = e[a];
+        if (estimates->deviation)
             UNROLL
-            for (int a = 0; a < m; a++) beliefs->deviation[row * m + a] = deviation[a];
-        if (beliefs->x) copy(n, x, beliefs->x + row * n);
-        if (beliefs->P) copy(n * n, p->P, beliefs->P + row * n * n);
+            for (int a = 0; a < m; a++) estimates->deviation[row * m + a] = deviation[a];
+        if (estimates->x) copy(n, x, estimates->x + row * n);
+        if (estimates->P) copy(n * n, p->P, estimates->P + row * n * n);
         UNROLL
         for (int a = 0; a < m; a++) {
             nu[a] = e[a];
@@ -404,16 +404,16 @@ INLINE int64_t take_settled(const int n, const int m, const multivariate_t *mode
     return row - from;
 }
 
-static int64_t filter_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+static int64_t filter_settled(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
                               const parts_t *p, const real *F, const record_t *record, const int64_t from,
-                              const int64_t to, const beliefs_t *beliefs) {
+                              const int64_t to, const estimates_t *estimates) {
     int64_t taken = 0;
     if (!state->closed) {
         see_through(n, m, model->H, F, p->g);
         close_loop(n, m, F, p->K, p->g, p->A);
         state->closed = 1;
     }
-    FOR_SMALL(n, m, taken = take_settled, model, state, p, record, from, to, beliefs)
+    FOR_SMALL(n, m, taken = take_settled, model, state, p, record, from, to, estimates)
     return taken;
 }
 
@@ -479,8 +479,8 @@ static int is_narrow(const int n, const int m, const multivariate_t *model, cons
 }
 
 /* Write the signals of a row that the information determines; NaN and inf for the other signals, and for the state. */
-static void write_opening(const int n, const int m, const multivariate_t *model, const knowledge_t *state,
-                          const parts_t *p, const beliefs_t *beliefs, const int64_t row) {
+static void write_opening(const int n, const int m, const multivariate_t *model, const multivariate_state_t *state,
+                          const parts_t *p, const estimates_t *estimates, const int64_t row) {
     for (int c = 0; c < m; c++) {
         real signal = NOT_A_NUMBER, sigma = INFINITE;
         if (model->foretells && state->phase != LOST) {
@@ -489,17 +489,17 @@ static void write_opening(const int n, const int m, const multivariate_t *model,
             signal = dot(n, w, p->x), sigma = sqrt(dot(n, w, w));
         } else if (state->phase == GATHERING)
             estimate_from_information(n, model->H + c * n, p->P, p->x, &signal, &sigma);
-        if (beliefs->signal) beliefs->signal[row * m + c] = signal;
-        if (beliefs->sigma) beliefs->sigma[row * m + c] = sigma;
+        if (estimates->signal) estimates->signal[row * m + c] = signal;
+        if (estimates->sigma) estimates->sigma[row * m + c] = sigma;
     }
-    for (int i = 0; i < n && beliefs->x; i++) beliefs->x[row * n + i] = NOT_A_NUMBER;
-    for (int i = 0; i < n * n && beliefs->P; i++) beliefs->P[row * n * n + i] = INFINITE;
+    for (int i = 0; i < n && estimates->x; i++) estimates->x[row * n + i] = NOT_A_NUMBER;
+    for (int i = 0; i < n * n && estimates->P; i++) estimates->P[row * n * n + i] = INFINITE;
 }
 
 /* Filter one row while measurements do not determine the state: add its information. */
-static void open_row(const int n, const int m, const multivariate_t *model, knowledge_t *state, const parts_t *p,
+static void open_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state, const parts_t *p,
                      const record_t *record, const real *F, const real *Q, const int64_t row,
-                     const beliefs_t *beliefs) {
+                     const estimates_t *estimates) {
     const real *z = record->z + row * m;
     real V[NN_MAX], P[NN_MAX], x[N_MAX];
     int count = 0;
@@ -518,21 +518,21 @@ static void open_row(const int n, const int m, const multivariate_t *model, know
         if (model->foretells) foretell(n, m, model, z, p, &state->score);
         learn(n, m, model, z, p->P, p->x);
     }
-    write_opening(n, m, model, state, p, beliefs, row);
+    write_opening(n, m, model, state, p, estimates, row);
     if (state->phase == GATHERING) {
         const int inverted = invert_root(n, p->P, V), determined = inverted && is_determined(n, p->P, V);
         if (inverted && (determined || model->foretells)) {
             copy(n * n, p->P, P), copy(n, p->x, x);
             determine(n, V, P, x);
-            if (beliefs->x) copy(n, x, beliefs->x + row * n);
-            if (beliefs->P) copy(n * n, P, beliefs->P + row * n * n);
+            if (estimates->x) copy(n, x, estimates->x + row * n);
+            if (estimates->P) copy(n * n, P, estimates->P + row * n * n);
             if (determined && (!model->foretells || is_narrow(n, m, model, F ? F : record->F, F ? Q : record->Q, P))) {
                 copy(n * n, P, p->P), copy(n, x, p->x);
                 state->phase = DETERMINED;
             }
         }
     }
-    write_innovation(m, p, beliefs, row);
+    write_innovation(m, p, estimates, row);
 }
 
 /* Return the run that a row belongs to; the search starts at a near run. */
@@ -543,9 +543,9 @@ static int64_t run_of(const record_t *record, const int64_t row, int64_t run) {
 }
 
 /* Filter rows of a record. */
-INLINE void filter_rows(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+INLINE void filter_rows(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
                         const record_t *record, int64_t row, const int64_t to, int64_t *run,
-                        const beliefs_t *beliefs) {
+                        const estimates_t *estimates) {
     const parts_t p = parts_of(n, m, state);
     while (row < to) {
         *run = run_of(record, row, *run);
@@ -555,7 +555,7 @@ INLINE void filter_rows(const int n, const int m, const multivariate_t *model, k
         if (state->settled >= model->enough) {
             const int64_t end = record->first[*run + 1] < to ? record->first[*run + 1] : to;
             const int64_t taken = F && length == state->last_step
-                                      ? filter_settled(n, m, model, state, &p, F, record, row, end, beliefs)
+                                      ? filter_settled(n, m, model, state, &p, F, record, row, end, estimates)
                                       : 0;
             state->rows += taken, row += taken;
             if (taken) continue;
@@ -564,26 +564,26 @@ INLINE void filter_rows(const int n, const int m, const multivariate_t *model, k
         if (state->phase == DETERMINED && !filter_row(n, m, model, state, &p, F, Q, length, record->z + row * m))
             lose_state(model, state);
         if (state->phase == DETERMINED || state->phase == LOST) {
-            write_innovation(m, &p, beliefs, row);
+            write_innovation(m, &p, estimates, row);
             if (state->phase == LOST)
-                write_opening(n, m, model, state, &p, beliefs, row);
+                write_opening(n, m, model, state, &p, estimates, row);
             else
-                write_belief(n, m, model, p.x, p.P, beliefs, row);
+                write_belief(n, m, model, p.x, p.P, estimates, row);
         } else
-            open_row(n, m, model, state, &p, record, F, Q, row, beliefs);
+            open_row(n, m, model, state, &p, record, F, Q, row, estimates);
         state->rows++, row++;
     }
 }
 
-static void filter_rows_of(const multivariate_t *model, knowledge_t *state, const record_t *record, const int64_t row,
-                        const int64_t to, int64_t *run, const beliefs_t *beliefs) {
-    FOR_SMALL(model->states, model->channels, filter_rows, model, state, record, row, to, run, beliefs)
+static void filter_rows_of(const multivariate_t *model, multivariate_state_t *state, const record_t *record, const int64_t row,
+                        const int64_t to, int64_t *run, const estimates_t *estimates) {
+    FOR_SMALL(model->states, model->channels, filter_rows, model, state, record, row, to, run, estimates)
 }
 
-void multivariate_filter(const multivariate_t *model, knowledge_t *state, const record_t *record,
-                         const beliefs_t *beliefs) {
+void multivariate_filter(const multivariate_t *model, multivariate_state_t *state, const record_t *record,
+                         const estimates_t *estimates) {
     int64_t run = 0;
-    filter_rows_of(model, state, record, 0, record->rows, &run, beliefs);
+    filter_rows_of(model, state, record, 0, record->rows, &run, estimates);
 }
 
 int64_t multivariate_room(const int64_t states, const int64_t channels, const int64_t rows) {
@@ -597,7 +597,7 @@ void multivariate_end(const multivariate_t *model, future_t *future) {
 
 /* Carry r back through a block with the steady-state gain (11), and add it to each row (9). */
 INLINE void return_settled(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
-                           const real *G_, const int64_t from, const int64_t to, const beliefs_t *beliefs, real *r_) {
+                           const real *G_, const int64_t from, const int64_t to, const estimates_t *estimates, real *r_) {
     real B[NN_MAX], back[NN_MAX], P[NN_MAX], G[N_MAX * M_MAX], HP[M_MAX * N_MAX], seen[M_MAX * N_MAX], r[N_MAX];
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) B[j * n + i] = A[i * n + j];
@@ -606,19 +606,19 @@ INLINE void return_settled(const int n, const int m, const multivariate_t *model
     copy(n, r_, r);
     for (int64_t row = to - 1; row >= from; row--) {
         real before[N_MAX], change[N_MAX];
-        if (beliefs->signal) {
-            for (int c = 0; c < padded(m); c++) change[c] = c < m ? beliefs->signal[row * m + c] : 0;
+        if (estimates->signal) {
+            for (int c = 0; c < padded(m); c++) change[c] = c < m ? estimates->signal[row * m + c] : 0;
             accumulate(m, n, HP, r, change);
-            for (int c = 0; c < m; c++) beliefs->signal[row * m + c] = change[c];
+            for (int c = 0; c < m; c++) estimates->signal[row * m + c] = change[c];
         }
-        if (beliefs->x) {
-            for (int i = 0; i < padded(n); i++) change[i] = i < n ? beliefs->x[row * n + i] : 0;
+        if (estimates->x) {
+            for (int i = 0; i < padded(n); i++) change[i] = i < n ? estimates->x[row * n + i] : 0;
             accumulate(n, n, P, r, change);
-            copy(n, change, beliefs->x + row * n);
+            copy(n, change, estimates->x + row * n);
         }
         UNROLL
         for (int i = 0; i < padded(n); i++) before[i] = 0;
-        accumulate(n, m, G, beliefs->innovation + row * m, before);
+        accumulate(n, m, G, estimates->innovation + row * m, before);
         accumulate(n, n, back, r, before);
         UNROLL
         for (int i = 0; i < n; i++) r[i] = before[i];
@@ -627,15 +627,15 @@ INLINE void return_settled(const int n, const int m, const multivariate_t *model
 }
 
 static void return_block(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
-                         const real *G, const int64_t from, const int64_t to, const beliefs_t *beliefs, real *r) {
-    FOR_SMALL(n, m, return_settled, model, p, A, G, from, to, beliefs, r)
+                         const real *G, const int64_t from, const int64_t to, const estimates_t *estimates, real *r) {
+    FOR_SMALL(n, m, return_settled, model, p, A, G, from, to, estimates, r)
 }
 
 /* Smooth a block with the steady-state gain. */
-INLINE void smooth_settled(const int n, const int m, const multivariate_t *model, knowledge_t *state, const real *F,
-                           const int64_t from, const int64_t to, const beliefs_t *beliefs, future_t *future) {
+INLINE void smooth_settled(const int n, const int m, const multivariate_t *model, multivariate_state_t *state, const real *F,
+                           const int64_t from, const int64_t to, const estimates_t *estimates, future_t *future) {
     const parts_t p = parts_of(n, m, state);
-    const int spread = beliefs->sigma || beliefs->P;
+    const int spread = estimates->sigma || estimates->P;
     real A[NN_MAX], g[M_MAX * N_MAX], G[N_MAX * M_MAX], sigma[M_MAX] = {0};
     see_through(n, m, model->H, F, g);
     close_loop(n, m, F, p.K, g, A);
@@ -643,17 +643,17 @@ INLINE void smooth_settled(const int n, const int m, const multivariate_t *model
         for (int c = 0; c < m; c++) G[i * m + c] = g[c * n + i];
         divide(m, p.L, p.D, G + i * m);
     }
-    return_block(n, m, model, &p, A, G, from, to, beliefs, future->r);
+    return_block(n, m, model, &p, A, G, from, to, estimates, future->r);
     future->later = NOTHING_LATER;
     for (int64_t row = to - 1; spread && row >= from; row--) {
         if (!future->settled || row == to - 1) {
             for (int c = 0; c < m; c++)
                 sigma[c] = sqrt(smoothed_variance(n, model->H + c * n, p.P, future->M, NULL)); /* (10) */
-            if (beliefs->P && !(smooth_covariance(n, p.P, future->M, future->P) > HARDLY))
+            if (estimates->P && !(smooth_covariance(n, p.P, future->M, future->P) > HARDLY))
                 copy(n * n, p.P, future->P);
         }
-        if (beliefs->sigma) copy(m, sigma, beliefs->sigma + row * m);
-        if (beliefs->P) copy(n * n, future->P, beliefs->P + row * n * n);
+        if (estimates->sigma) copy(m, sigma, estimates->sigma + row * m);
+        if (estimates->P) copy(n * n, future->P, estimates->P + row * n * n);
         if (row == from && smooth_covariance(n, p.P, future->M, future->P) > HARDLY) future->later = COVARIANCE_ONLY;
         if (!future->settled) pull_back(n, m, A, G, g, future->M); /* (12) */
     }
@@ -661,13 +661,13 @@ INLINE void smooth_settled(const int n, const int m, const multivariate_t *model
 }
 
 /* Smooth a row that was filtered again; the result replaces x and P of the row after. */
-INLINE void smooth_row(const int n, const int m, const multivariate_t *model, const knowledge_t *state,
-                       const parts_t *p, const beliefs_t *beliefs, const int64_t row, future_t *future) {
-    const int spread = beliefs->sigma || beliefs->P;
+INLINE void smooth_row(const int n, const int m, const multivariate_t *model, const multivariate_state_t *state,
+                       const parts_t *p, const estimates_t *estimates, const int64_t row, future_t *future) {
+    const int spread = estimates->sigma || estimates->P;
     real change[N_MAX];
     if (state->phase == LOST) {
         forget_future(n, future);
-        write_opening(n, m, model, state, p, beliefs, row);
+        write_opening(n, m, model, state, p, estimates, row);
         return;
     }
     if (state->phase != DETERMINED) {
@@ -684,7 +684,7 @@ INLINE void smooth_row(const int n, const int m, const multivariate_t *model, co
             }
         }
         if (!future->later) {
-            write_opening(n, m, model, state, p, beliefs, row);
+            write_opening(n, m, model, state, p, estimates, row);
             return;
         }
     } else {
@@ -698,10 +698,10 @@ INLINE void smooth_row(const int n, const int m, const multivariate_t *model, co
         }
         future->later = STATE_TOO;
     }
-    for (int c = 0; c < m && beliefs->signal; c++) beliefs->signal[row * m + c] = dot(n, model->H + c * n, future->x);
-    if (beliefs->sigma) spread_of(n, m, model, future->P, beliefs->sigma + row * m);
-    if (beliefs->x) copy(n, future->x, beliefs->x + row * n);
-    if (beliefs->P) copy(n * n, future->P, beliefs->P + row * n * n);
+    for (int c = 0; c < m && estimates->signal; c++) estimates->signal[row * m + c] = dot(n, model->H + c * n, future->x);
+    if (estimates->sigma) spread_of(n, m, model, future->P, estimates->sigma + row * m);
+    if (estimates->x) copy(n, future->x, estimates->x + row * n);
+    if (estimates->P) copy(n * n, future->P, estimates->P + row * n * n);
 }
 
 /* Carry the information of later rows back through the update of a row, and through the step before it. */
@@ -719,10 +719,10 @@ INLINE void step_back(const int n, const int m, const multivariate_t *model, con
 }
 
 /* Filter a block again, row by row, and smooth it. */
-INLINE void smooth_again(const int n, const int m, const multivariate_t *model, knowledge_t *state,
+INLINE void smooth_again(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
                          const record_t *record, const int64_t from, const int64_t to, int64_t *run,
-                         const beliefs_t *beliefs, future_t *future, char *room) {
-    const beliefs_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL};
+                         const estimates_t *estimates, future_t *future, char *room) {
+    const estimates_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL};
     const parts_t p = parts_of(n, m, state);
     const int64_t size = packed(n, m);
     for (int64_t row = from; row < to; row++) {
@@ -734,20 +734,20 @@ INLINE void smooth_again(const int n, const int m, const multivariate_t *model, 
         *run = run_of(record, row, *run);
         const int64_t step = record->step[*run];
         load(model, room + (row - from) * size, state);
-        smooth_row(n, m, model, state, &p, beliefs, row, future);
+        smooth_row(n, m, model, state, &p, estimates, row, future);
         if (step < 0) {
             future->later = NOTHING_LATER;
             continue;
         }
         const real *F = record->F + step * n * n, *Q = record->Q + step * n * n;
         if (state->phase == DETERMINED)
-            step_back(n, m, model, &p, F, beliefs->sigma || beliefs->P, future);
+            step_back(n, m, model, &p, F, estimates->sigma || estimates->P, future);
         copy(n * n, F, future->F), copy(n * n, Q, future->Q);
     }
 }
 
-INLINE void backward_rows(const int n, const int m, const multivariate_t *model, knowledge_t *state,
-                          const record_t *record, const beliefs_t *beliefs, future_t *future, char *room) {
+INLINE void backward_rows(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
+                          const record_t *record, const estimates_t *estimates, future_t *future, char *room) {
     const int64_t size = packed(n, m);
     int64_t run = 0;
     for (int64_t k = (record->rows + SMOOTHED - 1) / SMOOTHED - 1; k >= 0; k--) {
@@ -758,18 +758,18 @@ INLINE void backward_rows(const int n, const int m, const multivariate_t *model,
         run = run_of(record, from, run);
         if (settled && state->settled >= model->enough && steady == state->steady) { /* one gain for all rows */
             const int64_t at = record->step[run] * n * n;
-            smooth_settled(n, m, model, state, record->F + at, from, to, beliefs, future);
+            smooth_settled(n, m, model, state, record->F + at, from, to, estimates, future);
             copy(n * n, record->F + at, future->F), copy(n * n, record->Q + at, future->Q);
         } else
-            smooth_again(n, m, model, state, record, from, to, &run, beliefs, future, room);
+            smooth_again(n, m, model, state, record, from, to, &run, estimates, future, room);
     }
 }
 
-void multivariate_smooth(const multivariate_t *model, knowledge_t *state, const record_t *record,
-                         const beliefs_t *beliefs, future_t *future, void *room) {
+void multivariate_smooth(const multivariate_t *model, multivariate_state_t *state, const record_t *record,
+                         const estimates_t *estimates, future_t *future, void *room) {
     const int64_t size = packed(model->states, model->channels);
     char *own = room, *before = own + SMOOTHED * size;
-    const beliefs_t ahead = {beliefs->signal, NULL, beliefs->innovation, beliefs->deviation, beliefs->x, NULL};
+    const estimates_t ahead = {estimates->signal, NULL, estimates->innovation, estimates->deviation, estimates->x, NULL};
     int64_t run = 0;
     for (int64_t row = 0; row < record->rows; row += SMOOTHED, before += size) {
         save(model, state, before);
@@ -777,7 +777,7 @@ void multivariate_smooth(const multivariate_t *model, knowledge_t *state, const 
                     &ahead);
     }
     save(model, state, before);
-    FOR_SMALL(model->states, model->channels, backward_rows, model, state, record, beliefs, future, own)
+    FOR_SMALL(model->states, model->channels, backward_rows, model, state, record, estimates, future, own)
     load(model, before, state);
 }
 
@@ -786,11 +786,11 @@ int64_t multivariate_lag_room(const int64_t states, const int64_t channels, cons
            (int64_t)sizeof(future_t) + 4 * (lag + 1) * channels * (int64_t)sizeof(real);
 }
 
-void multivariate_lag(const multivariate_t *model, knowledge_t *state, const record_t *record, const int64_t lag,
+void multivariate_lag(const multivariate_t *model, multivariate_state_t *state, const record_t *record, const int64_t lag,
                       const int64_t ready, real *signal, real *sigma, void *room) {
     const int64_t m = model->channels, most = (lag + 1) * m, size = multivariate_size(model->states, m);
-    const beliefs_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL};
-    knowledge_t *ahead = room;
+    const estimates_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL};
+    multivariate_state_t *ahead = room;
     real *rows = (real *)(void *)((char *)room + size);
     future_t *future = (future_t *)(void *)(rows + 4 * most);
     for (int64_t row = 0; row < ready; row++) {
@@ -798,11 +798,11 @@ void multivariate_lag(const multivariate_t *model, knowledge_t *state, const rec
         const int64_t first[] = {0, fresh ? 1 : count, count}, step[] = {fresh ? -1 : 0, 0};
         record_t window = *record;
         window.z += row * m, window.first = first, window.step = step, window.rows = count;
-        const beliefs_t beliefs = {rows, rows + most, rows + 2 * most, rows + 3 * most, NULL, NULL};
+        const estimates_t estimates = {rows, rows + most, rows + 2 * most, rows + 3 * most, NULL, NULL};
         memcpy(ahead, state, (size_t)size);
         multivariate_end(model, future);
-        multivariate_smooth(model, ahead, &window, &beliefs, future, future + 1);
-        copy((int)m, beliefs.signal, signal + row * m), copy((int)m, beliefs.sigma, sigma + row * m);
+        multivariate_smooth(model, ahead, &window, &estimates, future, future + 1);
+        copy((int)m, estimates.signal, signal + row * m), copy((int)m, estimates.sigma, sigma + row * m);
         window.rows = 1;
         multivariate_filter(model, state, &window, &nothing);
     }

@@ -33,7 +33,7 @@ typedef struct {
     real *signal, *sigma;         /* (rows, m) H x; NaN and inf while it is undetermined */
     real *innovation, *deviation; /* (rows, m), and standard deviation; NaN without a measurement or a prediction */
     real *x, *P;                  /* (rows, n), (rows, n, n); NaN and inf while they are undetermined */
-} beliefs_t;
+} estimates_t;
 
 /* Everything that later rows depend on. */
 typedef struct {
@@ -44,27 +44,27 @@ typedef struct {
     int64_t closed;               /* whether A and g belong to the last step */
     score_t score;
     real numbers[];               /* x, P, K, L, D, nu, deviation; last check; A, g: see multivariate.c */
-} knowledge_t;
+} multivariate_state_t;
 
 /* Return the number of bytes of a state. */
 int64_t multivariate_size(int64_t states, int64_t channels);
 /* Return whether a state, which may come from a file, is possible for this model. */
-int multivariate_is_sound(const multivariate_t *model, const knowledge_t *state);
+int multivariate_is_sound(const multivariate_t *model, const multivariate_state_t *state);
 /* Set the state before the first row: x (n) and P (n, n), or the model's prior if they are NULL. */
-void multivariate_start(const multivariate_t *model, const real *x, const real *P, knowledge_t *state);
-void multivariate_filter(const multivariate_t *model, knowledge_t *state, const record_t *record,
-                         const beliefs_t *beliefs);
+void multivariate_start(const multivariate_t *model, const real *x, const real *P, multivariate_state_t *state);
+void multivariate_filter(const multivariate_t *model, multivariate_state_t *state, const record_t *record,
+                         const estimates_t *estimates);
 /* Return the bytes of memory that smoothing needs besides the state. */
 int64_t multivariate_room(int64_t states, int64_t channels, int64_t rows);
 /* Filter and smooth rows, with the information of later rows in `future`, which then includes these rows. The array for
    innovations is needed; they stay those of the filter. */
-void multivariate_smooth(const multivariate_t *model, knowledge_t *state, const record_t *record,
-                         const beliefs_t *beliefs, future_t *future, void *room);
+void multivariate_smooth(const multivariate_t *model, multivariate_state_t *state, const record_t *record,
+                         const estimates_t *estimates, future_t *future, void *room);
 /* Return the bytes of memory that a fixed lag needs. */
 int64_t multivariate_lag_room(int64_t states, int64_t channels, int64_t lag);
 /* Smooth the first `ready` rows with the rows up to `lag` after each. The state moves from before these rows to after
    them. All steps are equal; the very first row has no step before it. `signal` and `sigma` are (ready, m). */
-void multivariate_lag(const multivariate_t *model, knowledge_t *state, const record_t *record, int64_t lag,
+void multivariate_lag(const multivariate_t *model, multivariate_state_t *state, const record_t *record, int64_t lag,
                       int64_t ready, real *signal, real *sigma, void *room);
 /* Set the information of later rows at the end of a record: none. */
 void multivariate_end(const multivariate_t *model, future_t *future);

@@ -2,13 +2,13 @@
 #include "limits.h"
 #include "monitor.h"
 
-void scan_start(limits_t *limits, watched_t *watched) {
+void scan_start(limits_t *limits, record_monitor_t *watched) {
     start_limits(limits);
     memset(watched, 0, sizeof *watched);
     watched->monitor.drift_since = -1;
 }
 
-int scan_is_sound(const limits_t *limits, const watched_t *watched) {
+int scan_is_sound(const limits_t *limits, const record_monitor_t *watched) {
     return limits_are_sound(limits) && monitor_is_sound(&watched->monitor) && isfinite(watched->now) &&
            isfinite(watched->opened);
 }
@@ -26,7 +26,7 @@ int64_t scan_faults(const settings_t *settings, limits_t *state, const real *z, 
 
 void scan_reduce(const settings_t *settings, limits_t *state) { reduce_limits(settings, state); }
 
-int64_t scan_innovations(const settings_t *settings, watched_t *state, const real *normalised, const real *elapsed,
+int64_t scan_innovations(const settings_t *settings, record_monitor_t *state, const real *normalised, const real *elapsed,
                          const int64_t rows, int8_t *verdict, const hops_t *hops) {
     enum { LAST = WINDOW_HOPS - 2 };
     monitor_t *monitor = &state->monitor;

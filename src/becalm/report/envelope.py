@@ -75,7 +75,7 @@ class Envelope:
             self.high[touched] = np.fmax(self.high[touched], np.fmax.reduceat(high, begins))
 
 
-class Kinds:
+class VerdictsByStretch:
     """The codes, from 0 to 15, that occur in each stretch of a sequence.
 
     Attributes

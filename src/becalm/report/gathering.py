@@ -12,7 +12,7 @@ from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.metrics.whiteness import PIECE
 from becalm.report.closeup import Closeup, Farthest, Middle
-from becalm.report.envelope import Cut, Envelope, Kinds, Means, Stretches
+from becalm.report.envelope import Cut, Envelope, Means, Stretches, VerdictsByStretch
 from becalm.report.spectra import RunningSpectrum
 
 _STRETCHES = 18_000  # of all channels together
@@ -110,7 +110,7 @@ class ChannelGathering:
     ----------
     readings, clean, band : Envelope
         Envelopes of the readings, of the signal, and of the band of ± `WIDTH` sigma around it, in unit.
-    kinds : Kinds
+    kinds : VerdictsByStretch
         Verdicts on the readings.
     before : RunningSpectrum
         Spectrum of the readings; the signal replaces missing ones.
@@ -124,7 +124,7 @@ class ChannelGathering:
 
     def __init__(self, rows: int, step_s: float, stretches: int) -> None:
         self.readings, self.clean, self.band = (Envelope(stretches) for _ in range(3))
-        self.kinds = Kinds(stretches)
+        self.kinds = VerdictsByStretch(stretches)
         self.before, self.after = RunningSpectrum(rows, 1 / step_s), RunningSpectrum(rows, 1 / step_s)
         self.closeups: tuple[Closeup, ...] = (Middle(rows), Farthest())
         self._nis_stretches = Stretches(rows, _NIS_STRETCHES)

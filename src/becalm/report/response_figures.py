@@ -17,7 +17,7 @@ from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.recording import Recording
 from becalm.core.steady.response import Response
 from becalm.identification.wishes.gain_of_waiting import Wait, waiting_curve
-from becalm.identification.wishes.noise_against_lag import TradeOffCurve, noise_lag_front
+from becalm.identification.wishes.noise_against_lag import TradeOffCurve, trade_off_curve
 from becalm.report.description import Axis, Curve, Figure, Layer
 from becalm.report.pictures import Title
 
@@ -55,7 +55,7 @@ class Behaviour(NamedTuple):
 def front_of(step_s: float) -> TradeOffCurve:
     """Return the trade-off curve (noise against lag) of causal filters of order 1 to 3, for readings with noise 1."""
     points = [
-        noise_lag_front(1.0, step_s, (order,), [cutoff_to_ratio(order, float(cutoff)) for cutoff in _CUTOFFS]).points
+        trade_off_curve(1.0, step_s, (order,), [cutoff_to_ratio(order, float(cutoff)) for cutoff in _CUTOFFS]).points
         for order in _ORDERS
     ]
     return TradeOffCurve(1.0, step_s, tuple(chain.from_iterable(points)))

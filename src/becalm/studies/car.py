@@ -27,8 +27,8 @@ from becalm.metrics.truth import rms_error
 from becalm.studies.car_drive import BODY_HZ, INPUT_SNR_PAPER_DB, OTHER_SHARES, OUTPUT_SNR_PAPER_DB, CarDrive, simulate
 from becalm.studies.car_filters import (
     CHECKED_GAIN,
-    Apart,
-    Reach,
+    FormDifferences,
+    FrequencyLimits,
     T,
     compare_forms,
     printed_model,
@@ -64,7 +64,7 @@ class CarScore(NamedTuple):
     rms_error: float  # m/s^2
 
 
-class Left(NamedTuple):
+class ErrorParts(NamedTuple):
     """The parts of the mean square error of a filter's output for one acceleration, in (m/s^2)^2."""
 
     filter: str
@@ -88,13 +88,13 @@ class CarStudy(NamedTuple):
     input_snr_paper_db: tuple[float, float]
     estimates: dict[str, Floats]  # (N, 3) speed, a_x, a_z, by filter; also `TRUTH` and `MEASURED`
     scores: tuple[CarScore, ...]
-    left: tuple[Left, ...]
-    forms: Apart
+    left: tuple[ErrorParts, ...]
+    forms: FormDifferences
     gain: Floats  # (3, 3) steady-state gain with the paper's matrices
     gain_apart: float  # largest difference from `CHECKED_GAIN`
     white_left: Floats  # (2,) noise gain with the paper's matrices, computed
     white_measured: Floats  # (2,) the same, measured
-    reach: tuple[Reach, Reach]
+    reach: tuple[FrequencyLimits, FrequencyLimits]
     bands: dict[str, tuple[dict[str, float], dict[str, float]]]  # by filter and axis: (m/s^2)^2 in each band
     own: TunedModel  # the paper's model with Q and R by likelihood
     others: tuple[Other, ...]
@@ -196,7 +196,7 @@ def _score(name: str, axis: int, estimates: dict[str, Floats], model: Model | No
     )
 
 
-def _left(name: str, model: Model, axis: int, drive: CarDrive) -> Left:
+def _left(name: str, model: Model, axis: int, drive: CarDrive) -> ErrorParts:
     """Filter each kind of noise and the signal alone; the filter is linear, so that their outputs sum to its output."""
 
     def after(values: Floats) -> Floats:
@@ -209,7 +209,7 @@ def _left(name: str, model: Model, axis: int, drive: CarDrive) -> Left:
     stays = {kind: float(np.mean(after(noise) ** 2)) for kind, noise in kinds.items()}
     stays["signal"] = float(np.mean((after(truth) - truth[:, axis]) ** 2))
     came = {kind: float(np.mean(noise[:, axis] ** 2)) for kind, noise in kinds.items()}
-    return Left(name, AXES[axis - 1], came, stays)
+    return ErrorParts(name, AXES[axis - 1], came, stays)
 
 
 def _bands(samples: Floats) -> tuple[dict[str, float], dict[str, float]]:

@@ -53,10 +53,10 @@ def run_one_step(model: Model, z: Floats) -> OneStep:
     """Filter readings z (N, m) in the one-step-prediction form of Appendix B, from x0 and P0."""
     assert model.x0 is not None
     assert model.P0 is not None
-    belief, steps = reference.Belief(model.x0, model.P0), []
+    belief, steps = reference.StateEstimate(model.x0, model.P0), []
     for reading in z:
         step = reference.predict_one_step(belief, model.F, model.process_covariance, (model.H, model.R), reading)
-        belief = reference.Belief(step.state, step.cov)
+        belief = reference.StateEstimate(step.state, step.cov)
         steps.append(step)
     return OneStep(
         np.array([step.state for step in steps]),
@@ -66,7 +66,7 @@ def run_one_step(model: Model, z: Floats) -> OneStep:
     )
 
 
-class Apart(NamedTuple):
+class FormDifferences(NamedTuple):
     """The largest relative differences between the one-step-prediction form and the filtered form."""
 
     state: float  # of x(n+1 | n), relative to the largest value of each state
@@ -74,14 +74,14 @@ class Apart(NamedTuple):
     ahead_cov: float  # of P(n+1, n), likewise
 
 
-def compare_forms(model: Model, z: Floats) -> Apart:
+def compare_forms(model: Model, z: Floats) -> FormDifferences:
     """Filter readings z (N, m) in both forms and compare x(n+1 | n) with F x(n | n), and likewise the covariances."""
     one, got = run_one_step(model, z), kalman_filter(model, z, states=True, covariances=True)
     assert got.mean is not None
     assert got.cov is not None
     ahead, ahead_cov = got.mean @ model.F.T, covariance_ahead(got.cov, model)
     state = np.abs(one.ahead - ahead) / np.abs(one.ahead).max(axis=0)
-    return Apart(float(state.max()), _apart(one.filtered_cov, got.cov), _apart(one.ahead_cov, ahead_cov))
+    return FormDifferences(float(state.max()), _apart(one.filtered_cov, got.cov), _apart(one.ahead_cov, ahead_cov))
 
 
 def _apart(P: Floats, other: Floats) -> float:
@@ -119,14 +119,14 @@ def response(model: Model, frequency_hz: Floats) -> Complexes:
     return np.asarray(model.H @ np.linalg.solve(np.eye(model.states) - A * delay, K), dtype=np.complex128)
 
 
-class Reach(NamedTuple):
+class FrequencyLimits(NamedTuple):
     """The frequencies at which the printed matrices reach the printed output signal-to-noise ratio of a channel."""
 
     noise_above_hz: float  # noise above this frequency is reduced at least as much as printed; inf if no noise is
     signal_below_hz: float  # noiseless motion below this frequency is followed at least as well as printed
 
 
-def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_paper_db: float) -> Reach:
+def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_paper_db: float) -> FrequencyLimits:
     """Return the frequencies at which noise and motion have the paper's ratios, with a model's steady-state gain.
 
     Motion along appears in the speed too, so that both sensors measure it.
@@ -150,4 +150,4 @@ def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_p
     quiet = left <= 10 ** ((input_snr_paper_db - output_snr_paper_db) / 20)
     close = missed <= 10 ** (-output_snr_paper_db / 20)
     far = f[~close]
-    return Reach(float(f[quiet].min()) if quiet.any() else np.inf, float(far.min()) if len(far) else np.inf)
+    return FrequencyLimits(float(f[quiet].min()) if quiet.any() else np.inf, float(far.min()) if len(far) else np.inf)

@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.recording import Recording
 from becalm.identification.several.step_spectrum import Sensor, StepTrial
-from becalm.identification.wishes.noise_against_lag import noise_lag_front
+from becalm.identification.wishes.noise_against_lag import trade_off_curve
 from becalm.studies.imu_records import PRINTED, RATE_HZ, SENSORS
 from becalm.studies.imu_responses import reached_ms
 
@@ -79,7 +79,7 @@ def contest() -> Contest:
     std = np.sqrt(PRINTED["accelerometer"].measured_noise)
     switched = tuple(_switched(step / std) for step in STEPS)
     fixed = tuple(_fixed(sensor) for sensor in SENSORS)
-    points = noise_lag_front(1.0, 1 / RATE_HZ).points
+    points = trade_off_curve(1.0, 1 / RATE_HZ).points
     fronts = tuple(
         GainCurve(
             order,

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from becalm.core.arrays import Floats, Integers
 from becalm.core.filter.filtering import (
     WantedResults,
-    new_beliefs,
+    new_buffers,
     new_kernel,
     numbers,
     require_model,
@@ -76,7 +76,7 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     kernel = new_kernel(model, timeline, wanted)
     start, likelihoods, used = kernel.state.copy(), np.empty(records), np.empty(records, np.int64)
     results = EstimateBuffers(
-        *(None if array is None else np.empty((records, *array.shape)) for array in new_beliefs(model, count, wanted))
+        *(None if array is None else np.empty((records, *array.shape)) for array in new_buffers(model, count, wanted))
     )
     for record, z_k in enumerate(readings):
         kernel.state[:] = start

@@ -149,7 +149,7 @@ class StepTable:
     """
 
     def __init__(self, component: Component, *, nearest: bool = True) -> None:
-        self._steps, self._in_steps = StepMatrices(component), component.goes_in_steps and nearest
+        self._steps, self._in_steps = StepMatrices(component), component.has_recursion and nearest
         self._lengths, self._matrices = np.ones(1), self._steps.over(np.ones(1))
 
     @property

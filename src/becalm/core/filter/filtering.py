@@ -165,7 +165,7 @@ class Run(NamedTuple):
 
 def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = EVERYTHING) -> Run:
     """Filter z (N, m) over a timeline; see `kalman_filter`."""
-    kernel, buffers = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
+    kernel, buffers = new_kernel(model, timeline, wanted), new_buffers(model, len(z), wanted)
     kernel.filter(rows_of(timeline, z), buffers)
     return Run(estimate_of(kernel, buffers), int(kernel.head["opened"]), kernel.covariance.copy())
 
@@ -206,7 +206,7 @@ def rows_of(timeline: Timeline, z: Floats) -> MeasurementRows:
     return MeasurementRows(z, timeline.first, timeline.step, F, Q, lengths)
 
 
-def new_beliefs(model: Model, count: int, wanted: WantedResults) -> EstimateBuffers:
+def new_buffers(model: Model, count: int, wanted: WantedResults) -> EstimateBuffers:
     """Allocate arrays for the requested results of `count` rows."""
     n, m = model.states, model.channels
     flags = (wanted.signal, wanted.sigma, wanted.innovations, wanted.innovations, wanted.states, wanted.covariances)

@@ -12,7 +12,7 @@ from becalm.core.filter.filtering import (
     WantedResults,
     checked_readings,
     estimate_of,
-    new_beliefs,
+    new_buffers,
     new_kernel,
     rows_of,
 )
@@ -66,7 +66,7 @@ def kalman_smoother(  # noqa: PLR0913  (one flag for each result)
 
 def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = EVERYTHING) -> Estimate:
     """Smooth z (N, m) over a timeline; see `kalman_smoother`."""
-    kernel, buffers = new_kernel(model, timeline, wanted), new_beliefs(model, len(z), wanted)
+    kernel, buffers = new_kernel(model, timeline, wanted), new_buffers(model, len(z), wanted)
     innovation = np.empty(z.shape) if buffers.innovation is None else buffers.innovation
     kernel.smooth(rows_of(timeline, z), buffers._replace(innovation=innovation))
     return estimate_of(kernel, buffers)

@@ -14,7 +14,7 @@ import numpy as np
 
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.fixed_lag_flow import checked_lag
-from becalm.core.imm.forward import ByModes, ForwardImm, with_spikes
+from becalm.core.imm.forward import ForwardImm, ImmFlowBase, with_spikes
 from becalm.core.imm.modes import InteractingModels, numbered_steps
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.errors import ModelError
@@ -105,7 +105,7 @@ class WaitingRows:
         self._notes, self._turn = notes, int(turn)
 
 
-class FixedLagImmFlow(ByModes):
+class FixedLagImmFlow(ImmFlowBase):
     """A fixed-lag IMM smoother of one channel; a push may have any number of rows.
 
     Parameters

@@ -15,7 +15,7 @@ import numpy as np
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.channel_settings import GapLimit
 from becalm.core.health.monitor import HOPS
-from becalm.core.imm.forward import ByModes, ForwardImm, with_spikes
+from becalm.core.imm.forward import ForwardImm, ImmFlowBase, with_spikes
 from becalm.core.imm.modes import InteractingModels, numbered_steps
 from becalm.core.rows import EstimatedRows, Judge, Rows
 from becalm.core.steady.steady_filter import NEGLIGIBLE_SHARE, rows_until_decayed
@@ -43,7 +43,7 @@ class _Stretch(NamedTuple):
     verdicts: Codes  # (B,)
 
 
-class ImmFlow(ByModes):
+class ImmFlow(ImmFlowBase):
     """An IMM filter or smoother of one channel; a push may have any number of rows.
 
     Parameters

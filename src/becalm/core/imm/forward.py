@@ -119,7 +119,7 @@ class ForwardImm:
         return EstimatedRows(trace.signal, trace.sigma, parts, verdicts)
 
 
-class ByModes:
+class ImmFlowBase:
     """The base class of the IMM flows: properties and state of their forward pass.
 
     Parameters

@@ -113,7 +113,7 @@ class Component:
         return bool(last > 0 and self.drift[last, last] < 0.0 and self.keeps_level)
 
     @property
-    def goes_in_steps(self) -> bool:
+    def has_recursion(self) -> bool:
         """Return whether a part is defined at whole steps only."""
         return any(part.recursion is not None for part in self.parts)
 
@@ -124,7 +124,7 @@ class Component:
         A recursion is known to be stationary; without this, the first readings could not distinguish it from a
         motion. The distance of a motion from the level that it returns to is stationary as well.
         """
-        if not (self.goes_in_steps or self.returns):
+        if not (self.has_recursion or self.returns):
             return None
         Y = np.zeros_like(self.drift)
         for part, states in zip(self.parts, self._slices(), strict=True):

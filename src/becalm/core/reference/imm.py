@@ -23,7 +23,7 @@ _UNLIKELY = 1e-100  # lower limit of the probability of a mode
 _NEGLIGIBLE = 1e-8  # smaller weights are not mixed in
 
 
-class Beliefs(NamedTuple):
+class ModeStates(NamedTuple):
     """State, covariance and probability of each mode."""
 
     x: Floats  # (M, n)
@@ -43,7 +43,7 @@ class BackwardLikelihood(NamedTuple):
 class Row(NamedTuple):
     """The posterior after a reading, and what the reading contributed."""
 
-    beliefs: Beliefs
+    beliefs: ModeStates
     said: BackwardLikelihood  # likelihood of this reading alone, about the posterior mean
     log_likelihood: float  # 0 for a missing reading and for the first one
     wild: float  # probability that the reading is wild; NaN if there was no update
@@ -65,11 +65,11 @@ def modes_over(bank: Bank, step: int) -> Modes:
     return Modes(bank.F[own], bank.Q[own], bank.T[step])
 
 
-def begin(z: float, start: Floats) -> Beliefs:
+def begin(z: float, start: Floats) -> ModeStates:
     """Start at the first reading; `start` (M, 1 + n) holds the probability of each mode and the variances of states."""
     x = np.zeros_like(start[:, 1:])
     x[:, 0] = z
-    return Beliefs(x, np.array([np.diag(variances) for variances in start[:, 1:]]), start[:, 0].copy())
+    return ModeStates(x, np.array([np.diag(variances) for variances in start[:, 1:]]), start[:, 0].copy())
 
 
 def collapse(weights: Floats, x: Floats, P: Floats) -> tuple[Floats, Floats]:
@@ -79,12 +79,12 @@ def collapse(weights: Floats, x: Floats, P: Floats) -> tuple[Floats, Floats]:
     return mean, np.einsum("k,kab->ab", weights, P + d[:, :, np.newaxis] * d[:, np.newaxis, :])
 
 
-def mix(now: Beliefs, T: Floats) -> Beliefs:
+def mix(now: ModeStates, T: Floats) -> ModeStates:
     """Return the mixed state of each mode before a step: all modes, weighted by their transitions into it."""
     c = now.mu @ T  # (1)
     weights = [_without_negligible(now.mu * T[:, j] / c[j] if c[j] > _UNLIKELY else now.mu) for j in range(len(c))]
     parts = [collapse(weight, now.x, now.P) for weight in weights]  # (2), (3)
-    return Beliefs(np.array([x for x, _ in parts]), np.array([P for _, P in parts]), np.maximum(c, _UNLIKELY))
+    return ModeStates(np.array([x for x, _ in parts]), np.array([P for _, P in parts]), np.maximum(c, _UNLIKELY))
 
 
 def _without_negligible(weights: Floats) -> Floats:
@@ -94,14 +94,14 @@ def _without_negligible(weights: Floats) -> Floats:
     return normalised
 
 
-def predict(mixed: Beliefs, modes: Modes) -> Beliefs:
+def predict(mixed: ModeStates, modes: Modes) -> ModeStates:
     """Predict each mode over the step."""
     x = np.array([F @ own for F, own in zip(modes.F, mixed.x, strict=True)])  # (4)
     P = np.array([F @ own @ F.T + Q for F, Q, own in zip(modes.F, modes.Q, mixed.P, strict=True)])
-    return Beliefs(x, P, mixed.mu)
+    return ModeStates(x, P, mixed.mu)
 
 
-def update(before: Beliefs, bank: Bank, z: float) -> Row:
+def update(before: ModeStates, bank: Bank, z: float) -> Row:
     """Update all modes with a reading that may be tame or wild."""
     H, R, tail, (V, rejects) = bank.H[0], bank.R, bank.tail, bank.wild
     nu, S = z - before.x @ H, np.einsum("a,jab,b->j", H, before.P, H) + R  # (5)
@@ -113,7 +113,7 @@ def update(before: Beliefs, bank: Bank, z: float) -> Row:
     mu = np.maximum(before.mu * likelihood / total, _UNLIKELY)  # (8)
     expected = before.mu @ (before.x @ H)
     spread = before.mu @ (S + (before.x @ H - expected) ** 2)
-    after = Beliefs(np.array([x for x, _ in parts]), np.array([P for _, P in parts]), mu)
+    after = ModeStates(np.array([x for x, _ in parts]), np.array([P for _, P in parts]), mu)
     outlook = reading_likelihood(after, bank, z, w / R)
     fit = np.array([evidence(before.x[j], before.P[j], outlook, j) for j in range(len(R))])
     outlook = outlook._replace(g=np.log(likelihood) - fit)  # makes its evidence equal to the likelihood of the reading
@@ -149,12 +149,12 @@ def normal(nu: Floats, S: Floats) -> Floats:
 def filter_readings(bank: Bank, start: Floats, z: Floats, steps: Steps) -> list[Row]:
     """Filter z (N,); `steps` (N,) holds the index of the step before each row, -1 for none."""
     rows: list[Row] = []
-    beliefs: Beliefs | None = None
+    beliefs: ModeStates | None = None
     for reading, step in zip(z, steps, strict=True):
         arrived = bool(np.abs(reading) <= _READABLE)
         if beliefs is None:
             beliefs = begin(reading, start) if arrived else None
-            unknown = Beliefs(*(np.full_like(a, np.nan) for a in begin(0.0, start)))
+            unknown = ModeStates(*(np.full_like(a, np.nan) for a in begin(0.0, start)))
             row = _without_update(unknown if beliefs is None else beliefs)
         else:
             if step >= 0:
@@ -166,16 +166,16 @@ def filter_readings(bank: Bank, start: Floats, z: Floats, steps: Steps) -> list[
     return rows
 
 
-def _without_update(beliefs: Beliefs) -> Row:
+def _without_update(beliefs: ModeStates) -> Row:
     """Return a row without an update."""
     return Row(beliefs, _no_information(beliefs), 0.0, np.nan, np.nan, np.nan)
 
 
-def _no_information(now: Beliefs) -> BackwardLikelihood:
+def _no_information(now: ModeStates) -> BackwardLikelihood:
     return BackwardLikelihood(now.x, np.zeros_like(now.x), np.zeros_like(now.P), np.zeros_like(now.mu))
 
 
-def reading_likelihood(after: Beliefs, bank: Bank, z: float, W: Floats) -> BackwardLikelihood:
+def reading_likelihood(after: ModeStates, bank: Bank, z: float, W: Floats) -> BackwardLikelihood:
     """Return the likelihood of a reading about the posterior mean; W (M,) is the probability of its use over R."""
     H = bank.H[0]
     r = np.array([H * own * (z - H @ x) for own, x in zip(W, after.x, strict=True)])
@@ -216,9 +216,9 @@ def before_step(F: Floats, Q: Floats, x: Floats, ahead: BackwardLikelihood, i: i
     return BackwardLikelihood(x, F.T @ A @ (r - Y @ (F @ x - c)), F.T @ A @ Y @ F, np.array(own))  # (10), (11)
 
 
-def smooth(bank: Bank, rows: list[Row], steps: Steps) -> list[Beliefs]:
+def smooth(bank: Bank, rows: list[Row], steps: Steps) -> list[ModeStates]:
     """Smooth a filtered record: return the state of each row given all readings."""
-    smoothed: list[Beliefs] = []
+    smoothed: list[ModeStates] = []
     ahead: BackwardLikelihood | None = None
     for k in range(len(rows) - 1, -1, -1):
         now, outlook = rows[k].beliefs, rows[k].said
@@ -231,7 +231,7 @@ def smooth(bank: Bank, rows: list[Row], steps: Steps) -> list[Beliefs]:
     return smoothed[::-1]
 
 
-def smooth_row(now: Beliefs, modes: Modes, ahead: BackwardLikelihood) -> tuple[Beliefs, BackwardLikelihood]:
+def smooth_row(now: ModeStates, modes: Modes, ahead: BackwardLikelihood) -> tuple[ModeStates, BackwardLikelihood]:
     """Return the smoothed state of a row, and the likelihood of the later readings in each mode."""
     parts = [smooth_mode(now, modes, ahead, j) for j in range(len(now.mu))]
     fit = np.array([own for *_, own in parts]) + np.log(now.mu)
@@ -240,11 +240,11 @@ def smooth_row(now: Beliefs, modes: Modes, ahead: BackwardLikelihood) -> tuple[B
     pooled = BackwardLikelihood(
         *(np.array(arrays) for arrays in zip(*(outlook for _, _, outlook, _ in parts), strict=True))
     )
-    return Beliefs(x, P, np.maximum(mu / mu.sum(), _UNLIKELY)), pooled
+    return ModeStates(x, P, np.maximum(mu / mu.sum(), _UNLIKELY)), pooled
 
 
 def smooth_mode(
-    now: Beliefs, modes: Modes, ahead: BackwardLikelihood, j: int
+    now: ModeStates, modes: Modes, ahead: BackwardLikelihood, j: int
 ) -> tuple[Floats, Floats, BackwardLikelihood, Any]:
     """Return mean and covariance of mode j, and the likelihood of later readings: as a function, and its log value."""
     x, P, n, count = now.x[j], now.P[j], now.x.shape[1], len(now.mu)

@@ -14,7 +14,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 
 
-class Belief(NamedTuple):
+class StateEstimate(NamedTuple):
     """Mean and covariance of the state at one time."""
 
     mean: Floats  # x, (n,)
@@ -24,20 +24,20 @@ class Belief(NamedTuple):
 class ReferenceStep(NamedTuple):
     """The prior, the posterior and the innovation of one reading."""
 
-    predicted: Belief
-    filtered: Belief
+    predicted: StateEstimate
+    filtered: StateEstimate
     innovation: Floats  # nu, (m,), NaN where a channel is missing
     innovation_cov: Floats  # S, without the missing channels
     log_likelihood: float
 
 
-def predict(belief: Belief, F: Floats, Q: Floats) -> Belief:
+def predict(belief: StateEstimate, F: Floats, Q: Floats) -> StateEstimate:
     """Predict the state by one step."""
     x, P = belief
-    return Belief(F @ x, F @ P @ F.T + Q)  # (1), (2)
+    return StateEstimate(F @ x, F @ P @ F.T + Q)  # (1), (2)
 
 
-def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> ReferenceStep:
+def update(belief: StateEstimate, H: Floats, R: Floats, reading: Floats) -> ReferenceStep:
     """Update the state with the channels of a reading that are not NaN."""
     x, P = belief
     arrived = np.isfinite(reading)
@@ -47,7 +47,7 @@ def update(belief: Belief, H: Floats, R: Floats, reading: Floats) -> ReferenceSt
     S_inverse = np.linalg.pinv(S, rcond=1e-15, hermitian=True).astype(np.float64)
     K = P @ H.T @ S_inverse  # (5) gain
     A = np.eye(len(x)) - K @ H
-    filtered = Belief(x + K @ nu, A @ P @ A.T + K @ R @ K.T)  # (6), (7) Joseph
+    filtered = StateEstimate(x + K @ nu, A @ P @ A.T + K @ R @ K.T)  # (6), (7) Joseph
     innovation = np.full(len(reading), np.nan)
     innovation[arrived] = nu
     return ReferenceStep(belief, filtered, innovation, S, _log_density(nu, S, S_inverse))
@@ -61,7 +61,7 @@ def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
 
 
 def filter_readings(
-    belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats
+    belief: StateEstimate, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats
 ) -> list[ReferenceStep]:
     """Filter z (N, m), starting from the prior at the first reading."""
     H, R = sensor
@@ -73,14 +73,14 @@ def filter_readings(
     return steps
 
 
-def smooth(steps: list[ReferenceStep], F: Floats, H: Floats) -> list[Belief]:
+def smooth(steps: list[ReferenceStep], F: Floats, H: Floats) -> list[StateEstimate]:
     """Smooth a filtered record: return the state at each row given all readings."""
     n = len(F)
     r, N = np.zeros(n), np.zeros((n, n))  # adjoint state of the later readings, and its covariance
     smoothed = []
     for step in reversed(steps):
         x, P = step.filtered
-        smoothed.append(Belief(x + P @ r, P - P @ N @ P))  # (9), (10)
+        smoothed.append(StateEstimate(x + P @ r, P - P @ N @ P))  # (9), (10)
         arrived = np.isfinite(step.innovation)
         H_k = H[arrived]
         S_inverse = np.linalg.pinv(step.innovation_cov, rcond=1e-15, hermitian=True)
@@ -101,7 +101,7 @@ class Prediction(NamedTuple):
 
 
 def predict_one_step(
-    belief: Belief, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], reading: Floats
+    belief: StateEstimate, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], reading: Floats
 ) -> Prediction:
     """Take one step of the car paper's Appendix B; complex (Hermitian) signals are allowed.
 

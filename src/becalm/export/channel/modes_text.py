@@ -6,14 +6,14 @@ import numpy as np
 
 from becalm.core.filter.channel_settings import ChannelSettings, GapLimit, packed_settings
 from becalm.core.imm.modes import InteractingModels
-from becalm.export.channel.text import NUMBER, Door, of_array, of_number, of_struct
+from becalm.export.channel.text import NUMBER, DeviceInterface, of_array, of_number, of_struct
 from becalm.export.naming import identifiers
 from becalm.native.library import CONSTANTS, SETTINGS
 
 
 def modes_door(
     modes: InteractingModels, settings: ChannelSettings, gap_limit: GapLimit, prefix: str, sizes: tuple[int, int]
-) -> Door:
+) -> DeviceInterface:
     """Return the C interface of an IMM.
 
     Parameters
@@ -49,4 +49,6 @@ def modes_door(
     mode_numbers, own = m * (1 + n + n * n), 2 * m * n * n + m * m + 2 * n + 2 * m + m * (1 + n)
     state_bytes = CONSTANTS["SENSOR_SIZE"] + CONSTANTS["IMM_HEAD_SIZE"] + NUMBER * (mode_numbers + 1)
     names = [f"{prefix}_{name}".upper() for name in identifiers([mode.name for mode in modes.modes], "mode")]
-    return Door("device_modes", fields, state_bytes, SETTINGS.itemsize + NUMBER * (len(numbers) + own), names)
+    return DeviceInterface(
+        "device_modes", fields, state_bytes, SETTINGS.itemsize + NUMBER * (len(numbers) + own), names
+    )

@@ -24,7 +24,7 @@ NUMBER = 8
 _GREATEST_FLOAT = 3e38  # magnitude that a signal in float is limited to
 
 
-class Door(NamedTuple):
+class DeviceInterface(NamedTuple):
     """One of the library's C interfaces for controllers.
 
     Attributes
@@ -46,7 +46,7 @@ class Door(NamedTuple):
     modes: Sequence[str] = ()
 
 
-def channel_door(design: Design, settings: ChannelSettings, most_states: int) -> Door:
+def channel_door(design: Design, settings: ChannelSettings, most_states: int) -> DeviceInterface:
     """Return the C interface of a single filter, perhaps with a gate.
 
     Parameters
@@ -69,15 +69,17 @@ def channel_door(design: Design, settings: ChannelSettings, most_states: int) ->
     spare = 2 * (MOST_STATES - most_states) + MOST_STATES**2 - most_states**2  # unused numbers of h, c and prior
     numbers = 3 * most_states**2 + most_states  # F, Q, P and still
     table_bytes = SETTINGS.itemsize + COEFFICIENTS.itemsize + NUMBER * (numbers - spare)
-    return Door("device", fields, packed_size(most_states) + NUMBER, table_bytes)
+    return DeviceInterface("device", fields, packed_size(most_states) + NUMBER, table_bytes)
 
 
-def written_door(door: Door, design: Design, prefix: str, number: NumberType, largest: float) -> WrittenChannel:
+def written_door(
+    door: DeviceInterface, design: Design, prefix: str, number: NumberType, largest: float
+) -> WrittenChannel:
     """Write a C interface as the functions of one filter.
 
     Parameters
     ----------
-    door : Door
+    door : DeviceInterface
         The interface with its constants.
     design : Design
         The filter.

@@ -42,7 +42,7 @@ class Scale(NamedTuple):
             return np.clip((values - self.offset) / self.lsb, -float(GREATEST), float(GREATEST))
 
 
-class Rails(NamedTuple):
+class CountLimits(NamedTuple):
     """The limits of readings, in counts: from `low` and `high` on they are clipped, beyond the others overrange."""
 
     low: int
@@ -57,10 +57,10 @@ def scale_of(low: float, high: float) -> Scale:
     return Scale(float(np.rint((high + low) / 2 / lsb)) * lsb, lsb)
 
 
-def rails_of(design: Design, scale: Scale) -> Rails:
+def rails_of(design: Design, scale: Scale) -> CountLimits:
     """Return the limits of a channel's readings in counts, each at most `GREATEST` in magnitude."""
     limits, largest = design.limits, design.largest
-    return Rails(
+    return CountLimits(
         _at_most(limits.low, scale),
         -_at_most(-limits.high, Scale(-scale.offset, scale.lsb)),
         -_at_most(largest, Scale(-scale.offset, scale.lsb)),
@@ -132,7 +132,7 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     )
 
 
-def _limit_words(design: Design, scale: Scale, rails: Rails) -> dict[str, Any]:
+def _limit_words(design: Design, scale: Scale, rails: CountLimits) -> dict[str, Any]:
     """Return the values that templates need to check a reading."""
     zero = round(float(scale.counts(np.zeros(1))[0]))
     return {

@@ -12,7 +12,7 @@ from becalm.export.expressions import cost_of, in_lines, product_sum
 from becalm.export.number_type import NumberType
 from becalm.export.schedule import MOST_NUMBERS, Schedule, schedule_of
 from becalm.export.settled.word_length import prove
-from becalm.export.shared_parts import WrittenChannel, look_of, moved_level
+from becalm.export.shared_parts import WrittenChannel, moved_level, reading_check
 from becalm.export.templates import render
 from becalm.export.word_length import WordLength
 
@@ -59,7 +59,7 @@ def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberTy
     counted = 0 if schedule.exact else len(schedule.counts)
     largest = min(design.largest, number.greatest, word.range if word.quantum else np.inf)
     context = {
-        **look_of(design, prefix, number, largest),
+        **reading_check(design, prefix, number, largest),
         "o": len(design.opening.weights),
         "opening": _literals(design.opening.weights, number),
         "gains": _literals(gains, number),

@@ -15,8 +15,8 @@ from becalm.files.arrays.array_labels import NAME
 from becalm.files.arrays.array_rates import Rates
 from becalm.files.arrays.array_titles import is_alone, take_titles
 from becalm.files.arrays.arrays import FileArrays, Leaf, Path
+from becalm.files.column_statistics import Column
 from becalm.files.groups import GROUP, START, TIME, Group
-from becalm.files.numbers import Column
 from becalm.files.source import FormatTime
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name

@@ -13,7 +13,7 @@ from becalm.files.arrays.hdf5_customs import apply_conventions
 from becalm.files.arrays.hdf5_opening import Hdf5File
 from becalm.files.arrays.hdf5_tree import Tree
 from becalm.files.groups import tables
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.source import RawTable
 
 
@@ -28,23 +28,26 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If nothing in it can be read.
     """
-    return read_tree(Foreign(path, "HDF5"), "hdf5", _grouping)
+    return read_tree(LibraryFile(path, "HDF5"), "hdf5", _grouping)
 
 
-def _grouping(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
+def _grouping(foreign: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> Grouping:
     contents = Tree(foreign, opened, h5py).walk(opened.file)
     apply_conventions(contents)
     return Grouping(contents, "/", apart=True)
 
 
 def read_tree(
-    foreign: Foreign, form: str, group_contents: Callable[[Foreign, Hdf5File, ModuleType], Grouping], base: int = 0
+    foreign: LibraryFile,
+    form: str,
+    group_contents: Callable[[LibraryFile, Hdf5File, ModuleType], Grouping],
+    base: int = 0,
 ) -> tuple[RawTable, ...]:
     """Read the tables of a file that is HDF5 inside; close it if nothing can be read.
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file.
     form : str
         Short name of its format.

@@ -11,7 +11,7 @@ import numpy as np
 from becalm.files.arrays.arrays import FileArrays, Key, Leaf, Path, as_text
 from becalm.files.arrays.hdf5_gaps import WrittenChunks
 from becalm.files.arrays.hdf5_opening import Hdf5File
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 
 DEEPEST = 64
 """Deepest nesting of groups that is read."""
@@ -45,7 +45,7 @@ class Tree:
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file.
     opened : Hdf5File
         The open file.
@@ -56,7 +56,7 @@ class Tree:
     entries = "rows"
     """What messages call the entries on a dataset's first axis."""
 
-    def __init__(self, foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> None:
+    def __init__(self, foreign: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> None:
         self._foreign, self._opened, self.h5py = foreign, opened, h5py
         self.found = FileArrays()
         self._met: set[Any] = set()

@@ -18,7 +18,7 @@ from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.array_labels import take_labels
 from becalm.files.arrays.arrays import FileArrays, Leaf
 from becalm.files.groups import tables
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.signatures import is_mat5
 from becalm.files.source import RawTable
 
@@ -51,7 +51,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If no variable in it can be read.
     """
-    foreign = Foreign(path, "MAT")
+    foreign = LibraryFile(path, "MAT")
     contents = FileArrays()
     with foreign.explain_damage():
         data = path.read_bytes()

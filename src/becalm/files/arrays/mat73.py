@@ -16,7 +16,7 @@ from becalm.files.arrays.hdf5 import read_tree
 from becalm.files.arrays.hdf5_opening import Hdf5File
 from becalm.files.arrays.hdf5_tree import DEEPEST, Tree
 from becalm.files.arrays.mat import MOST_ELEMENTS, SAVE_AS, SPARSE
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.source import RawTable
 
 _USER_BLOCK = 512  # bytes before the HDF5 signature: MATLAB's header
@@ -33,10 +33,10 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If nothing in it can be read.
     """
-    return read_tree(Foreign(path, "MAT 7.3"), "mat", _grouping, _USER_BLOCK)
+    return read_tree(LibraryFile(path, "MAT 7.3"), "mat", _grouping, _USER_BLOCK)
 
 
-def _grouping(foreign: Foreign, opened: Hdf5File, h5py: ModuleType) -> Grouping:
+def _grouping(foreign: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> Grouping:
     contents = _MatlabTree(foreign, opened, h5py).walk(opened.file)
     take_labels(contents)
     return Grouping(contents, ".", apart=False)

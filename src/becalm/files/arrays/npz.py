@@ -17,7 +17,7 @@ from becalm.files.arrays.array_groups import Grouping
 from becalm.files.arrays.array_labels import NAME, VARIABLES, take_labels
 from becalm.files.arrays.arrays import FileArrays, Leaf
 from becalm.files.groups import tables
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.source import RawTable
 
 _CUT = "The file ends in the middle of {!r}; {} of {} rows are whole and were read."
@@ -33,7 +33,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If no array in it can be read.
     """
-    foreign = Foreign(path, "NPZ")
+    foreign = LibraryFile(path, "NPZ")
     contents = FileArrays()
     with foreign.explain_damage():
         with path.open("rb") as file:
@@ -49,7 +49,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return tables(foreign, "npz", groups)
 
 
-def _take_members(contents: FileArrays, foreign: Foreign) -> None:
+def _take_members(contents: FileArrays, foreign: LibraryFile) -> None:
     if not is_zipfile(foreign.path):  # its index, at the end of the file, is lost
         foreign.cut = True
         raise foreign.holds_nothing()

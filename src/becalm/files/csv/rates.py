@@ -10,9 +10,9 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
+from becalm.files.column_statistics import ColumnStatistics
 from becalm.files.groups import TIME
 from becalm.files.named_rates import hertz_of
-from becalm.files.numbers import Numbers
 from becalm.files.rows import TableRows
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.cells import split
@@ -83,7 +83,7 @@ def _has_times(raw: RawTable) -> bool:
     name = candidates[0][0]
     if raw.units.get(name) or parse_header(name)[1] or kind_of_column(raw.head.column(name)) != NUMBERS:
         return True
-    statistics = Numbers(raw.count)
+    statistics = ColumnStatistics(raw.count)
     for column in raw.column(name):
         statistics.add(numbers(column))
     return not statistics.counts

@@ -13,10 +13,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
-from becalm.files.bounded_file import WatchedFile
+from becalm.files.bounded_file import BoundedFile
+from becalm.files.column_statistics import NO_UNIT, Column
 from becalm.files.groups import TIME, Group, tables
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import NO_UNIT, Column
+from becalm.files.library_reader import LibraryFile
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.integer_stamps import instant
@@ -32,10 +32,10 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no samples.
     """
-    foreign = Foreign(path, "IDE")
+    foreign = LibraryFile(path, "IDE")
     library = foreign.library("idelib.importer")
     with foreign.explain_damage(), path.open("rb") as file:
-        opened = WatchedFile(file)
+        opened = BoundedFile(file)
         recording = library.openFile(opened, quiet=True)
         notes = _cut_off(recording.ebmldoc, opened)
         library.readData(recording)  # loads all blocks undecoded; they are decoded when their rows are read
@@ -43,7 +43,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return tables(foreign, "ide", groups)
 
 
-def _cut_off(document: Any, opened: WatchedFile) -> tuple[str, ...]:
+def _cut_off(document: Any, opened: BoundedFile) -> tuple[str, ...]:
     """End the file after its last complete element, since the library rejects a truncated file; return a note if so."""
     whole = 0
     with suppress(Exception):  # the library raises many types for a damaged element; those before it are complete

@@ -12,9 +12,9 @@ from typing import Any
 import pyarrow as pa
 
 from becalm.errors import InputError
+from becalm.files.column_statistics import Column, least_bytes
 from becalm.files.groups import TIME, Group, tables
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import Column, least_bytes
+from becalm.files.library_reader import LibraryFile
 from becalm.files.recorders.mf4_blocks import check_blocks
 from becalm.files.recorders.mf4_columns import NO_START, MasterTime, Mf4Channel, columns_of
 from becalm.files.source import FormatTime, RawTable
@@ -34,7 +34,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or is a bus log and no DBC file in its folder describes its frames.
     """
-    foreign = Foreign(path, "MDF")
+    foreign = LibraryFile(path, "MDF")
     library = foreign.library("asammdf")
     with ExitStack() as stack, foreign.explain_damage():
         mending = check_blocks(foreign)
@@ -70,7 +70,7 @@ def _is_bus(group: Any) -> bool:
     return bool(getattr(group.channel_group, "flags", 0) & _BUS_EVENT)
 
 
-def _decoded(foreign: Foreign, log: Any, more: bool) -> tuple[Any, list[str]]:
+def _decoded(foreign: LibraryFile, log: Any, more: bool) -> tuple[Any, list[str]]:
     """Decode the frames of a bus with the DBC files in the log's folder.
 
     If that fails, return None and the reason if there are `more` groups, otherwise raise an InputError.
@@ -93,7 +93,7 @@ def _decoded(foreign: Foreign, log: Any, more: bool) -> tuple[Any, list[str]]:
     return None, [why]
 
 
-def _groups(foreign: Foreign, log: Any, masters: Sequence[int]) -> Iterator[Group]:
+def _groups(foreign: LibraryFile, log: Any, masters: Sequence[int]) -> Iterator[Group]:
     for index in masters:
         group = log.groups[index].channel_group
         rows = min(

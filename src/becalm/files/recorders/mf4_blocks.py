@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, NamedTuple
 
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.unpacking import unpacked
 
 _HEADER_LINKS = 88  # offset of the links of the first block, ##HD, in the file
@@ -79,7 +79,7 @@ class Repairs(NamedTuple):
         return copy
 
 
-def check_blocks(foreign: Foreign) -> Repairs:
+def check_blocks(foreign: LibraryFile) -> Repairs:
     """Follow the blocks of a file of version 4 and return the repairs that it needs.
 
     Raises
@@ -105,7 +105,7 @@ def check_blocks(foreign: Foreign) -> Repairs:
         return Repairs(patches, cut)
 
 
-def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
+def _follow(foreign: LibraryFile, data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
     """Follow all blocks, and add patches for links that lead nowhere and for wrong lengths.
 
     Returns
@@ -148,7 +148,7 @@ def _follow(foreign: Foreign, data: mmap, flags: int, patches: dict[int, bytes])
     return cut, chained
 
 
-def _check_claims(foreign: Foreign, data: mmap, address: int, kind: bytes, channels: int) -> None:
+def _check_claims(foreign: LibraryFile, data: mmap, address: int, kind: bytes, channels: int) -> None:
     """Raise an error for a size or offset that is wrong; asammdf does not check it, and would return wrong numbers."""
     if kind == b"##DZ":
         _check_packed(foreign, data, address)
@@ -156,7 +156,7 @@ def _check_claims(foreign: Foreign, data: mmap, address: int, kind: bytes, chann
         _check_channel(data, address, channels)
 
 
-def _check_packed(foreign: Foreign, data: mmap, address: int) -> None:
+def _check_packed(foreign: LibraryFile, data: mmap, address: int) -> None:
     """Raise an error if a packed block has another size than it claims; asammdf would return wrong numbers."""
     how, plain, packed = _PACKED.unpack_from(data, address + _PACKED_AT)
     if how >= len(_PACKINGS) or packed > _length(data, address) - _PACKED_HEAD:

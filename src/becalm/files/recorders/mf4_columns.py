@@ -11,8 +11,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import Column
+from becalm.files.column_statistics import Column
+from becalm.files.library_reader import LibraryFile
 
 _LINEAR, _FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS = 1, 3, 7, 8  # types of conversions
 _MOST_PARTS = 4096  # most columns of one channel
@@ -112,7 +112,7 @@ class MasterTime:
         return np.asarray(log.get_master(group, record_offset=first, record_count=last - first))
 
 
-def columns_of(foreign: Foreign, channel: Mf4Channel) -> tuple[list[tuple[str, Column]], list[str]]:
+def columns_of(foreign: LibraryFile, channel: Mf4Channel) -> tuple[list[tuple[str, Column]], list[str]]:
     """Return the named columns of a channel, and notes about it."""
     conversion, name, unit = channel.head.conversion, channel.head.name, channel.unit
     if why := _not_converted(foreign, conversion):
@@ -147,7 +147,7 @@ def _of_texts(channel: Mf4Channel) -> Column:
     return Column(pa.string(), _reader(channel, named, raw=True), channel.unit)
 
 
-def _not_converted(foreign: Foreign, conversion: Any) -> str:
+def _not_converted(foreign: LibraryFile, conversion: Any) -> str:
     """Return why a conversion, or one that it refers to, cannot be applied, or "" if it can."""
     if conversion is None:
         return ""

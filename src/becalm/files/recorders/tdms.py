@@ -12,9 +12,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from becalm.files.column_statistics import Column, least_bytes
 from becalm.files.groups import GROUP, START, TIME, Group, tables
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import Column, least_bytes
+from becalm.files.library_reader import LibraryFile
 from becalm.files.recorders.tdms_writer import FILL
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.timing.time_column import is_time_name
@@ -43,7 +43,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no channel of numbers.
     """
-    foreign = Foreign(path, "TDMS")
+    foreign = LibraryFile(path, "TDMS")
     library = foreign.library("nptdms")
     file = path.open("rb")  # an open file, so that npTDMS does not use an index file, which may be outdated
     try:
@@ -83,7 +83,7 @@ def _ends_whole(path: Path) -> bool:
     return at == size
 
 
-def _groups(foreign: Foreign, group: Any, missing: dict[str, int]) -> Iterator[Group]:
+def _groups(foreign: LibraryFile, group: Any, missing: dict[str, int]) -> Iterator[Group]:
     """Yield a table for each time base in a group."""
     held: dict[_Base, list[Any]] = {}
     empty = [channel.name for channel in group.channels() if not len(channel)]

@@ -15,9 +15,9 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError
+from becalm.files.column_statistics import Column
 from becalm.files.groups import TIME, Group, tables
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import Column
+from becalm.files.library_reader import LibraryFile
 from becalm.files.recorders.uff_blocks import UffBlock, Values, blocks_of
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
@@ -65,7 +65,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no time response.
     """
-    foreign = Foreign(path, "UFF")
+    foreign = LibraryFile(path, "UFF")
     library = foreign.library("pyuff")
     with foreign.explain_damage():
         blocks, cut = blocks_of(path)

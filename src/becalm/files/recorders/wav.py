@@ -13,9 +13,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.errors import InputError
+from becalm.files.column_statistics import Column
 from becalm.files.groups import Group, tables
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import Column
+from becalm.files.library_reader import LibraryFile
 from becalm.files.source import FormatTime, RawTable
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE  # codings of samples; the last one refers to a later field
@@ -50,7 +50,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or its samples are not plain numbers.
     """
-    foreign = Foreign(path, "WAV")
+    foreign = LibraryFile(path, "WAV")
     decoder = foreign.library("scipy.io.wavfile")
     with foreign.explain_damage():
         sound = _header(foreign)
@@ -88,7 +88,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
         return tables(foreign, "wav", (group,))
 
 
-def _header(foreign: Foreign) -> _Sound:
+def _header(foreign: LibraryFile) -> _Sound:
     size = foreign.path.stat().st_size
     with foreign.path.open("rb") as file:
         mark = file.read(12)[:4]

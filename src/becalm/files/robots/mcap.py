@@ -8,9 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from becalm.files.bounded_file import WatchedFile, watched
+from becalm.files.bounded_file import BoundedFile, bounded_bytes
 from becalm.files.groups import tables
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.robots.ros_messages import IDL, MSG, Schema
 from becalm.files.robots.topics import Message, gathered
 from becalm.files.source import RawTable
@@ -28,10 +28,10 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no numbers.
     """
-    foreign = Foreign(path, "MCAP")
+    foreign = LibraryFile(path, "MCAP")
     foreign.library("mcap.stream_reader")
     with foreign.explain_damage(), path.open("rb") as file:
-        log = McapLog(foreign, WatchedFile(file))
+        log = McapLog(foreign, BoundedFile(file))
         groups = gathered(foreign, log.messages(), log.notes)
     return tables(foreign, "mcap", groups)
 
@@ -41,13 +41,13 @@ class McapLog:
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file or folder that the user named, for messages.
-    file : WatchedFile
+    file : BoundedFile
         The file, at its start.
     """
 
-    def __init__(self, foreign: Foreign, file: WatchedFile) -> None:
+    def __init__(self, foreign: LibraryFile, file: BoundedFile) -> None:
         self._foreign, self._file = foreign, file
         self._library = foreign.library("mcap.stream_reader")
         self._records = foreign.library("mcap.records")
@@ -74,12 +74,12 @@ class McapLog:
                 return
             if isinstance(record, self._records.Chunk):
                 data = self._chunk(record)
-                for inner in () if data is None else self._whole(watched(data)):
+                for inner in () if data is None else self._whole(bounded_bytes(data)):
                     yield from self._messages_in(inner)
             else:
                 yield from self._messages_in(record)
 
-    def _whole(self, file: WatchedFile) -> Iterator[Any]:
+    def _whole(self, file: BoundedFile) -> Iterator[Any]:
         """Yield records up to the first damaged or truncated one; a truncated chunk is yielded with what is left."""
         reader = self._library.StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=None)
         records = iter(reader.records)
@@ -97,7 +97,7 @@ class McapLog:
                 return
             yield record
 
-    def _rest_of_chunk(self, file: WatchedFile, start: int) -> Iterator[Any]:
+    def _rest_of_chunk(self, file: BoundedFile, start: int) -> Iterator[Any]:
         file.seek(start)
         if file.cut and file.read(_HEAD_BYTES)[:1] == _CHUNK:
             with suppress(Exception):  # the library raises many types if nothing is left

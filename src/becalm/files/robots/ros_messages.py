@@ -8,7 +8,7 @@ from operator import attrgetter
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.unpacking import ZSTD, unpacked
 
 UNITS = {
@@ -27,7 +27,7 @@ _SECOND = 1_000_000_000  # in nanoseconds
 
 MSG, IDL = "ros2msg", "ros2idl"  # languages of definitions
 
-Numbers = Iterator[tuple[str, float]]  # names and values
+ColumnStatistics = Iterator[tuple[str, float]]  # names and values
 
 
 class Schema(NamedTuple):
@@ -64,7 +64,7 @@ class RosDecoder:
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file.
     schema : Schema
         The type.
@@ -84,7 +84,7 @@ class RosDecoder:
         Any exception of the library, if the type is unknown or its definition is damaged.
     """
 
-    def __init__(self, foreign: Foreign, schema: Schema) -> None:
+    def __init__(self, foreign: LibraryFile, schema: Schema) -> None:
         typesys = foreign.library("rosbags.typesys")
         kind = foreign.library("rosbags.typesys.msg").normalize_msgtype(schema.type)
         store = _store(typesys, schema, kind)
@@ -101,7 +101,7 @@ class RosDecoder:
         decode = store.deserialize_ros1 if self._ros1 else store.deserialize_cdr
         self._decode: Callable[[bytes], Any] = lambda data: decode(data, kind)
 
-    def __call__(self, data: bytes) -> tuple[int | None, Numbers]:
+    def __call__(self, data: bytes) -> tuple[int | None, ColumnStatistics]:
         """Return the stamp of a message in nanoseconds, or None, and its numbers with their names."""
         message = self._decode(data if self._ros1 or not data.startswith(ZSTD) else self._plain(data))
         stamp = None
@@ -116,7 +116,7 @@ class RosDecoder:
         size = self._foreign.library("zstandard").frame_content_size(data)
         return unpacked(self._foreign, "zstd", data, size)
 
-    def _numbers(self, values: tuple[Any, ...]) -> Numbers:
+    def _numbers(self, values: tuple[Any, ...]) -> ColumnStatistics:
         for (name, most), value in zip(self._names, values, strict=True):
             if not most:
                 yield name, value

@@ -9,9 +9,9 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from becalm.errors import InputError
-from becalm.files.bounded_file import WatchedFile
+from becalm.files.bounded_file import BoundedFile
 from becalm.files.groups import tables
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.registry import BAG
 from becalm.files.robots import mcap, rosbag1, rosbag2
 from becalm.files.robots.topics import Message, few, gathered
@@ -29,7 +29,7 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no numbers.
     """
-    foreign = Foreign(path, "ROS bag")
+    foreign = LibraryFile(path, "ROS bag")
     foreign.library("rosbags.typesys")
     with foreign.explain_damage(), ExitStack() as held:
         parts = _parts(foreign, path, held) if path.is_dir() else [path]
@@ -38,15 +38,15 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return tables(foreign, "rosbag", groups)
 
 
-def _log(foreign: Foreign, part: Path, held: ExitStack) -> Any:
+def _log(foreign: LibraryFile, part: Path, held: ExitStack) -> Any:
     """Open one file of a bag."""
     file = held.enter_context(part.open("rb"))
     head = file.read(len(_MCAP))
     file.seek(0)
     if head == _MCAP:
-        return mcap.McapLog(foreign, WatchedFile(file))
+        return mcap.McapLog(foreign, BoundedFile(file))
     if head.startswith(b"#ROSBAG"):
-        return rosbag1.RosBag1(foreign, WatchedFile(file))
+        return rosbag1.RosBag1(foreign, BoundedFile(file))
     return held.enter_context(rosbag2.RosBag2(foreign, part))
 
 
@@ -62,7 +62,7 @@ def _notes(parts: list[Path], logs: list[Any]) -> tuple[str, ...]:
     return tuple(f"{part.name}: {note}" for part, log in zip(parts, logs, strict=True) for note in log.notes())
 
 
-def _parts(foreign: Foreign, folder: Path, held: ExitStack) -> list[Path]:
+def _parts(foreign: LibraryFile, folder: Path, held: ExitStack) -> list[Path]:
     """Return the files of a folder in the order of recording; compressed files are unpacked first."""
     try:
         listed = foreign.library("ruamel.yaml").YAML(typ="safe").load((folder / BAG).read_text("utf-8"))
@@ -88,11 +88,11 @@ def _parts(foreign: Foreign, folder: Path, held: ExitStack) -> list[Path]:
     return parts
 
 
-def _unpacked(foreign: Foreign, part: Path, held: ExitStack) -> Path:
+def _unpacked(foreign: LibraryFile, part: Path, held: ExitStack) -> Path:
     """Unpack a file into a temporary folder, and return its path there."""
     plain = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="becalm."))) / part.stem
     library = foreign.library("zstandard")
-    own, written = Foreign(part, "zstd"), 0
+    own, written = LibraryFile(part, "zstd"), 0
     with part.open("rb") as packed, plain.open("wb") as file:
         for block in library.ZstdDecompressor().read_to_iter(packed, write_size=_BLOCK):
             written += len(block)

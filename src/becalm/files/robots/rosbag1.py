@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from becalm.errors import InputError
-from becalm.files.bounded_file import WatchedFile, watched
-from becalm.files.library_reader import Foreign
+from becalm.files.bounded_file import BoundedFile, bounded_bytes
+from becalm.files.library_reader import LibraryFile
 from becalm.files.robots.ros_messages import MSG, Schema
 from becalm.files.robots.topics import Message
 from becalm.files.unpacking import unpacked
@@ -25,9 +25,9 @@ class RosBag1:
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file or folder that the user named, for messages.
-    file : WatchedFile
+    file : BoundedFile
         The file, at its start.
 
     Raises
@@ -36,7 +36,7 @@ class RosBag1:
         If it is of another version.
     """
 
-    def __init__(self, foreign: Foreign, file: WatchedFile) -> None:
+    def __init__(self, foreign: LibraryFile, file: BoundedFile) -> None:
         self._foreign, self._file = foreign, file
         self._library = foreign.library("rosbags.rosbag1.reader")
         self._connections: dict[int, tuple[str, Schema]] = {}
@@ -63,7 +63,7 @@ class RosBag1:
         """Yield the messages in the order of the file."""
         yield from self._records(self._file)
 
-    def _records(self, file: WatchedFile) -> Iterator[Message]:
+    def _records(self, file: BoundedFile) -> Iterator[Message]:
         while file.tell() < file.size:
             try:
                 header, data, cut = self._record(file)
@@ -84,7 +84,7 @@ class RosBag1:
             if inner is not None:
                 yield from self._records(inner)
 
-    def _record(self, file: WatchedFile) -> tuple[Any, bytes, bool]:
+    def _record(self, file: BoundedFile) -> tuple[Any, bytes, bool]:
         """Read a record: return its header, its content as far as it is in the file, and whether that is truncated."""
         cut = file.cut
         try:
@@ -118,16 +118,16 @@ class RosBag1:
             topic, schema = self._connections[conn]
             yield Message(topic, schema, header.get_time("time"), data)
 
-    def _chunk(self, header: Any, data: bytes, cut: bool) -> WatchedFile | None:
+    def _chunk(self, header: Any, data: bytes, cut: bool) -> BoundedFile | None:
         """Unpack a chunk; return None if it is damaged."""
         how, size = header.get_string("compression"), header.get_uint32("size")
         try:
-            return watched(unpacked(self._foreign, how, data, size, cut))
+            return bounded_bytes(unpacked(self._foreign, how, data, size, cut))
         except ValueError:
             self._damaged += 1
             return None
 
 
-def _prefixed(data: bytes) -> WatchedFile:
+def _prefixed(data: bytes) -> BoundedFile:
     """Return a file that holds the length of a header and then the header, as the library expects."""
-    return watched(len(data).to_bytes(4, "little") + data)
+    return bounded_bytes(len(data).to_bytes(4, "little") + data)

@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import quote
 
 from becalm.errors import InputError
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 from becalm.files.robots.ros_messages import IDL, MSG, Schema
 from becalm.files.robots.topics import Message
 
@@ -26,7 +26,7 @@ class RosBag2:
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file or folder that the user named, for messages.
     path : Path
         The file.
@@ -37,7 +37,7 @@ class RosBag2:
         If it is a database, but not a bag.
     """
 
-    def __init__(self, foreign: Foreign, path: Path) -> None:
+    def __init__(self, foreign: LibraryFile, path: Path) -> None:
         self._foreign = foreign
         self._held = ExitStack()
         self._undefined = False

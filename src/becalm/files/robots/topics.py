@@ -10,9 +10,9 @@ import numpy as np
 
 from becalm.core.arrays import Integers
 from becalm.errors import InputError
+from becalm.files.column_statistics import NO_UNIT, Column
 from becalm.files.groups import TIME, Group
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import NO_UNIT, Column
+from becalm.files.library_reader import LibraryFile
 from becalm.files.robots import json_messages, ros_messages
 from becalm.files.robots.series import Series
 from becalm.files.source import FormatTime
@@ -79,11 +79,11 @@ class Topics:
 
     Parameters
     ----------
-    foreign : Foreign
+    foreign : LibraryFile
         The file.
     """
 
-    def __init__(self, foreign: Foreign) -> None:
+    def __init__(self, foreign: LibraryFile) -> None:
         self._foreign = foreign
         self._topics: dict[tuple[str, ros_messages.Schema], _Topic | None] = {}
         self._left_out: dict[str, list[str]] = {}
@@ -209,7 +209,7 @@ def _by_log(logged: Ordered, why: str) -> Ordered:
     return logged._replace(notes=tuple(notes))
 
 
-def gathered(foreign: Foreign, messages: Iterator[Message], notes: Callable[[], tuple[str, ...]]) -> list[Group]:
+def gathered(foreign: LibraryFile, messages: Iterator[Message], notes: Callable[[], tuple[str, ...]]) -> list[Group]:
     """Collect all messages; `notes`, called after the last one, returns the notes on the whole file.
 
     Raises

@@ -11,10 +11,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Integers
-from becalm.files.bounded_file import WatchedFile
+from becalm.files.bounded_file import BoundedFile
+from becalm.files.column_statistics import NO_UNIT, Column
 from becalm.files.groups import TIME, Group, tables
-from becalm.files.library_reader import Foreign
-from becalm.files.numbers import NO_UNIT, Column
+from becalm.files.library_reader import LibraryFile
 from becalm.files.robots.topics import few
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
@@ -35,10 +35,10 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no messages.
     """
-    foreign = Foreign(path, "ULog")
+    foreign = LibraryFile(path, "ULog")
     library = foreign.library("pyulog")
     with foreign.explain_damage(), path.open("rb") as file:
-        opened = WatchedFile(file)
+        opened = BoundedFile(file)
         heading = library.ULog(_KeptOpen(opened), parse_header_only=True)
         sizes = _sizes(foreign, heading.message_formats)
         opened.seek(0)
@@ -53,14 +53,14 @@ def read(path: Path) -> tuple[RawTable, ...]:
 class _KeptOpen:
     """A file that its reader cannot close."""
 
-    def __init__(self, file: WatchedFile) -> None:
+    def __init__(self, file: BoundedFile) -> None:
         self.read, self.seek, self.tell = file.read, file.seek, file.tell
 
     def close(self) -> None:
         """Do nothing, so that the file stays open."""
 
 
-def _sizes(foreign: Foreign, formats: dict[str, Any]) -> dict[str, int]:
+def _sizes(foreign: LibraryFile, formats: dict[str, Any]) -> dict[str, int]:
     """Count the fields of each format; reject recursive formats, and those with more fields than a message's bytes."""
     sizes: dict[str, int] = {}
 
@@ -83,7 +83,7 @@ def _sizes(foreign: Foreign, formats: dict[str, Any]) -> dict[str, int]:
     return sizes
 
 
-def _bounded(foreign: Foreign, library: ModuleType, sizes: dict[str, int]) -> Any:
+def _bounded(foreign: LibraryFile, library: ModuleType, sizes: dict[str, int]) -> Any:
     """Return the library's reader with a limit on the fields of all topics, because it makes an object for each."""
     original, left = library.ULog._MessageAddLogged, _MOST_FIELDS
 
@@ -103,7 +103,7 @@ def _unstamped(log: Any, stamped: list[str]) -> list[str]:
     return sorted(set(log.message_formats) - set(stamped) - parts)
 
 
-def _notes(log: Any, opened: WatchedFile, unstamped: list[str]) -> tuple[str, ...]:
+def _notes(log: Any, opened: BoundedFile, unstamped: list[str]) -> tuple[str, ...]:
     notes = []
     if log.file_corruption:
         notes.append("Parts of the file are damaged; the messages that are whole were read.")

@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.numbers import Numbers
+from becalm.files.column_statistics import ColumnStatistics
 from becalm.files.read_options import RequestOrigin
 from becalm.files.source import RawTable
 from becalm.files.text.cells import bad_cell, find_bad_cells, meant_as_numbers
@@ -123,7 +123,7 @@ def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]
     name = raw.names[0]
     if kinds[name] != NUMBERS or len(raw.names) < 2:
         return []
-    statistics = Numbers(raw.count)
+    statistics = ColumnStatistics(raw.count)
     for column in raw.column(name):
         statistics.add(numbers(column))
         if not statistics.rises:

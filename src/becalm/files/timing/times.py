@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.errors import SensorError, TimeError
-from becalm.files.numbers import Numbers
+from becalm.files.column_statistics import ColumnStatistics
 from becalm.files.read_options import ReadOptions
 from becalm.files.rows import Spool
 from becalm.files.source import RawTable, TimeLayout
@@ -202,7 +202,7 @@ def _ticks(column: pa.ChunkedArray) -> tuple[Integers, Booleans]:
 def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
     bare, unit = parse_header(name)
     unit = raw.units.get(name, "") or unit or IMPLIED.get(bare.lower(), "")
-    statistics = Numbers(raw.count)
+    statistics = ColumnStatistics(raw.count)
     exact = pa.types.is_integer(raw.type_of(name)) and not any(column.null_count for column in raw.column(name))
     notes: tuple[str, ...] = ()
     spool = Spool(_examined_blocks(raw, name, statistics, exact), raw.count)
@@ -231,14 +231,16 @@ def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
     )
 
 
-def _statistics(spool: Spool) -> Numbers:
-    statistics = Numbers(spool.count)
+def _statistics(spool: Spool) -> ColumnStatistics:
+    statistics = ColumnStatistics(spool.count)
     for block in spool.blocks():
         statistics.add(np.asarray(block, np.float64))
     return statistics
 
 
-def _examined_blocks(raw: RawTable, name: str, statistics: Numbers, exact: bool) -> Iterator[Floats | Integers]:
+def _examined_blocks(
+    raw: RawTable, name: str, statistics: ColumnStatistics, exact: bool
+) -> Iterator[Floats | Integers]:
     """Yield the blocks of a column, and add each to the statistics; `exact` columns are int64, others float64."""
     for column in raw.column(name):
         if pa.types.is_float32(column.type):
@@ -250,7 +252,7 @@ def _examined_blocks(raw: RawTable, name: str, statistics: Numbers, exact: bool)
         yield np.asarray(column.to_numpy()).astype(np.int64) if exact else values
 
 
-def _epoch(statistics: Numbers, unit: str) -> str:
+def _epoch(statistics: ColumnStatistics, unit: str) -> str:
     """Return the unit of a count since 1970, "" if the numbers are not such a count."""
     steps = statistics.steps
     if not len(steps):
@@ -262,7 +264,7 @@ def _epoch(statistics: Numbers, unit: str) -> str:
     return ""
 
 
-def _epoch_seconds(spool: Spool, statistics: Numbers, unit: str, exact: bool) -> Callable[[Any], Floats]:
+def _epoch_seconds(spool: Spool, statistics: ColumnStatistics, unit: str, exact: bool) -> Callable[[Any], Floats]:
     per_second = PER_SECOND[unit]
     if exact:
         first = spool.read(0, 1)[0]
@@ -271,7 +273,7 @@ def _epoch_seconds(spool: Spool, statistics: Numbers, unit: str, exact: bool) ->
     return lambda values: np.round((values - statistics.first_known) / per_second, 6)
 
 
-def _refuse_unknown_unit(name: str, statistics: Numbers) -> None:
+def _refuse_unknown_unit(name: str, statistics: ColumnStatistics) -> None:
     if statistics.counts:
         raise TimeError(f"The time column {name!r} only counts rows, so the rate is unknown; give it with --rate HZ.")
     steps = statistics.steps

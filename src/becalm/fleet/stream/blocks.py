@@ -11,7 +11,7 @@ from becalm.core.arrays import Codes, Floats, Integers
 from becalm.core.snapshot_bytes import packed, unpacked
 
 
-class Garbled(NamedTuple):
+class UnreadableInput(NamedTuple):
     """The loss of rows, blocks or messages that could not be read."""
 
     things: int | None  # number of rows, blocks or messages; None if unknown
@@ -24,7 +24,7 @@ class SensorRows(NamedTuple):
     time_s: Floats  # (B,) stamps in seconds; NaN for a row without one
     values: Floats  # (B, m) readings of the channels, each in its unit; NaN where missing
     units: tuple[str, ...] = ()  # one for each channel; () if unknown
-    garbled: tuple[Garbled, ...] = ()
+    garbled: tuple[UnreadableInput, ...] = ()
 
     def packed(self) -> bytes:
         """Return the rows as bytes."""
@@ -36,7 +36,7 @@ class SensorRows(NamedTuple):
         """Return the rows from the bytes of `packed`."""
         arrays = unpacked(blob)
         units, garbled = json.loads(arrays["words"].tobytes())
-        return cls(arrays["time"], arrays["values"], tuple(units), tuple(Garbled(*one) for one in garbled))
+        return cls(arrays["time"], arrays["values"], tuple(units), tuple(UnreadableInput(*one) for one in garbled))
 
 
 class EstimatedBlock(NamedTuple):

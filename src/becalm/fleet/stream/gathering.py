@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.core.arrays import Booleans, Floats, Integers
-from becalm.fleet.stream.blocks import Garbled, SensorRows
+from becalm.fleet.stream.blocks import SensorRows, UnreadableInput
 
 _HELD_ROWS = 1 << 18  # rows that are held before they are released
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # ticks of Arrow timestamps
@@ -39,7 +39,7 @@ class SensorBlockBuffer:
         self._width = width
         self._numbers: dict[tuple[str, tuple[str, ...]], int] = {}
         self._held: list[_Samples] = []
-        self._garbled: dict[int, list[Garbled]] = {}
+        self._garbled: dict[int, list[UnreadableInput]] = {}
         self._rows = 0
 
     def whose(self, sensors: pa.Array, units: tuple[str, ...] = ()) -> Integers:
@@ -48,7 +48,7 @@ class SensorBlockBuffer:
         numbers = np.array([self._number(name, units) for name in own.dictionary.to_pylist()], np.int64)
         return np.asarray(numbers[own.indices.to_numpy()])
 
-    def garble(self, sensor: str, garbled: Garbled) -> None:
+    def garble(self, sensor: str, garbled: UnreadableInput) -> None:
         """Record a loss of a sensor, to be released with its next block."""
         self._garbled.setdefault(self._number(sensor, ()), []).append(garbled)
 
@@ -68,7 +68,7 @@ class SensorBlockBuffer:
         for number, lost in enumerate(np.bincount(garbled)):
             if lost:
                 says = f"{lost} blocks came with columns of different lengths; they were left out."
-                self._garbled.setdefault(number, []).append(Garbled(int(lost), says))
+                self._garbled.setdefault(number, []).append(UnreadableInput(int(lost), says))
         self._held.append(samples)
         self._rows += len(samples.time_s)
         if self._rows >= _HELD_ROWS:

@@ -20,7 +20,7 @@ from becalm.files.decoding import Original
 from becalm.files.lake.listing import is_hidden
 from becalm.files.parquet import PARQUET_ENDINGS, ParquetRows, units_of
 from becalm.fleet.names import values_in
-from becalm.fleet.stream.blocks import Garbled
+from becalm.fleet.stream.blocks import UnreadableInput
 from becalm.fleet.stream.columns import StreamSchema, is_reading, shape_of
 from becalm.fleet.stream.gathering import Seconds, SensorBlockBuffer, numbers_in, seconds_of
 from becalm.fleet.stream.plan import SensorPlan
@@ -116,8 +116,10 @@ def _passes(cause: BaseException | None) -> bool:
     return False
 
 
-def _left_out(why: str) -> Garbled:
-    return Garbled(None, f"{why} The rest of its rows was left out; repair the file and add it under another name.")
+def _left_out(why: str) -> UnreadableInput:
+    return UnreadableInput(
+        None, f"{why} The rest of its rows was left out; repair the file and add it under another name."
+    )
 
 
 class _Piece(NamedTuple):

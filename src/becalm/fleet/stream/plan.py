@@ -10,7 +10,7 @@ from typing import Protocol
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import UsageError
 from becalm.live.address import Address
-from becalm.live.learning import FEW_STAMPS
+from becalm.live.learning_buffer import FEW_STAMPS
 
 FIRST_ROWS = FEW_STAMPS
 """Rows of a sensor that must arrive before its first estimate; they show the resolution of its stamps."""

@@ -15,7 +15,7 @@ from pyspark.sql.streaming.stateful_processor import (
 
 from becalm.fleet.stream.blocks import Event
 from becalm.fleet.stream.reading import Entry
-from becalm.fleet.stream.sensor import SensorStep, SensorWalk
+from becalm.fleet.stream.sensor import SensorStep, SensorStreamProcessor
 from becalm.fleet.stream.state import SensorState
 
 _SHOWN = 12  # digits of a recipe's hash in the output
@@ -26,11 +26,11 @@ class SensorProcessor(StatefulProcessor):
 
     Parameters
     ----------
-    walk : SensorWalk
+    walk : SensorStreamProcessor
         The processing of one sensor.
     """
 
-    def __init__(self, walk: SensorWalk) -> None:
+    def __init__(self, walk: SensorStreamProcessor) -> None:
         self._walk = walk
 
     def init(self, handle: StatefulProcessorHandle) -> None:

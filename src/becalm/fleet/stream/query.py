@@ -19,7 +19,7 @@ from becalm.fleet.stream.frames import blocks_of
 from becalm.fleet.stream.output_batches import to_output_batches
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
 from becalm.fleet.stream.processor import SensorProcessor
-from becalm.fleet.stream.sensor import SensorWalk
+from becalm.fleet.stream.sensor import SensorStreamProcessor
 from becalm.fleet.stream.sources import opened
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ def _word(is_so: bool) -> str:
 
 
 def _filtered(shape: StreamSchema, blocks: DataFrame, plan: SensorPlan) -> DataFrame:
-    processor = SensorProcessor(SensorWalk(plan, shape.channels))
+    processor = SensorProcessor(SensorStreamProcessor(plan, shape.channels))
     answers = blocks.groupBy("sensor").transformWithState(
         processor, outputStructType=ANSWER, outputMode="Append", timeMode="ProcessingTime"
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.time.live_clock import AGREEING
-from becalm.fleet.stream.blocks import Garbled, SensorRows
+from becalm.fleet.stream.blocks import SensorRows, UnreadableInput
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.messages.stream import MessageStream
@@ -47,7 +47,9 @@ def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) ->
     garbled = [one for part in parts for one in part.garbled]
     if others := sum(len(part.time_s) for part in parts) - sum(len(part.time_s) for part in kept):
         garbled.append(
-            Garbled(others, f"{others} rows had other units than the rest of their micro-batch; they were left out.")
+            UnreadableInput(
+                others, f"{others} rows had other units than the rest of their micro-batch; they were left out."
+            )
         )
     losses = tuple(Loss(LossKind.GARBLED, *one) for one in sorted(garbled, key=str))
     return Block(tuple(channels), units, time_s, values, losses=losses)

@@ -23,7 +23,7 @@ from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
 from becalm.fleet.stream.reading import Entry, parted, read_messages, read_rows, stamped, timely
 from becalm.fleet.stream.state import SensorState
 from becalm.live.block import Block, Loss, Output
-from becalm.live.learning import resolution_of
+from becalm.live.learning_buffer import resolution_of
 from becalm.live.messages.stream import MessageStream
 from becalm.live.stream import Stream
 
@@ -41,7 +41,7 @@ class SensorStep(NamedTuple):
     recipe: str = ""  # the hash of the recipe that was used
 
 
-class SensorWalk:
+class SensorStreamProcessor:
     """A processor of one micro-batch of any sensor; it keeps no state of its own.
 
     Parameters

@@ -14,7 +14,7 @@ from becalm.fleet.outcome import Outcome
 from becalm.fleet.sensor_cleaning import all_died, clean_whole, commit, refuse_on_error
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.joining import joined_outcome
-from becalm.fleet.stretching.long import Long, TaskStretch
+from becalm.fleet.stretching.long_sensor import LongSensor, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates, run_stretch
 from becalm.fleet.stretching.seams import overlaps_agree, to_run_again
 from becalm.fleet.stretching.survey import survey
@@ -30,12 +30,12 @@ class Task(NamedTuple):
     stretch: TaskStretch
 
 
-class Course:
+class LongSensorProgress:
     """The progress of one long sensor: which stretches have run, and which run next.
 
     Parameters
     ----------
-    long : Long
+    long : LongSensor
         The sensor.
 
     Attributes
@@ -46,7 +46,7 @@ class Course:
         Whether the sensor cannot be cut and must be cleaned as a whole.
     """
 
-    def __init__(self, long: Long) -> None:
+    def __init__(self, long: LongSensor) -> None:
         self.long, self.whole = long, False
         self.failed: Outcome | None = None
         self._estimates: dict[int, StretchEstimates] = {}
@@ -112,7 +112,7 @@ def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list
         The sensors of the lake that may be long.
     """
     surveys = run_tasks(spark, partial(survey, job), sensors, lost=all_died)
-    courses = [Course(one) for one in surveys if isinstance(one, Long)]
+    courses = [LongSensorProgress(one) for one in surveys if isinstance(one, LongSensor)]
     while tasks := [Task(place, stretch) for place, course in enumerate(courses) for stretch in course.next()]:
         longs = [course.long for course in courses]
         results = run_tasks(spark, partial(_run, longs), tasks, lost=partial(_died, longs))
@@ -124,10 +124,10 @@ def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list
     return outcomes + [refuse_on_error(course.long.sensor, course.finish) for course in courses if not course.whole]
 
 
-def _run(longs: Sequence[Long], task: Task) -> StretchEstimates | Outcome:
+def _run(longs: Sequence[LongSensor], task: Task) -> StretchEstimates | Outcome:
     long = longs[task.sensor]
     return refuse_on_error(long.sensor, lambda: run_stretch(long, task.stretch))
 
 
-def _died(longs: Sequence[Long], task: Task, why: str) -> Outcome:
+def _died(longs: Sequence[LongSensor], task: Task, why: str) -> Outcome:
     return all_died(longs[task.sensor].sensor, why)

@@ -10,7 +10,7 @@ from becalm.cleaning.faults import Fault
 from becalm.cleaning.report import ChannelReport
 from becalm.core.reading_verdicts import Verdict
 from becalm.fleet.outcome import SHOWN, Outcome, noted
-from becalm.fleet.stretching.long import Long
+from becalm.fleet.stretching.long_sensor import LongSensor
 from becalm.fleet.stretching.run import StretchEstimates
 from becalm.report.fleet_rows import FleetRow, faults_text, usable_share
 
@@ -30,12 +30,12 @@ class _Part(NamedTuple):
         return self.counts.get(Verdict.USED, 0)
 
 
-def joined_outcome(long: Long, estimates: Sequence[StretchEstimates], again: int, took_s: float) -> Outcome:
+def joined_outcome(long: LongSensor, estimates: Sequence[StretchEstimates], again: int, took_s: float) -> Outcome:
     """Return the outcome of a sensor that was cleaned in stretches.
 
     Parameters
     ----------
-    long : Long
+    long : LongSensor
         The sensor.
     estimates : sequence of StretchEstimates
         The results of its stretches, in order.
@@ -59,7 +59,7 @@ def _seams(stretches: Sequence[StretchEstimates], again: int) -> str:
     return f"{count} stretches, each of which begins with exactly the state that the one before left.{more}"
 
 
-def _row(long: Long, parts: Sequence[_Part]) -> FleetRow:
+def _row(long: LongSensor, parts: Sequence[_Part]) -> FleetRow:
     counts = Counter[Verdict]()
     for part in parts:
         counts.update(part.counts)

@@ -12,7 +12,7 @@ from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.core.arrays import BLOCK, Integers
 from becalm.files.chunked_cleaning import columns_of
-from becalm.files.shared_source import KnownSource
+from becalm.files.shared_source import SharedSource
 from becalm.native.scans import REACH
 
 TIMES = 16
@@ -50,7 +50,7 @@ def margin_of(recipe: Recipe, step_s: float) -> Margin:
     return Margin(readings, aligned)
 
 
-def warm_up_start(source: KnownSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
+def warm_up_start(source: SharedSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
     """Return the row at which to begin, so that each filtered channel has enough readings before `first`.
 
     Return None if that takes more than `most` rows.
@@ -66,7 +66,7 @@ def warm_up_start(source: KnownSource, recipe: Recipe, margin: Margin, first: in
     return None
 
 
-def ended(source: KnownSource, recipe: Recipe, margin: Margin, span: tuple[int, int], most: int) -> int | None:
+def ended(source: SharedSource, recipe: Recipe, margin: Margin, span: tuple[int, int], most: int) -> int | None:
     """Return the row at which to stop, so that each filtered channel has enough readings after a stretch.
 
     `span` is the row after the stretch, and the number of rows of the sensor. Return None if more than `most` rows are
@@ -83,7 +83,7 @@ def ended(source: KnownSource, recipe: Recipe, margin: Margin, span: tuple[int, 
     return None
 
 
-def _is_long(source: KnownSource, recipe: Recipe, margin: Margin, first: int, stop: int) -> bool:
+def _is_long(source: SharedSource, recipe: Recipe, margin: Margin, first: int, stop: int) -> bool:
     """Return whether the rows from `first` to before `stop` have the readings and the time of a margin."""
     counts, steps = np.zeros(len(recipe.channel), np.int64), 0.0
     for chunk in source.chunks(first, stop, stop - first):

@@ -21,10 +21,10 @@ from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.files.chunked_cleaning import CleanChunk, answered, rows_of_chunks
 from becalm.files.opening import select_table
 from becalm.files.read_options import asked_by
-from becalm.files.shared_source import KnownSource
+from becalm.files.shared_source import SharedSource
 from becalm.fleet.pieces import OutputFile, Pieces
 from becalm.fleet.sensor_cleaning import metadata_of
-from becalm.fleet.stretching.long import Long, State, TaskStretch
+from becalm.fleet.stretching.long_sensor import LongSensor, State, TaskStretch
 from becalm.fleet.stretching.margins import ended, margin_of, warm_up_start
 
 OVERLAP = 64
@@ -56,10 +56,10 @@ class StretchEstimates(NamedTuple):
 
 
 class _Work(NamedTuple):
-    long: Long
+    long: LongSensor
     stretch: TaskStretch
     recipe: Recipe
-    source: KnownSource
+    source: SharedSource
     rows: int  # rows of a chunk
 
     @property
@@ -71,12 +71,12 @@ class _Work(NamedTuple):
         return self.stretch.stop == self.long.known.rows
 
 
-def run_stretch(long: Long, stretch: TaskStretch) -> StretchEstimates:
+def run_stretch(long: LongSensor, stretch: TaskStretch) -> StretchEstimates:
     """Clean a stretch of a long sensor.
 
     Parameters
     ----------
-    long : Long
+    long : LongSensor
         The sensor.
     stretch : TaskStretch
         The rows, and perhaps the filters' state after the rows before them.
@@ -121,11 +121,11 @@ def pieces_of(files: tuple[OutputFile, ...], stretch: TaskStretch) -> list[Outpu
     return pieces
 
 
-def _reopened(long: Long, recipe: Recipe) -> KnownSource:
+def _reopened(long: LongSensor, recipe: Recipe) -> SharedSource:
     job, sensor = long.job, long.sensor
     options = asked_by(recipe, job.another)
     raw, _ = select_table(job.input_of(sensor), job.tables_of(sensor), options)
-    return KnownSource(raw, long.known)
+    return SharedSource(raw, long.known)
 
 
 def _causal(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelReport, ...]]:

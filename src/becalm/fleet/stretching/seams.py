@@ -14,7 +14,7 @@ import numpy as np
 
 from becalm.core.imm.flow import same_state
 from becalm.core.snapshot_bytes import unpacked
-from becalm.fleet.stretching.long import State, TaskStretch
+from becalm.fleet.stretching.long_sensor import State, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates
 
 SMOOTHED_TO = 1e-10

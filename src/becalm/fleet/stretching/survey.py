@@ -15,7 +15,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import judge
 from becalm.files.chunked_cleaning import columns_of, rows_of_chunks
-from becalm.files.shared_source import known_of
+from becalm.files.shared_source import parse_source
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.pieces import open_staging
@@ -29,14 +29,14 @@ from becalm.fleet.sensor_cleaning import (
     refuse_foreign,
     refuse_on_error,
 )
-from becalm.fleet.stretching.long import Extremes, Long
+from becalm.fleet.stretching.long_sensor import Extremes, LongSensor
 from becalm.fleet.stretching.margins import margin_of
 
 FEWEST = 4
 """Smallest length of a stretch, in margins; for shorter ones the warm-up would cost too much."""
 
 
-def survey(job: Job, sensor: Sensor) -> Long | Outcome:
+def survey(job: Job, sensor: Sensor) -> LongSensor | Outcome:
     """Survey a sensor that is to be cut; clean any other one at once, and return its outcome.
 
     Parameters
@@ -49,7 +49,7 @@ def survey(job: Job, sensor: Sensor) -> Long | Outcome:
     return refuse_on_error(sensor, lambda: _surveyed(job, sensor))
 
 
-def _surveyed(job: Job, sensor: Sensor) -> Long | Outcome:
+def _surveyed(job: Job, sensor: Sensor) -> LongSensor | Outcome:
     if job.tables_of(sensor)[0].count < 2 * job.stretch_rows:
         return clean_whole(job, sensor)
     hashed = hash_of(job, sensor)
@@ -58,7 +58,7 @@ def _surveyed(job: Job, sensor: Sensor) -> Long | Outcome:
     return _long(job, sensor, hashed) or clean_whole(job, sensor)
 
 
-def _long(job: Job, sensor: Sensor, hashed: str) -> Long | None:
+def _long(job: Job, sensor: Sensor, hashed: str) -> LongSensor | None:
     began, parts = monotonic(), opened(job, sensor)
     with parts.source as source:
         margin = margin_of(parts.recipe, source.clock.step_s)
@@ -68,12 +68,12 @@ def _long(job: Job, sensor: Sensor, hashed: str) -> Long | None:
             return None
         refuse_foreign(job, sensor, [piece.name for piece in parts.pieces])
         staged = open_staging(job.output_folder(sensor))
-        return Long(
+        return LongSensor(
             job=job,
             sensor=sensor,
             recipe=parts.recipe.to_toml(),
             causal=parts.recipe.mode == "causal",
-            known=known_of(source, staged / "stamps"),
+            known=parse_source(source, staged / "stamps"),
             files=parts.pieces,
             staged=str(staged),
             hashed=hashed,

@@ -14,7 +14,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.fleet.class_outliers import FACTOR, factors_apart, times
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.tuning.class_recipe import Typical, channels_by_key
-from becalm.fleet.tuning.found import SensorTuning, TunedChannel
+from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 from becalm.report.fleet_order import DOUBTFUL
 from becalm.report.fleet_rows import FleetRow
 

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from becalm.cleaning.recipe import Recipe
-from becalm.fleet.tuning.found import SensorTuning, TunedChannel
 from becalm.fleet.tuning.limits import limits_of_class
+from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 
 _LEAST = float(np.finfo(np.float64).tiny)  # stands for a density of 0 in logarithms
 

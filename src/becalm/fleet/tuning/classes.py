@@ -17,7 +17,7 @@ from becalm.fleet.lake import SensorPlace
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.tuning.class_differences import Key, is_described, reasons, rows_by_key
 from becalm.fleet.tuning.class_recipe import Typical, typical
-from becalm.fleet.tuning.found import SensorTuning, TunedChannel
+from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 from becalm.report.fleet_rows import FleetRow, counted, spaced
 
 MOST_SENSORS = 200

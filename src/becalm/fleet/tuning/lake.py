@@ -21,7 +21,7 @@ from becalm.fleet.sensor_cleaning import all_died
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.tuning.classes import MOST_SENSORS, Chosen, TunedClass, chosen_of
 from becalm.fleet.tuning.sensor import judge_sensor, tune_sensor
-from becalm.fleet.tuning.written import REPORT, book_of, named_recipes, refuse_recipes, write_found
+from becalm.fleet.tuning.tuning_output import REPORT, book_of, named_recipes, refuse_recipes, write_found
 from becalm.report.fleet_page import FleetFacts
 from becalm.report.fleet_rows import FleetRow
 

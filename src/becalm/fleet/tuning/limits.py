@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Literal, TypeVar
 
 from becalm.cleaning.recipe_parts import LimitsRecipe
-from becalm.fleet.tuning.found import TunedChannel
+from becalm.fleet.tuning.sensor_tuning import TunedChannel
 
 _FEWEST_AT_A_RAIL = 2  # sensors that must reach a saturation limit of the class; one sensor may have a limit of its own
 _SAME = 1e-9  # relative difference at which two saturation limits, or resolutions, count as equal

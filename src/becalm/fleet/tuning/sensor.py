@@ -16,7 +16,7 @@ from becalm.files.portions import rows_to_tune_on
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import SHOWN, Outcome
 from becalm.fleet.sensor_cleaning import opened, refuse_on_error
-from becalm.fleet.tuning.found import SensorTuning, TunedChannel
+from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 from becalm.report.fleet_rows import FleetRow, row_of
 
 

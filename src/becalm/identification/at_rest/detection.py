@@ -204,7 +204,7 @@ class Stretch(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Stillness:
+class RestPeriods:
     """The rests of a record.
 
     Attributes
@@ -226,7 +226,7 @@ class Stillness:
         return still
 
 
-def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Stillness:
+def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> RestPeriods:
     """Find where all channels of a record are at rest together.
 
     Parameters
@@ -240,7 +240,7 @@ def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Stilln
 
     Returns
     -------
-    Stillness
+    RestPeriods
         The rests; none if there is no rest, or it cannot be distinguished from motion.
 
     Raises
@@ -257,25 +257,25 @@ def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Stilln
         raise RecordingError(f"shortest_s = {shortest_s} is not a duration; give a positive number of seconds.")
     names = [name for name in recording.names if _varies(recording.channel(name))]
     if not names:
-        return Stillness((), "No channel varies: without noise, rest cannot be distinguished from a dead sensor.")
+        return RestPeriods((), "No channel varies: without noise, rest cannot be distinguished from a dead sensor.")
     names = [name for name in names if _mostly_there(recording.channel(name))] or names
     windows, count = Windows.of(recording.select(names)), len(recording)
     fewest = shortest_s * recording.rate_hz
     if windows is None or count < fewest:
-        return Stillness((), f"The record is too short: {count} samples at {recording.rate_hz:.4g} Hz.")
+        return RestPeriods((), f"The record is too short: {count} samples at {recording.rate_hz:.4g} Hz.")
     calm = windows.calm(min(max(2, int(np.ceil(fewest / windows.hop))), len(windows.sound)))
     placed = [(run, _rows(run, windows, count)) for run in runs_of(calm)]
     long = [(run, rows) for run, rows in placed if rows.stop - rows.start >= fewest]
     if not long:
-        return Stillness((), f"The record does not keep its lowest noise for {shortest_s:g} s anywhere.")
+        return RestPeriods((), f"The record does not keep its lowest noise for {shortest_s:g} s anywhere.")
     doubt = _doubt(windows.unevenness(calm), windows.foretold([run for run, _ in long]), names)
     if doubt:
-        return Stillness((), doubt)
+        return RestPeriods((), doubt)
     stretches = tuple(rows for _, rows in long)
-    return Stillness(stretches, _summary(stretches, recording))
+    return RestPeriods(stretches, _summary(stretches, recording))
 
 
-def named_rests(recording: Recording, spans_s: Iterable[tuple[float, float]]) -> Stillness:
+def named_rests(recording: Recording, spans_s: Iterable[tuple[float, float]]) -> RestPeriods:
     """Return the rests that a person named.
 
     Parameters
@@ -307,7 +307,7 @@ def named_rests(recording: Recording, spans_s: Iterable[tuple[float, float]]) ->
         stretches.append(Stretch(start, stop))
     if not stretches:
         raise RecordingError("No stretch was named; give from:to in seconds, as 0:30.")
-    return Stillness(tuple(stretches), "Said to be still.")
+    return RestPeriods(tuple(stretches), "Said to be still.")
 
 
 def _varies(channel: Floats) -> bool:

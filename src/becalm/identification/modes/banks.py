@@ -56,7 +56,7 @@ _LOUDEST = 1e15  # largest ratio of violent to calm density; at a larger one, mi
 _BLOCK = 50  # readings in a block whose second differences are averaged
 
 
-class Number(NamedTuple):
+class Parameter(NamedTuple):
     """One parameter of an IMM family; the search is over its logarithm."""
 
     default: float
@@ -69,7 +69,7 @@ class Number(NamedTuple):
 class ImmFamily(NamedTuple):
     """A family of IMMs: its parameters, and the function that makes an IMM from their values."""
 
-    numbers: list[Number]
+    numbers: list[Parameter]
     make: Callable[..., InteractingModels]
 
 
@@ -93,7 +93,7 @@ def resting(tuning: Tuning, evidence: Evidence) -> ImmFamily:
         still = Mode("still", motion(1, ratio * r), r, rests)
         return InteractingModels((still, replace(moving, lasts=moves)), spread)
 
-    return ImmFamily([_variance(evidence), Number(1e-6, 1e-12, 1e-3), *2 * [Number(300.0, 50.0, 1e6)]], make)
+    return ImmFamily([_variance(evidence), Parameter(1e-6, 1e-12, 1e-3), *2 * [Parameter(300.0, 50.0, 1e6)]], make)
 
 
 def jumping(evidence: Evidence, wild: float = _WILD) -> ImmFamily:
@@ -117,11 +117,11 @@ def jumping(evidence: Evidence, wild: float = _WILD) -> ImmFamily:
     numbers = [
         _variance(evidence),
         *(
-            Number(*limits, gain=_MUCH)
+            Parameter(*limits, gain=_MUCH)
             for limits in ((_REST_STEPS, 10.0, 1e7), (_MOVE_STEPS, 0.5, 1e7), (wild, 1e-12, 0.2))
         ),
     ]
-    walks = [Number(ratio, *bounds, gain=_MUCH) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
+    walks = [Parameter(ratio, *bounds, gain=_MUCH) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
     return ImmFamily([*numbers, *walks], make)
 
 
@@ -133,8 +133,8 @@ def noisy(tuning: Tuning) -> ImmFamily:
         one = Mode("quiet", tuning.component, quiet, calms)
         return InteractingModels((one, replace(one, name="loud", noise_variance=quiet * louder, lasts=storms)))
 
-    own = Number(r / 3, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN)
-    return ImmFamily([own, Number(10.0, 1.5, 1e6), *2 * [Number(1000.0, 50.0, 1e6)]], make)
+    own = Parameter(r / 3, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN)
+    return ImmFamily([own, Parameter(10.0, 1.5, 1e6), *2 * [Parameter(1000.0, 50.0, 1e6)]], make)
 
 
 def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None = None) -> ImmFamily:
@@ -144,7 +144,10 @@ def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None 
     `tuning` and is not searched.
     """
     r, ratio, first = tuning.noise_variance, tuning.ratio, (_VIOLENT, _WILD, _CALM_STEPS, _BURST_STEPS)
-    own = [Number(r, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN), Number(ratio, 1e-14, 1e6, gain=_VARIANCE_GAIN)]
+    own = [
+        Parameter(r, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN),
+        Parameter(ratio, 1e-14, 1e6, gain=_VARIANCE_GAIN),
+    ]
     apart = max(outstanding_variance(evidence.z[:, 0], r), _OUTLIER_VARIANCE * r)
 
     def make(noise: float, ratio: float, violent: float, share: float, *lasts: float) -> InteractingModels:
@@ -156,14 +159,14 @@ def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None 
         return InteractingModels(tuple(modes), apart, rejects=True)
 
     if like is not None:
-        own = [Number(one.default, one.default, one.default) for one in own]
+        own = [Parameter(one.default, one.default, one.default) for one in own]
         calm, burst = like.modes
         violent = float(burst.component.noise_density[0, 0]) / burst.noise_variance
         first = (violent, calm.wild_share, calm.lasts, burst.lasts)
     ranges = ((1e-9, min(1e12, _LOUDEST * ratio)), (1e-12, 0.2), (50.0, 1e7), (2.0, 1e4))
     gains = (_GAIN, _MUCH, _GAIN, _GAIN)
     others = zip(first, ranges, gains, strict=True)
-    return ImmFamily([*own, *(Number(value, low, high, gain=gain) for value, (low, high), gain in others)], make)
+    return ImmFamily([*own, *(Parameter(value, low, high, gain=gain) for value, (low, high), gain in others)], make)
 
 
 def spiky(tuning: Tuning, evidence: Evidence) -> ImmFamily:
@@ -183,9 +186,9 @@ def spiky(tuning: Tuning, evidence: Evidence) -> ImmFamily:
     return ImmFamily(
         [
             _about(r, 1e4, evidence),
-            Number(tuning.ratio, *fastest, gain=_VARIANCE_GAIN),
-            Number(0.03, 3e-3, 0.4),
-            Number(
+            Parameter(tuning.ratio, *fastest, gain=_VARIANCE_GAIN),
+            Parameter(0.03, 3e-3, 0.4),
+            Parameter(
                 max(outstanding_variance(evidence.z[:, 0], r), _OUTLIER_VARIANCE * r),
                 9 * r,
                 max(spread, _OUTLIER_VARIANCE * r),
@@ -195,15 +198,15 @@ def spiky(tuning: Tuning, evidence: Evidence) -> ImmFamily:
     )
 
 
-def _variance(evidence: Evidence) -> Number:
+def _variance(evidence: Evidence) -> Parameter:
     """Return the variance of the noise at rest as a parameter to search."""
     r = max(quiet_variance(evidence.z[:, 0]), _least(evidence))
     return _about(r, 1e2, evidence)
 
 
-def _about(r: float, times: float, evidence: Evidence) -> Number:
+def _about(r: float, times: float, evidence: Evidence) -> Parameter:
     """Return a noise variance as a parameter to search around r."""
-    return Number(r, max(r / times, _least(evidence)), r * times, 1.0, _VARIANCE_GAIN)
+    return Parameter(r, max(r / times, _least(evidence)), r * times, 1.0, _VARIANCE_GAIN)
 
 
 def _least(evidence: Evidence) -> float:
@@ -226,7 +229,7 @@ def with_wild_share(switching: InteractingModels, share: float) -> InteractingMo
     return replace(switching, modes=modes, rejects=share > 0)
 
 
-def searched(bank: ImmFamily, pieces: Sequence[EvidencePiece]) -> tuple[InteractingModels, float]:
+def search_imm(bank: ImmFamily, pieces: Sequence[EvidencePiece]) -> tuple[InteractingModels, float]:
     """Search a family's parameters in turn, with steps that halve; return the best IMM and its log-likelihood."""
     at, strides = [float(np.log(number.default)) for number in bank.numbers], [number.stride for number in bank.numbers]
     best = log_likelihood(_make(bank, at), pieces)
@@ -326,7 +329,7 @@ _LIKELY = 0.5  # probability above which a reading is taken for an outlier
 _ROWS_AT_ONCE = 1 << 15  # rows that are filtered in one call
 
 
-def find_wild(switching: InteractingModels, readings: Floats, elapsed: Floats) -> Booleans:
+def find_outliers(switching: InteractingModels, readings: Floats, elapsed: Floats) -> Booleans:
     """Return which readings (N,) the causal IMM filter takes for outliers."""
     wild = np.zeros(len(readings))
     state = new_state(switching.bank(np.ones(1)), keeps_level=False)
@@ -344,7 +347,7 @@ def _without_outliers(switching: InteractingModels, evidence: Evidence) -> Evide
     if not switching.rejects:
         return evidence
     z, noise = evidence.z[:, 0].copy(), switching.least_noise_variance
-    wild = find_wild(switching, z, evidence.elapsed)
+    wild = find_outliers(switching, z, evidence.elapsed)
     if not wild.any():
         return evidence
     smooth = _smoothed(ImmFlow(switching, causal=False), z, evidence.elapsed)

@@ -26,7 +26,7 @@ from becalm.identification.modes.banks import (
     hidden_errors,
     log_likelihood,
     of_first_mode,
-    searched,
+    search_imm,
     with_wild_share,
 )
 
@@ -37,7 +37,7 @@ _LIKELY = 0.5  # probability of the burst mode above which a reading belongs to 
 _MOST_STATES = HIGHEST_ORDER + 1  # most states of a filter in an IMM; with more the search would be too slow
 
 
-class Bursting(NamedTuple):
+class CalmAndBurstImm(NamedTuple):
     """A filter for calm motion, the IMM of calm and violent motion, and the log-likelihood of the IMM."""
 
     tuning: Tuning
@@ -47,7 +47,7 @@ class Bursting(NamedTuple):
 
 def find_bursting(
     tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool
-) -> tuple[Bursting, Bursting]:
+) -> tuple[CalmAndBurstImm, CalmAndBurstImm]:
     """Find the IMM of calm and violent motion, and the filter of calm motion; the second IMM uses all readings.
 
     Parameters
@@ -63,10 +63,10 @@ def find_bursting(
     """
     bursts = _find_bursting(tuning, evidence, pieces, causal)
     without_outliers = with_wild_share(bursts.switching, 0.0)
-    return bursts, Bursting(bursts.tuning, without_outliers, log_likelihood(without_outliers, pieces))
+    return bursts, CalmAndBurstImm(bursts.tuning, without_outliers, log_likelihood(without_outliers, pieces))
 
 
-def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool) -> Bursting:
+def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool) -> CalmAndBurstImm:
     best, before = _search(tuning, bursting(tuning, evidence), pieces[-1:]), np.zeros(len(evidence.z), dtype=bool)
     for _ in range(_ROUNDS):
         violent = _find_violent(best.switching, evidence)
@@ -104,8 +104,8 @@ def _without_rows(violent: Booleans, evidence: Evidence) -> Evidence:
     return Evidence.of(np.where(violent, np.nan, evidence.z[:, 0]), evidence.elapsed)
 
 
-def _search(tuning: Tuning, bank: ImmFamily, pieces: list[EvidencePiece]) -> Bursting:
-    return Bursting(tuning, *searched(bank, pieces))
+def _search(tuning: Tuning, bank: ImmFamily, pieces: list[EvidencePiece]) -> CalmAndBurstImm:
+    return CalmAndBurstImm(tuning, *search_imm(bank, pieces))
 
 
 def _find_violent(switching: InteractingModels, evidence: Evidence) -> Booleans:

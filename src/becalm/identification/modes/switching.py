@@ -25,14 +25,14 @@ from becalm.identification.modes.banks import (
     ImmFamily,
     Kind,
     errs_less,
-    find_wild,
+    find_outliers,
     jumping,
     log_likelihood,
     noisy,
     of_first_mode,
     pieces_of,
     resting,
-    searched,
+    search_imm,
     spiky,
     stand_out,
 )
@@ -46,7 +46,7 @@ _MOTION_FIRST = 45.0  # gain in log-likelihood that loud noise needs: more than 
 
 
 @dataclass(frozen=True)
-class Switched:
+class IdentifiedImm:
     """An identified IMM, and how well it predicts.
 
     Attributes
@@ -73,7 +73,7 @@ class Switched:
 
 def find_switching(
     tuning: Tuning, evidence: Evidence, causal: bool, spikes_gated: bool = False, wild: Evidence | None = None
-) -> Switched | None:
+) -> IdentifiedImm | None:
     """Find the IMM that predicts a record best; None if a fixed filter is as good, or there are too few readings.
 
     Parameters
@@ -103,7 +103,7 @@ def find_switching(
         _fit("jumping", jumping(evidence), pieces, tuning),
         _fit("noisy", noisy(likeliest), pieces, tuning),
         spikes,
-        *(Switched("bursting", one.switching, one.log_likelihood, np.nan, one.tuning) for one in bursts),
+        *(IdentifiedImm("bursting", one.switching, one.log_likelihood, np.nan, one.tuning) for one in bursts),
     ]
     if spikes_gated:  # then an IMM must reject outliers, and be better than the gated filter
         gated = log_likelihood(_with_outliers(tuning, spikes.switching), pieces)
@@ -119,13 +119,13 @@ def find_switching(
     return None if best is None else replace(best, fixed_log_likelihood=fixed)
 
 
-def _with_outlier_share(best: Switched, tuning: Tuning, evidence: Evidence, wild: Evidence) -> Switched:
+def _with_outlier_share(best: IdentifiedImm, tuning: Tuning, evidence: Evidence, wild: Evidence) -> IdentifiedImm:
     """Return an IMM tuned on all readings, with their share of outliers, if it is jumping or spiky; else unchanged."""
     if best.kind not in ("jumping", "spiky"):
         return best
     share = 1 - len(evidence.z) / len(wild.z)
     bank = jumping(wild, share) if best.kind == "jumping" else spiky(tuning, wild)
-    tuned, _ = searched(bank, pieces_of(wild, int(np.argmax(np.abs(wild.z[:, 0] - np.median(wild.z))))))
+    tuned, _ = search_imm(bank, pieces_of(wild, int(np.argmax(np.abs(wild.z[:, 0] - np.median(wild.z))))))
     return replace(best, switching=tuned) if _follows_motion(tuned, evidence, at_jumps=True) else best
 
 
@@ -138,8 +138,8 @@ def _with_outliers(tuning: Tuning, like: InteractingModels) -> InteractingModels
 
 
 def _choose_imm(
-    candidates: list[Switched], evidence: Evidence, smoothed: Tuning | None, alone: Kind | None
-) -> Switched | None:
+    candidates: list[IdentifiedImm], evidence: Evidence, smoothed: Tuning | None, alone: Kind | None
+) -> IdentifiedImm | None:
     """Return the IMM that predicts best and takes no motion for outliers or loud noise; None if there is none.
 
     An IMM smoother must also err less than the fixed one, unless the IMM ranks first and its kind is `alone`.
@@ -162,18 +162,18 @@ def _follows_motion(switching: InteractingModels, evidence: Evidence, *, at_jump
     if not switching.rejects:
         return True
     z = evidence.z[:, 0]
-    return stand_out(z, find_wild(switching, z, evidence.elapsed), at_jumps=at_jumps)
+    return stand_out(z, find_outliers(switching, z, evidence.elapsed), at_jumps=at_jumps)
 
 
-def _gain(candidate: Switched) -> float:
+def _gain(candidate: IdentifiedImm) -> float:
     """Return the log-likelihood of an IMM less the gain that its kind needs; loud noise needs the most."""
     doubt = {"jumping": _DOUBT, "noisy": -_MOTION_FIRST}
     return candidate.log_likelihood + doubt.get(candidate.kind, -_BETTER)
 
 
-def _fit(kind: Kind, bank: ImmFamily, pieces: list[EvidencePiece], tuning: Tuning) -> Switched:
-    switching, value = searched(bank, pieces)
-    return Switched(kind, switching, value, np.nan, tuning)
+def _fit(kind: Kind, bank: ImmFamily, pieces: list[EvidencePiece], tuning: Tuning) -> IdentifiedImm:
+    switching, value = search_imm(bank, pieces)
+    return IdentifiedImm(kind, switching, value, np.nan, tuning)
 
 
 def find_surprise(z: Floats) -> int | None:
@@ -209,7 +209,7 @@ def _one_mode(tuning: Tuning) -> InteractingModels:
 # its distribution given all other readings, and the channel's filter and its IMM are chosen again.
 
 
-def choose_robust(tuning: Tuning, evidence: Evidence, causal: bool) -> Switched:
+def choose_robust(tuning: Tuning, evidence: Evidence, causal: bool) -> IdentifiedImm:
     """Choose the filter of one channel with many outliers.
 
     Parameters
@@ -222,13 +222,13 @@ def choose_robust(tuning: Tuning, evidence: Evidence, causal: bool) -> Switched:
         True for a filter, False for a smoother.
     """
     first, readings, elapsed = robust_filter(tuning, evidence), evidence.z[:, 0], evidence.elapsed
-    outliers = find_wild(first.switching, readings, elapsed)
+    outliers = find_outliers(first.switching, readings, elapsed)
     repaired = imputed(of_first_mode(tuning, first.switching), readings, elapsed, outliers)
     chosen = choose(repaired, elapsed, causal).tuning
     return first if chosen is None else robust_filter(chosen, evidence)
 
 
-def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
+def robust_filter(tuning: Tuning, evidence: Evidence) -> IdentifiedImm:
     """Return the spiky IMM of a filter; its noise, process noise and outliers are identified by likelihood.
 
     Parameters
@@ -238,5 +238,5 @@ def robust_filter(tuning: Tuning, evidence: Evidence) -> Switched:
     evidence : Evidence
         The readings with their outliers.
     """
-    switching, value = searched(spiky(tuning, evidence), pieces_of(evidence, len(evidence.z) // 2))
-    return Switched("spiky", switching, value, np.nan, tuning)
+    switching, value = search_imm(spiky(tuning, evidence), pieces_of(evidence, len(evidence.z) // 2))
+    return IdentifiedImm("spiky", switching, value, np.nan, tuning)

@@ -109,7 +109,7 @@ class Pick:
     rivals: tuple[Point, ...]
 
 
-def noise_lag_front(
+def trade_off_curve(
     noise_variance: float, step_s: float, orders: Sequence[int] = ORDERS, ratios: Sequence[float] | None = None
 ) -> TradeOffCurve:
     """Predict the remaining noise and the lag of filters of several orders.

@@ -19,9 +19,9 @@ from becalm.live.journal.database import (
     transaction,
     writing,
 )
+from becalm.live.journal.intact_rows import HEADED, Plan, connect_damaged, moved, planned, remains_of
 from becalm.live.journal.mark import Mark
 from becalm.live.journal.records import LossRow
-from becalm.live.journal.remains import HEADED, Plan, connect_damaged, moved, planned, remains_of
 
 _PART, _NEW = (
     f"{NAME}.part",

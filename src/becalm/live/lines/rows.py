@@ -23,7 +23,7 @@ class UnreadableLineError(ValueError):
 
 
 @dataclass
-class Bad:
+class GarbledLines:
     """Counts of lines that could not be parsed completely.
 
     Attributes
@@ -48,7 +48,7 @@ class Bad:
 
 
 @dataclass
-class Taken:
+class ParsedRows:
     """Rows parsed from lines.
 
     Attributes
@@ -170,9 +170,9 @@ def json_object(line: bytes) -> dict[str, Cell] | None:
     return value if isinstance(value, dict) else None
 
 
-def take(layout: LineLayout, lines: Sequence[bytes], bad: Bad) -> Taken:
+def take(layout: LineLayout, lines: Sequence[bytes], bad: GarbledLines) -> ParsedRows:
     """Parse lines; skip blank lines and comments, and count the other lines that cannot be parsed in `bad`."""
-    taken = Taken()
+    taken = ParsedRows()
     for start in range(0, len(lines), _PIECE):
         piece = lines[start : start + _PIECE]
         joined = b"".join(piece)
@@ -192,7 +192,7 @@ def is_remark(line: bytes) -> bool:
     return line.lstrip()[:1] in (b"", b"#")
 
 
-def _take_one_by_one(layout: LineLayout, lines: Sequence[bytes], taken: Taken, bad: Bad) -> None:
+def _take_one_by_one(layout: LineLayout, lines: Sequence[bytes], taken: ParsedRows, bad: GarbledLines) -> None:
     rows, stamps = [], []
     for place, line in enumerate(lines, taken.lines):
         try:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from becalm.live.address import Address
 from becalm.live.block import Block
 from becalm.live.lines.columns import LineOptions
-from becalm.live.lines.feeding import Lines
+from becalm.live.lines.line_parser import LineParser
 
 
 class LineSource(ABC):
@@ -41,7 +41,7 @@ class LineSource(ABC):
     def __init__(self, address: Address, own_options: Sequence[str] = ()) -> None:
         address.refuse_unknown((*own_options, *LineOptions.NAMES))
         options = LineOptions.of(address)
-        self.rate_hz, self._lines = options.rate_hz, Lines(options)
+        self.rate_hz, self._lines = options.rate_hz, LineParser(options)
 
     def committed(self, position: str) -> None:  # noqa: B027  (there is nothing to do)
         """Do nothing: the sender needs no acknowledgement."""

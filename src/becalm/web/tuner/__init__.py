@@ -17,9 +17,9 @@ from becalm.files.read_options import ReadOptions
 from becalm.web.site import as_file
 from becalm.web.tuner.naming import stem_of
 from becalm.web.tuner.opened import AS_IT_IS, Opened
-from becalm.web.tuner.saving import CleaningJob, Made, cleaned, reported
-from becalm.web.tuner.session import Conversation
+from becalm.web.tuner.saving import CleaningJob, TemporaryOutput, cleaned, reported
 from becalm.web.tuner.sharing import Shared
+from becalm.web.tuner.tuner_session import TunerSession
 
 __all__ = ["Tuner"]
 
@@ -56,7 +56,7 @@ class Tuner:
 
     async def wire(self, websocket: WebSocket) -> None:
         """Exchange messages with a page until it is closed."""
-        await Conversation(self._shared, websocket).run()
+        await TunerSession(self._shared, websocket).run()
 
     def close(self) -> None:
         """Stop the threads, and remove uploaded files."""
@@ -78,7 +78,7 @@ class Tuner:
     async def _save_report(self, request: Request) -> Response:
         return _Download(await _while_there(request, self._saved(reported)))
 
-    async def _saved(self, make: Callable[[CleaningJob], Awaitable[Made]]) -> Made:
+    async def _saved(self, make: Callable[[CleaningJob], Awaitable[TemporaryOutput]]) -> TemporaryOutput:
         """Save the open recording with the present settings, once earlier savings are finished."""
         desk = self._shared.open_desk
         opened, recipe = desk.opened, desk.recipe().to_toml()
@@ -108,7 +108,7 @@ class Tuner:
         return path
 
 
-async def _while_there(request: Request, work: Coroutine[None, None, Made]) -> Made:
+async def _while_there(request: Request, work: Coroutine[None, None, TemporaryOutput]) -> TemporaryOutput:
     """Await some work; cancel it and raise a ClientDisconnect if the client disconnects."""
     job, gone = asyncio.ensure_future(work), asyncio.ensure_future(_gone(request))
     try:
@@ -130,7 +130,7 @@ async def _gone(request: Request) -> None:
 class _Download(StreamingResponse):
     """A response that sends a temporary file and then removes it, even if the client disconnects."""
 
-    def __init__(self, made: Made) -> None:
+    def __init__(self, made: TemporaryOutput) -> None:
         headers = {**as_file(made.name), "content-length": str(made.bytes)}
         super().__init__(made.blocks(), media_type="application/octet-stream", headers=headers)
         self._made = made

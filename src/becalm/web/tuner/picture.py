@@ -14,7 +14,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats, Integers
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.report.envelope import Envelope, Kinds, Stretches
+from becalm.report.envelope import Envelope, Stretches, VerdictsByStretch
 from becalm.report.gathering import WIDTH
 
 LONG = 1 << 19
@@ -117,7 +117,7 @@ class _Enclosing:
         rows = view.stop - view.first
         self._stretches = Stretches(rows, -(-rows // each))
         self.signal, self.band = Envelope(self._stretches.count), Envelope(self._stretches.count)
-        self.kinds = Kinds(self._stretches.count)
+        self.kinds = VerdictsByStretch(self._stretches.count)
         self._row, self._spikes = view.first, [np.empty(0, np.int64)]
 
     def clean(self) -> Clean:

@@ -25,7 +25,7 @@ class CleaningJob(NamedTuple):
     group: str | None = None
 
 
-class Made:
+class TemporaryOutput:
     """A finished file in a private folder; `close` removes both."""
 
     def __init__(self, folder: tempfile.TemporaryDirectory[str], path: Path, name: str) -> None:
@@ -46,7 +46,7 @@ class Made:
         self._folder.cleanup()
 
 
-async def cleaned(job: CleaningJob, ending: str) -> Made:
+async def cleaned(job: CleaningJob, ending: str) -> TemporaryOutput:
     """Clean a file as `becalm clean` does.
 
     Parameters
@@ -66,7 +66,7 @@ async def cleaned(job: CleaningJob, ending: str) -> Made:
     return await _made(job, f"{stem_of(job.file)}-clean.{ending}", None)
 
 
-async def reported(job: CleaningJob) -> Made:
+async def reported(job: CleaningJob) -> TemporaryOutput:
     """Write the report on a file as `becalm clean --report` does.
 
     Raises
@@ -77,7 +77,7 @@ async def reported(job: CleaningJob) -> Made:
     return await _made(job, f"{stem_of(job.file)}-clean.npz", f"{stem_of(job.file)}-report.html")
 
 
-async def _made(job: CleaningJob, output: str, page: str | None) -> Made:
+async def _made(job: CleaningJob, output: str, page: str | None) -> TemporaryOutput:
     try:
         folder = tempfile.TemporaryDirectory(prefix="becalm-", ignore_cleanup_errors=True)
         return await _made_in(folder, job, output, page)
@@ -86,7 +86,9 @@ async def _made(job: CleaningJob, output: str, page: str | None) -> Made:
         raise OutputError(says) from cause
 
 
-async def _made_in(folder: tempfile.TemporaryDirectory[str], job: CleaningJob, output: str, page: str | None) -> Made:
+async def _made_in(
+    folder: tempfile.TemporaryDirectory[str], job: CleaningJob, output: str, page: str | None
+) -> TemporaryOutput:
     try:
         inside, file = Path(folder.name).resolve(), job.file.resolve()
         recipe = inside / "recipe.toml"
@@ -100,7 +102,7 @@ async def _made_in(folder: tempfile.TemporaryDirectory[str], job: CleaningJob, o
             named = str(cause).replace(str(file), job.file.name).replace(f"{inside}{os.sep}", "")
             raise OutputError(named.replace(str(inside), "the folder for temporary files")) from cause
         name = output if page is None else page
-        return Made(folder, inside / name, name)
+        return TemporaryOutput(folder, inside / name, name)
     except BaseException:
         folder.cleanup()
         raise

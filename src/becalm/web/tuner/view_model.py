@@ -17,7 +17,7 @@ _MOST_STEPS = 1000  # most changes that can be undone
 _MOST_WAITED = 10_000_000_000  # largest product of rows and lag in rows, for which a picture takes about ten seconds
 
 
-class Doing(NamedTuple):
+class TunerSettings(NamedTuple):
     """The mode, its lag, and the settings of all channels."""
 
     mode: Mode
@@ -38,11 +38,11 @@ class ViewModel:
 
     def __init__(self, opened: Opened, mode: Mode = "smoothed") -> None:
         self.opened = opened
-        first = Doing(mode, None, (Setting(),) * len(opened.recording.names))
+        first = TunerSettings(mode, None, (Setting(),) * len(opened.recording.names))
         self._steps, self._at, self._dragged = [first], 0, first
 
     @property
-    def now(self) -> Doing:
+    def now(self) -> TunerSettings:
         """Return the present settings, which may be those during a drag."""
         return self._dragged
 
@@ -133,7 +133,7 @@ class ViewModel:
             option.as_given(given[name]) if name in given else Setting(unchanged=True)
             for name, option in zip(names, options, strict=True)
         )
-        self._do(Doing(recipe.mode, recipe.lag_s, settings))
+        self._do(TunerSettings(recipe.mode, recipe.lag_s, settings))
 
     def channel(self, channel: int) -> ChannelRecipe:
         """Return the present recipe of a channel."""
@@ -218,7 +218,7 @@ class ViewModel:
                 f" type becalm clean FILE -o OUT --lag {lag_s:g}s."
             )
 
-    def _recipe_of(self, now: Doing) -> Recipe:
+    def _recipe_of(self, now: TunerSettings) -> Recipe:
         mode, lag_s, settings = now
         pairs = zip(self._options_in(now), settings, strict=True)
         channels = tuple(option.recipe(setting) for option, setting in pairs)
@@ -226,14 +226,14 @@ class ViewModel:
         time, rate_hz = self.opened.said.time, self.opened.said.rate_hz
         return Recipe(mode=mode, lag_s=lag_s, time=time, rate_hz=rate_hz, tuned_on=origin, channel=channels)
 
-    def _options_in(self, now: Doing) -> tuple[Options, ...]:
+    def _options_in(self, now: TunerSettings) -> tuple[Options, ...]:
         return self.opened.options(self.opened.as_filter(now.mode, now.lag_s))
 
     def _options_of(self, channel: int) -> Options:
         self.opened.check_channel(channel)
         return self.options[channel]
 
-    def _do(self, doing: Doing, *, final: bool = True) -> None:
+    def _do(self, doing: TunerSettings, *, final: bool = True) -> None:
         self._dragged = doing
         if final and doing != self._steps[self._at]:
             self._steps = [*self._steps[max(0, self._at + 1 - _MOST_STEPS) : self._at + 1], doing]

@@ -35,7 +35,7 @@ class Learned(NamedTuple):
     resolution_s: float
 
 
-class Early:
+class LearningBuffer:
     """Blocks that arrived before the filters existed, and the time they span, updated block by block.
 
     Attributes
@@ -98,7 +98,7 @@ class Learner:
     lag_s: float | None = None
     channels: tuple[str, ...] = ()
 
-    def is_enough(self, early: Early, rate_hz: float | None) -> bool:
+    def is_enough(self, early: LearningBuffer, rate_hz: float | None) -> bool:
         """Return whether the blocks have enough rows and span `learn_s`.
 
         Rows whose stamps do not advance are enough once they have arrived for 2 `learn_s` + 10 s.

@@ -10,7 +10,7 @@ from becalm.core.arrays import Floats
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.lines.columns import LineOptions
 from becalm.live.lines.layouts import layout_of, may_be_names
-from becalm.live.lines.rows import Bad, LineLayout, Taken, is_remark, take
+from becalm.live.lines.rows import GarbledLines, LineLayout, ParsedRows, is_remark, take
 
 LONGEST_LINE = 1 << 20
 """Most bytes of a line; a longer line is counted as garbled, and not kept in memory."""
@@ -22,7 +22,7 @@ _SPREAD_S = 0.1  # longest time over which rows without stamps are spread
 _TOO_LONG = "it is longer than 1 MB"
 
 
-class Lines:
+class LineParser:
     r"""A parser of lines that takes bytes in pieces of any size.
 
     A line ends with \n, \r\n or \r. Blank lines and comments, which begin with #, are skipped. Other lines that are
@@ -47,7 +47,7 @@ class Lines:
         self._within = False  # True if the first line may be incomplete
         self._above: list[bytes] = []
         self._layout: LineLayout | None = None
-        self._bad = Bad()
+        self._bad = GarbledLines()
         self._counted = 0
         self._began_s = 0.0
         self._came_s = -np.inf
@@ -115,7 +115,7 @@ class Lines:
             self._skipping = True
         return complete.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")[:-1]
 
-    def _parse(self, lines: list[bytes]) -> Taken:
+    def _parse(self, lines: list[bytes]) -> ParsedRows:
         if max(map(len, lines), default=0) > LONGEST_LINE:
             for line in lines:
                 if len(line) > LONGEST_LINE:
@@ -128,7 +128,7 @@ class Lines:
         if self._layout is None:
             lines = self._detect_layout(lines)
         if self._layout is None:
-            return Taken()
+            return ParsedRows()
         return take(self._layout, list(filter(None, lines)), self._bad)
 
     def _detect_layout(self, lines: list[bytes]) -> list[bytes]:
@@ -151,9 +151,9 @@ class Lines:
         if not is_remark(line):
             self._bad.add(line, "no line above it has names for its cells")
 
-    def _block(self, taken: Taken, came_s: float) -> Block | None:
+    def _block(self, taken: ParsedRows, came_s: float) -> Block | None:
         count = len(taken.places)
-        bad, self._bad = self._bad, Bad()
+        bad, self._bad = self._bad, GarbledLines()
         time_s = self._times(taken, count, came_s)
         self._came_s = came_s
         if not (count or bad.lines):
@@ -169,7 +169,7 @@ class Lines:
             arrived_s=time.monotonic(),
         )
 
-    def _times(self, taken: Taken, count: int, came_s: float) -> Floats:
+    def _times(self, taken: ParsedRows, count: int, came_s: float) -> Floats:
         stamps = np.concatenate(taken.stamps) if taken.stamps else np.empty(0)
         if len(stamps):
             return stamps
@@ -189,7 +189,7 @@ class Lines:
         return spread
 
 
-def _loss(bad: Bad) -> Loss:
+def _loss(bad: GarbledLines) -> Loss:
     shown = repr(bad.first[:_SHOWN].decode("utf-8", "replace")) + ("..." if len(bad.first) > _SHOWN else "")
     if bad.lines == 1:
         return Loss(LossKind.GARBLED, 1, f"A line could not be read completely: {shown}; {bad.why}.")

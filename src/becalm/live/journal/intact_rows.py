@@ -28,7 +28,7 @@ HEADED = f"{NAME}.headed"
 Row = TypeVar("Row", bound=tuple[Any, ...])
 
 
-class Remains(NamedTuple):
+class IntactRows(NamedTuple):
     """The intact rows of a damaged journal, ordered by number."""
 
     heads: list[HeadRow]
@@ -88,7 +88,7 @@ def _connect_read_only(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def remains_of(connection: sqlite3.Connection) -> Remains:
+def remains_of(connection: sqlite3.Connection) -> IntactRows:
     """Return all intact rows, without the blocks whose rows are in files."""
     try:
         rolled = rolled_blocks(connection)
@@ -96,7 +96,7 @@ def remains_of(connection: sqlite3.Connection) -> Remains:
         rolled = 0
     numbers = [number for number in _numbers(connection, TABLES[BlockRow]) if number > rolled]
     blocks = [row._replace(data=None) for row in _read(connection, BlockRow, numbers)]
-    return Remains(
+    return IntactRows(
         _intact(connection, HeadRow),
         _intact(connection, RollRow),
         blocks,
@@ -110,7 +110,7 @@ def moved(source: sqlite3.Connection, old: int, new: BlockRow) -> BlockRow:
     return new._replace(data=next(_read(source, BlockRow, [old])).data)
 
 
-def planned(folder: Path, remains: Remains, mark: Mark | None) -> Plan | None:
+def planned(folder: Path, remains: IntactRows, mark: Mark | None) -> Plan | None:
     """Return the plan of the new database; None if no checkpoint is left from which the stream could continue."""
     rolls = _all_files(folder, remains)
     end = rolls[-1].end_row if rolls else 0
@@ -149,7 +149,7 @@ def _in_order(blocks: Sequence[BlockRow], end: int) -> list[BlockRow]:
     return kept
 
 
-def _all_files(folder: Path, remains: Remains) -> list[RollRow]:
+def _all_files(folder: Path, remains: IntactRows) -> list[RollRow]:
     """Return the records of all files in row order, including files whose record is lost."""
     rolls = sorted(remains.rolls, key=lambda roll: roll.first_row)
     spans = [(roll.first_row, roll.end_row) for roll in rolls]

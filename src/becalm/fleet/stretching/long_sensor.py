@@ -20,7 +20,7 @@ class Extremes(NamedTuple):
     most: tuple[float, ...]
 
 
-class Long(NamedTuple):
+class LongSensor(NamedTuple):
     """A sensor that is cut in time."""
 
     job: Job

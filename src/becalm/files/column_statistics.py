@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
 from becalm.core.time.clock import Thinned
-from becalm.files.library_reader import Foreign
+from becalm.files.library_reader import LibraryFile
 
 _EXACT = 2.0**53  # float64 represents every whole number up to this one
 
 
-class Numbers:
+class ColumnStatistics:
     """Collect statistics of a column that may be a time: first values, direction, and a sample of values and steps.
 
     Parameters
@@ -103,7 +103,7 @@ class Counter:
         return self._possible and self._seen > 2
 
 
-class Signal:
+class ChannelTest:
     """Decide whether a column is a channel: not a counter, not a flag, and exact in float64.
 
     Parameters
@@ -194,7 +194,7 @@ class ColumnRows:
         Columns by name, in the order of the file.
     count : int
         Number of rows of each column.
-    foreign : Foreign
+    foreign : LibraryFile
         The file; turns errors during reading into messages.
     close : callable, optional
         Releases the file; called by `close`.
@@ -206,7 +206,7 @@ class ColumnRows:
         self,
         columns: Mapping[str, Column],
         count: int,
-        foreign: Foreign,
+        foreign: LibraryFile,
         close: Callable[[], None] | None = None,
         metadata: Mapping[str, str] | None = None,
     ) -> None:

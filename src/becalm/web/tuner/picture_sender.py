@@ -28,7 +28,7 @@ class _Shown:
     figures: tuple[object, ...] = ()
 
 
-class Showing:
+class PictureSender:
     """Computes and sends the pictures of one page.
 
     Parameters

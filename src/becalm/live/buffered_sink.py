@@ -8,7 +8,7 @@ from becalm.live.block import Head, Output
 from becalm.live.protocols import AwayError, Sink
 
 
-class Outlet:
+class BufferedSink:
     """A sink with a buffer for the time when it cannot be reached.
 
     The filtering thread writes and the commit thread flushes. Rows that cannot be written are buffered until `flush`

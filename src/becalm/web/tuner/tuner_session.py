@@ -14,11 +14,11 @@ from becalm.web.incoming_messages import number_of, parse_frame
 from becalm.web.tuner import messages
 from becalm.web.tuner.messages import parse_message
 from becalm.web.tuner.outgoing_messages import Wire
-from becalm.web.tuner.picture_queue import Showing
+from becalm.web.tuner.picture_sender import PictureSender
 from becalm.web.tuner.sharing import Sender, Shared
 
 
-class Conversation:
+class TunerSession:
     """The session of one page.
 
     Parameters
@@ -32,7 +32,7 @@ class Conversation:
     def __init__(self, shared: Shared, websocket: WebSocket) -> None:
         self._shared, self._websocket = shared, websocket
         self._wire = Wire(websocket)
-        self._showing = Showing(shared, self._wire)
+        self._showing = PictureSender(shared, self._wire)
         self._tasks: set[asyncio.Task[None]] = set()
         self._mapping: asyncio.Task[None] | None = None
         self._turned = 0  # number of the last message that changed a setting
@@ -69,7 +69,7 @@ class Conversation:
         await self._wire.send_message(await self._shared.in_thread(desk.recording_message))
         await self.send_state()
 
-    async def send_state(self, but: Conversation | None = None) -> None:
+    async def send_state(self, but: TunerSession | None = None) -> None:
         """Send the page all settings and a new picture; `but` is a page whose picture is already requested."""
         if but is not self:
             self._showing.ask()
@@ -125,7 +125,7 @@ class Conversation:
             return
         self._showing.wait()
         await self._shared.open(file, group, rate_hz)
-        await self._shared.estimate_all(Conversation.send_all, self)
+        await self._shared.estimate_all(TunerSession.send_all, self)
 
     async def _turn(self, message: messages.Turn) -> None:
         desk = self._shared.open_desk
@@ -162,7 +162,7 @@ class Conversation:
         self._showing.dragging = False
         self._showing.answers = message.number
         anew = isinstance(message, messages.Restore) or desk.options is not before  # the other mode has other options
-        await self._shared.estimate_all(Conversation.send_all if anew else Conversation.send_state, self)
+        await self._shared.estimate_all(TunerSession.send_all if anew else TunerSession.send_state, self)
 
     def _start(self, doing: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
         """Start a task, which is cancelled when the page is closed."""

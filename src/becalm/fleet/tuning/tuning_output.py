@@ -14,7 +14,7 @@ from becalm.files.atomic_file import explain_write_errors, write_folder
 from becalm.fleet.outcome import SHOWN
 from becalm.fleet.recipes import ENDING, RecipeBook, recipes_in
 from becalm.fleet.tuning.classes import TunedClass
-from becalm.fleet.tuning.found import TunedChannel
+from becalm.fleet.tuning.sensor_tuning import TunedChannel
 from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import FleetRow
 

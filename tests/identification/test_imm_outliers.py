@@ -13,7 +13,7 @@ from becalm.errors import ModelError
 from becalm.identification.choose import choose
 from becalm.identification.likelihood import Evidence
 from becalm.identification.modes import banks
-from becalm.identification.modes.banks import find_wild
+from becalm.identification.modes.banks import find_outliers
 from becalm.identification.modes.switching import choose_robust, robust_filter
 
 ROWS, STARTING = 8000, 500
@@ -58,7 +58,7 @@ def test_wild_readings_are_told_from_tame_ones() -> None:
     wild[100] = False
     tuning = choose(z, elapsed, True).tuning
     assert tuning is not None
-    told = find_wild(robust_filter(tuning, Evidence.of(z, elapsed)).switching, z, elapsed)
+    told = find_outliers(robust_filter(tuning, Evidence.of(z, elapsed)).switching, z, elapsed)
     assert np.mean(told[STARTING:] == wild[STARTING:]) > 0.98
     assert told[wild][STARTING:].all()
     assert not told[100]
@@ -100,5 +100,5 @@ def test_from_minus_infinity_to_minus_infinity_is_no_gain(monkeypatch: pytest.Mo
         made.append(r)
         return InteractingModels((one,))
 
-    banks.searched(banks.ImmFamily([banks.Number(1.0, 1e-4, 1e4)], make), [])
+    banks.search_imm(banks.ImmFamily([banks.Parameter(1.0, 1e-4, 1e4)], make), [])
     assert made[-1] == 1.0
