@@ -52,7 +52,7 @@ def columns(path: Path) -> Floats:
 def test_it_is_what_cleaning_again_gives(clean: Path, run: Run, tmp_path: Path) -> None:
     ran = run("recalibrate", "clean.csv", "-o", "mended.csv", "--from", "old.toml", "--to", "new.toml")
     assert ran.returncode == 0, ran.stderr
-    assert "a (g): times 1.25 - 0.25." in ran.stderr
+    assert "a (g): times 1.25, then minus 0.25." in ran.stderr
     run("clean", clean, "-o", "again.csv", "--channels", "a", "--sensors", "new.toml")
     mended, again = tmp_path / "mended.csv", tmp_path / "again.csv"
     assert mended.read_text().splitlines()[0] == again.read_text().splitlines()[0]
@@ -61,6 +61,14 @@ def test_it_is_what_cleaning_again_gives(clean: Path, run: Run, tmp_path: Path) 
     np.testing.assert_allclose(found[:, 1], expected[:, 1], atol=1e-3 * np.median(expected[:, 2]))
     np.testing.assert_allclose(found[:, 2], expected[:, 2], rtol=1e-3)
     assert not (tmp_path / "mended.csv.recipe.toml").exists()
+
+
+def test_a_recipe_of_an_earlier_output_is_not_taken_for_the_new_ones(clean: Path, run: Run, tmp_path: Path) -> None:
+    (tmp_path / "mended.csv.recipe.toml").write_text("of another day", encoding="utf-8")
+    ran = run("recalibrate", "clean.csv", "-o", "mended.csv", "--from", "old.toml", "--to", "new.toml")
+    assert ran.returncode == 2
+    assert "mended.csv.recipe.toml is the recipe of an earlier output; remove it" in ran.stderr
+    assert not (tmp_path / "mended.csv").exists()
 
 
 def test_there_and_back_is_as_before(clean: Path, run: Run, tmp_path: Path) -> None:

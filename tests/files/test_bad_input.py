@@ -114,13 +114,27 @@ def test_a_bad_cell_is_named_with_the_way_out(row: int, cell: str, tmp_path: Pat
         read(path, channels=["b"])
 
 
+@pytest.mark.parametrize(
+    ("others", "advice"), [(4, "naming the others: --channels c0,c1,c2,c3"), (9, "name all others")]
+)
+def test_leaving_a_column_out_leaves_out_no_other(others: int, advice: str, tmp_path: Path) -> None:
+    names = [f"c{k}" for k in range(others)]
+    rows = [
+        [f"{k / 100:.2f}", "err" if k == 50 else f"{k}.5", *(f"{k + j}.25" for j in range(others))] for k in range(90)
+    ]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(map(",".join, [["time_s", "bad", *names], *rows])))
+    with pytest.raises(InputError, match=advice):
+        read(path)
+
+
 @pytest.mark.parametrize("column", [1, 2])
 def test_leaving_a_bad_cell_out_never_names_the_time(column: int, tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     cells = [line.split(",") for line in GOOD.splitlines()]
     cells[300][column] = "err"
     path.write_text("\n".join(map(",".join, cells)))
-    with pytest.raises(InputError, match=f"naming the others: --channels '{'ba'[column - 1]}'"):
+    with pytest.raises(InputError, match=f"naming the others: --channels {'ba'[column - 1]}"):
         read(path)
     path.write_text(
         "\n".join(",".join(line[: column + 1]) if column == 1 else line[0] + "," + line[2] for line in cells)

@@ -25,6 +25,7 @@ from becalm.errors import OutputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Head, Output
 from becalm.live.protocols import Sink, StorageFullError
+from becalm.live.sinks import parquet_part
 from becalm.live.sinks.parquet import ParquetSink
 from becalm.live.tables import output_table
 from streams import assert_same_bits, head_of, outputs_of
@@ -222,7 +223,7 @@ def test_a_full_disk_loses_no_row_when_there_is_room_again(tmp_path: Path, monke
         sink.write(many(1 << 20, 0))
         sink.write(replace(many(10, 1 << 20), time_s=np.full(10, HOUR_S + 3600.0)))
         for _ in range(3):
-            with pytest.raises(StorageFullError, match="no room"):
+            with pytest.raises(StorageFullError, match="cannot be written now"):
                 sink.flush()
         room[0] = 1 << 30
         sink.flush()
@@ -234,6 +235,22 @@ def test_a_full_disk_loses_no_row_when_there_is_room_again(tmp_path: Path, monke
         sink.close()
     assert names_in(tmp_path) == ["2023-11-14/22.parquet", "2023-11-14/23.parquet"]
     assert read(tmp_path)["row"].to_numpy().tolist() == list(range((1 << 20) + 10))
+
+
+def test_a_file_that_has_its_name_is_finished_after_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sink = sink_of(tmp_path)
+    for output in outputs_of([1000, 5000], channels=2, begins_s=HOUR_S - 2.0):
+        sink.write(output)
+
+    def fail(_: Path) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(parquet_part, "sync_folder", fail)
+        with pytest.raises(StorageFullError, match="cannot be written now"):
+            sink.close()
+    sink.close()
+    assert read(tmp_path)["row"].to_pylist() == list(range(6000))
 
 
 def test_a_folder_that_is_none_is_told(tmp_path: Path) -> None:

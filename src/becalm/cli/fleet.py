@@ -1,4 +1,4 @@
-"""Clean a lake on Spark; check all options before Spark starts, which takes seconds."""
+"""Clean a lake on Spark; check all options first, because starting Spark takes seconds."""
 
 from __future__ import annotations
 

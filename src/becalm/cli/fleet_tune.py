@@ -1,4 +1,4 @@
-"""Tune recipes for a lake on Spark; check all options before Spark starts, which takes seconds."""
+"""Tune recipes for a lake on Spark; check all options first, because starting Spark takes seconds."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ def _print_results(lake: Path, output: Path, options: LakeTuningOptions, tuned: 
     outlying = [row for row in tuned.rows if row.outlying]
     say_some([f"{row.sensor}, {row.channel}: {row.outlying}" for row in outlying])
     if outlying and not options.own:
-        typer.echo("Write separate recipes for sensors that differ from their class with --own.", err=True)
+        advice = "To write separate recipes for the sensors that differ from their class, repeat with --own --replace."
+        typer.echo(advice, err=True)
     if not tuned.recipes:
         typer.echo(f"No recipe was written; the report is {tuned.report}.", err=True)
         return

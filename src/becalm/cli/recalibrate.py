@@ -33,14 +33,17 @@ def run(file: Path, output: Path, sensors: Calibrations) -> None:
     Raises
     ------
     UsageError
-        If the recipe of the recording is not next to it, the output can have too few time bases, or the new
-        calibration needs the raw readings.
+        If the recipe of the recording is not next to it, a recipe of an earlier output is next to the new one, the
+        recording has several time bases and the output can have only one, or the new calibration needs the raw
+        readings.
     """
     format_to_write(output)
     refuse_overwriting(file, output)
     recipe_path = recipe_path_of(file)
     if not recipe_path.exists():
         raise UsageError(f"{recipe_path} does not exist; {file} needs this recipe next to it. Keep the two together.")
+    if (earlier := recipe_path_of(output)).exists():
+        raise UsageError(f"{earlier} is the recipe of an earlier output; remove it, or give another output with -o.")
     recipe, old, new = Recipe.load(recipe_path), load_sensors(sensors.old), load_sensors(sensors.new)
     tables = read_tables(file)
     try:
@@ -55,6 +58,6 @@ def run(file: Path, output: Path, sensors: Calibrations) -> None:
     finally:
         close(tables)
     for one in chain.from_iterable(by_table):
-        shift = f" {'+' if one.offset > 0 else '-'} {abs(one.offset):.6g}" if one.offset else ""
+        shift = f", then {'plus' if one.offset > 0 else 'minus'} {abs(one.offset):.6g}" if one.offset else ""
         stderr.print(f"{one.column}: times {one.factor:.6g}{shift}.")
     typer.echo(f"Wrote {output}, without a recipe, because that of {file} is for the old sensors.", err=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from shlex import quote
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -20,6 +21,7 @@ from becalm.files.unit_spelling import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"  # the ending of the name of a column of uncertainties
 _COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # a ROS driver writes its sensor's covariance with each reading
+_MOST_NAMED = 8  # columns that a message names
 _FIRST_ROWS = 1 << 16  # rows that decide for most columns whether they are channels
 
 
@@ -179,7 +181,9 @@ def _why_not_numbers(raw: RawTable, name: str, times: Sequence[str]) -> str:
 def _exclusion_hint(raw: RawTable, name: str, times: Sequence[str]) -> str:
     """Return a phrase that says how to leave a column out; "" if there are no other columns of numbers."""
     others = [n for n in raw.names if n not in (name, *times) and kind_of_column(raw.head.column(n)) == NUMBERS]
-    return f", or leave the column out by naming the others: --channels {','.join(others[:3])!r}" if others else ""
+    if len(others) > _MOST_NAMED:
+        return ", or leave the column out: name all others with --channels"
+    return f", or leave the column out by naming the others: --channels {quote(','.join(others))}" if others else ""
 
 
 def refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:

@@ -57,7 +57,7 @@ INLINE void step_back(const int n, const real *h, const real S, const real *K, c
     const int used = !isnan(innovation);
     const real nu = used ? innovation : 0;
     see_through(n, 1, h, F, g);
-    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* S = 0: nothing new */
+    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* S = 0: predicted exactly, nothing new */
     if (used)
         close_loop(n, 1, F, K, g, A);
     else

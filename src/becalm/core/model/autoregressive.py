@@ -38,7 +38,7 @@ class ColouredNoise(NamedTuple):
 
     @property
     def innovation_variance(self) -> float:
-        """Return the variance of w, in unit^2: the part of the noise that earlier readings do not predict."""
+        """Return the variance of w, in unit^2: the part of the noise that its earlier values do not predict."""
         return self.variance * _unexplained(partial_autocorrelations(self.coefficients))
 
 

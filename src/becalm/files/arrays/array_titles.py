@@ -37,7 +37,7 @@ def take_titles(found: FileArrays) -> None:
 
 
 def is_alone(path: Path) -> bool:
-    """Return whether an array has the name of the values in a struct of one channel, such as `force.data`."""
+    """Return whether an array is called `data`, `value` or the like in a struct, such as `force.data`."""
     return len(path) > 1 and path[-1].lower() in _VALUES
 
 

@@ -1,4 +1,4 @@
-"""Check a journal for damage: the database, the seals of its rows, the continuity of the rows, and the files."""
+"""Check a journal for damage: the database, the seal of each record, gaps and repeats of rows, and the files."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def faults(folder: Path) -> Iterator[str]:
     try:
         opened = open_journal(folder)
     except JournalError as cause:
-        if type(cause.__cause__) is not sqlite3.DatabaseError:  # no journal, or no permission to read it
+        if type(cause.__cause__) is not sqlite3.DatabaseError:  # no journal of this becalm
             raise
         yield _damaged(str(cause.__cause__))
         return
@@ -118,7 +118,7 @@ def _broken_seals(connection: sqlite3.Connection, table: str) -> Iterator[str]:
 
 
 def _row_faults(connection: sqlite3.Connection) -> Iterator[str]:
-    """Yield a sentence for each place where rows occur twice, or are missing and not recorded as a hole."""
+    """Yield a sentence for each repeat of rows, gap that is no hole, wrong number of rows, and missing block."""
     holes = list(connection.execute("SELECT first_row, end_row FROM holes"))
     expected = 0
     for path, first_row, end_row, rows in connection.execute(
@@ -127,14 +127,14 @@ def _row_faults(connection: sqlite3.Connection) -> Iterator[str]:
         yield from _discontinuity(expected, first_row, holes, path)
         lost = end_row - first_row - sum(b - a for a, b in uncovered((first_row, end_row), holes))
         if rows + lost != end_row - first_row:
-            yield f"{path} is recorded with {rows} rows of {end_row - first_row}, and {lost} are known to be lost."
-        expected = end_row
+            yield f"{path} should hold {end_row - first_row - lost} rows, but its record says {rows}."
+        expected = max(expected, end_row)
     number = rolled_blocks(connection)
     for block, first_row, end_row in connection.execute(_BLOCKS, (number,)):
         if block != number + 1:
-            yield f"Block {block} follows block {number}."
+            yield f"Blocks {number + 1} to {block - 1} are missing."
         yield from _discontinuity(expected, first_row, holes, f"block {block}")
-        number, expected = block, end_row
+        number, expected = block, max(expected, end_row)
 
 
 def _discontinuity(expected: int, first_row: int, holes: list[Span], where: str) -> Iterator[str]:

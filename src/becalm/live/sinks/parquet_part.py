@@ -44,6 +44,7 @@ class PartFile:
         self._buffered: list[Output] = []
         self._buffered_rows = self._written = 0
         self._ended = self._made = False
+        self._finished: Path | None = None  # the file, once it has its name
         self.rows = 0
         """Number of rows taken."""
 
@@ -83,17 +84,19 @@ class PartFile:
         self._packed.truncate()
 
     def finish(self) -> Path:
-        """Complete the file and rename it; raises the errors of `drain`, after which the call may be repeated."""
+        """Complete the file and rename it; if it raises an error of `drain`, it may be called again."""
         if not self._ended:
             self._tabulate()
             self._rows.close()
             self._ended = True
         self.drain()
         with translate_write_errors(self._target):
-            target = self._free_path()
-            self._path.rename(target)
-            sync_folder(target.parent)
-        return target
+            if self._finished is None:
+                target = self._free_path()
+                self._path.rename(target)
+                self._finished = target
+            sync_folder(self._finished.parent)
+        return self._finished
 
     def _tabulate(self) -> None:
         if self._buffered:
@@ -124,7 +127,9 @@ def translate_write_errors(path: Path) -> Iterator[None]:
         yield
     except OSError as cause:
         if cause.errno in _FULL:
-            raise StorageFullError(f"The disk has no room for {path} ({cause.strerror}); free some.") from cause
+            raise StorageFullError(
+                f"{path} cannot be written now ({cause.strerror}); free disk space, or check the disk."
+            ) from cause
         raise OutputError(f"{path} cannot be written ({cause.strerror}); choose another folder.") from cause
     except sqlite3.Error as cause:  # from the lock file
         raise OutputError(f"{path} cannot be locked ({cause}); choose another folder.") from cause
