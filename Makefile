@@ -73,6 +73,7 @@ bench: .venv/tested
 	$(BIN)/python benchmarks/faults.py -o docs/faults.md
 	$(BIN)/python benchmarks/sensor_faults.py -o docs/sensor-faults.md
 	$(BIN)/python benchmarks/safe.py -o docs/safe.md --jobs 2
+	$(BIN)/python benchmarks/safe.py --fuzz 5000 --fuzz-from 5000 -o docs/safe-fuzz.md --jobs 2
 	$(BIN)/python benchmarks/hidden_blocks.py -o docs/hidden-blocks.md --jobs 2
 	$(BIN)/python benchmarks/switching.py -o docs/switching.md
 	$(BIN)/python benchmarks/switching_speed.py -o docs/switching-speed.md
