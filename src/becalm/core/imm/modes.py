@@ -8,11 +8,11 @@ mode from the readings (Blom and Bar-Shalom 1988).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from becalm.core.arrays import Floats
+from becalm.core.arrays import Floats, frozen
 from becalm.core.model.components import Component
 from becalm.core.model.parts import largest_level, largest_magnitude_for_noise
 from becalm.core.steady.steady_filter import steady
@@ -22,6 +22,7 @@ from becalm.native.imm import MOST_MODES, Bank, Steps
 _WIDE = 1e6  # initial variance of the slopes, over that of the steady-state filter
 _ASLEEP = 1e-6  # variance of an inactive state, over the process noise of one step
 _MOST_BANKS = 16  # number of banks in the cache
+_MOST_KEPT = 256  # number of matrices of modes in each cache: a search asks for the same ones again and again
 _TERMS = 16  # terms of a series whose argument is at most 1/4
 
 
@@ -121,15 +122,11 @@ class InteractingModels:
         ]
         return np.array(own)
 
-    @cached_property
+    @property
     def _settled_variances(self) -> Floats:
         """Return the steady-state variances (n,) of the states of the largest mode; R if there are none."""
         mode = max(self.modes, key=lambda mode: len(mode.component.drift))
-        try:
-            variances = np.diag(steady(mode.component.to_model(1.0, mode.noise_variance)).predicted_cov)
-        except ModelError:  # the mode has no steady state
-            variances = np.empty(0)
-        return variances if len(variances) == self.states else np.full(self.states, mode.noise_variance)
+        return _settled_variances(mode.component, mode.noise_variance)
 
     def bank(self, lengths: Floats) -> Bank:
         """Return the matrices of all modes for the C kernel, for steps of several lengths (u,)."""
@@ -146,8 +143,9 @@ class InteractingModels:
         return {}
 
     def _new_bank(self, lengths: Floats) -> Bank:
+        key = lengths.tobytes()
         F, Q = (
-            np.stack(parts, axis=1) for parts in zip(*(self._over(mode, lengths) for mode in self.modes), strict=True)
+            np.stack(parts, axis=1) for parts in zip(*(_over(mode.component, self.component, key) for mode in self.modes), strict=True)
         )
         n, count = self.states, len(lengths) * len(self.modes)
         return Bank(
@@ -165,20 +163,6 @@ class InteractingModels:
             ),
         )
 
-    def _over(self, mode: Mode, lengths: Floats) -> tuple[Floats, Floats]:
-        """Return F and Q of one mode over steps, (u, n, n) each; states that it does not have are inactive."""
-        own, n = len(mode.component.drift), self.states
-        F, Q = mode.component.over(lengths)
-        if own == n:
-            return F, Q
-        wide_F, wide_Q = np.zeros((2, len(lengths), n, n))
-        wide_F[:, :own, :own], wide_Q[:, :own, :own] = F, Q
-        asleep = np.arange(own, n)
-        wide_Q[:, asleep, asleep] = _ASLEEP * np.diag(self.component.over(np.ones(1))[1][0])[own:]
-        no_time = lengths == 0.0
-        wide_F[no_time], wide_Q[no_time] = np.eye(n), 0.0
-        return wide_F, wide_Q
-
     def transitions(self, lengths: Floats) -> Floats:
         """Return the probability of going from mode i to mode j over steps of several lengths, (u, M, M)."""
         return _exponentials(self._rates, lengths)
@@ -193,6 +177,34 @@ class InteractingModels:
             rates[i, others] = 1 / (mode.lasts * max(len(others), 1))
             rates[i, i] = -rates[i].sum()
         return rates
+
+
+@lru_cache(maxsize=_MOST_KEPT)
+def _settled_variances(component: Component, noise_variance: float) -> Floats:
+    """Return the steady-state variances (n,) of a component's states; the noise variance where there are none."""
+    n = len(component.drift)
+    try:
+        variances = np.diag(steady(component.to_model(1.0, noise_variance)).predicted_cov)
+    except ModelError:  # the mode has no steady state
+        variances = np.empty(0)
+    return frozen(variances if len(variances) == n else np.full(n, noise_variance))
+
+
+@lru_cache(maxsize=_MOST_KEPT)
+def _over(component: Component, largest: Component, length_bytes: bytes) -> tuple[Floats, Floats]:
+    """Return F and Q of one mode over steps, (u, n, n) each; states that it does not have are inactive."""
+    lengths = np.frombuffer(length_bytes)
+    own, n = len(component.drift), len(largest.drift)
+    F, Q = component.over(lengths)
+    if own == n:
+        return F, Q
+    wide_F, wide_Q = np.zeros((2, len(lengths), n, n))
+    wide_F[:, :own, :own], wide_Q[:, :own, :own] = F, Q
+    asleep = np.arange(own, n)
+    wide_Q[:, asleep, asleep] = _ASLEEP * np.diag(largest.over(np.ones(1))[1][0])[own:]
+    no_time = lengths == 0.0
+    wide_F[no_time], wide_Q[no_time] = np.eye(n), 0.0
+    return wide_F, wide_Q
 
 
 def _exponentials(rates: Floats, lengths: Floats) -> Floats:

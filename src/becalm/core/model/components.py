@@ -6,6 +6,7 @@ Each is a `Component`, a model in continuous time driven by white noise; see `be
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -83,7 +84,11 @@ def motion(order: int, noise_density: float = 1.0) -> Component:
     Kalata's alpha-beta filter (IEEE TAES-20, 1984), whose process covariance has rank one.
     """
     refusal = f"is not offered; choose 1 (level) to {HIGHEST_ORDER}."
-    order, noise_density = checked_whole("order", order, refusal, HIGHEST_ORDER), _density(noise_density)
+    return _motion(checked_whole("order", order, refusal, HIGHEST_ORDER), _density(noise_density))
+
+
+@lru_cache(maxsize=256)  # a search asks for the same ones again and again
+def _motion(order: int, noise_density: float) -> Component:
     drift = np.eye(order, k=1)
     enters, sees = np.zeros((order, 1)), np.zeros((1, order))
     enters[-1, 0] = sees[0, 0] = 1.0
@@ -117,8 +122,11 @@ def returning_motion(order: int, noise_density: float, damping: float) -> Compon
     At frequencies above a the power is that of `motion`, so both smooth alike. The level follows the
     signal with the rate b = a / 10: it is a mean of the past signal, whose weights decay ten times as slowly as a.
     """
-    kinematic = motion(order, noise_density)
-    damping = checked_number("damping", damping, "a damping", "a positive number")
+    return _returning(motion(order, noise_density), checked_number("damping", damping, "a damping", "a positive number"))
+
+
+@lru_cache(maxsize=256)
+def _returning(kinematic: Component, damping: float) -> Component:
     n, level_rate = len(kinematic.drift), LEVEL_RATE * damping
     drift, enters, sees = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 1)), np.zeros((1, n + 1))
     drift[:n, :n] = np.eye(n, k=1)
