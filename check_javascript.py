@@ -1,4 +1,4 @@
-"""Checks the types of the pages' JavaScript; TypeScript and uPlot's types come by npm as pinned, never committed."""
+"""Check the types of the pages' JavaScript; npm provides TypeScript and uPlot's types in pinned versions."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ TYPESCRIPT = Package(
     "sha512-jl1vZzPDinLr9eUt3J/t7V6FgNEw9QjvBPdysz9KfQDD41fQrC2Y4vKQdiaUpFT4bXlb1RHhLpp8wtm6M5TgSw==",
 )
 ROOT = Path(__file__).parent
-FOLDER = Path("build/javascript")  # where tsconfig.json looks for uPlot's types
+FOLDER = Path("build/javascript")  # tsconfig.json has the path of uPlot's types in this folder
 
 
 def provide(package: Package, root: Path = ROOT) -> Path:
-    """Return where a package is unpacked, having fetched it unless it is there.
+    """Return the folder of an unpacked package; fetch the package if it is not there yet.
 
     Raises
     ------
     FetchError
-        If no npm gave the pinned one.
+        If no npm could fetch the pinned version.
     """
     place = root / FOLDER / package.name
     stamp = place / "integrity"
@@ -35,22 +35,22 @@ def provide(package: Package, root: Path = ROOT) -> Path:
         return place / "package"
     packed = io.BytesIO(tarball(package))
     place.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=place.parent) as unready, tarfile.open(fileobj=packed) as members:
-        members.extraction_filter = getattr(tarfile, "data_filter", None)  # older Pythons 3.11 know none
-        members.extractall(unready)
-        (Path(unready) / "integrity").write_text(package.integrity, encoding="utf-8")
+    with tempfile.TemporaryDirectory(dir=place.parent) as temporary, tarfile.open(fileobj=packed) as members:
+        members.extraction_filter = getattr(tarfile, "data_filter", None)  # the first releases of Python 3.11 lack it
+        members.extractall(temporary)
+        (Path(temporary) / "integrity").write_text(package.integrity, encoding="utf-8")
         shutil.rmtree(place, ignore_errors=True)
-        shutil.copytree(unready, place)
+        shutil.copytree(temporary, place)
     return place / "package"
 
 
 def node(words: list[str]) -> int:
-    """Run this machine's node, that on PATH or that from PyPI, and return its exit code.
+    """Run the node on PATH, or else the one from PyPI, and return its exit code.
 
     Raises
     ------
     FetchError
-        If there is none.
+        If there is no node.
     """
     if found := shutil.which("node"):
         return subprocess.run([found, *words], check=False).returncode

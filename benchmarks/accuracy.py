@@ -1,9 +1,9 @@
-"""rms error of `becalm clean`, nothing chosen, over that of the best truth-tuned classic filter.
+"""rms error of `becalm clean` without options, relative to the best classic filter that is tuned with the truth.
 
 Seven signals at 100 Hz, 10 000 samples, white noise of 5 % and 30 % of the signal's standard
-deviation. The classic filters are, causal, Butterworth orders 1, 2, 4 and the moving average; for
-smoothing, Butterworth orders 1, 2, 4 forward and back and Savitzky-Golay of degree 2 to 5. Each has the
-cut-off that has the least rms error *knowing the truth*; becalm knows the readings alone.
+deviation. The causal classic filters are Butterworth of orders 1, 2 and 4, and the moving average; the smoothing
+ones are Butterworth of orders 1, 2 and 4 forward and back, and Savitzky-Golay of degrees 2 to 5. Each has the
+cut-off with the least rms error, *computed with the truth*; becalm gets only the readings.
 
 Run: python benchmarks/accuracy.py [-o docs/accuracy.md]
 """
@@ -31,41 +31,41 @@ SEED = 20260101
 
 
 def ramp_and_hold(t: Floats) -> Floats:
-    """Rise, hold, fall, hold, as in the strain paper."""
+    """Return a ramp up, a constant, a ramp down and a constant, as in the strain paper."""
     return np.asarray(np.interp(t, [0, 20, 40, 60, 80, 100], [0, 0, 1, 1, 0, 0]))
 
 
 def steps(t: Floats) -> Floats:
-    """Jump every ten seconds to one of ten levels."""
+    """Return ten levels of ten seconds each."""
     levels = np.array([0.0, 1.0, -0.5, 0.8, 0.2, 1.5, -1.0, 0.4, 0.9, -0.2])
     return np.asarray(levels[np.minimum((t / 10).astype(int), 9)])
 
 
 def sine(t: Floats) -> Floats:
-    """1 Hz."""
+    """Return a sine of 1 Hz."""
     return np.asarray(np.sin(2 * np.pi * t))
 
 
 def three_sines(t: Floats) -> Floats:
-    """0.3, 1.1 and 2.7 Hz."""
+    """Return the sum of sines of 0.3, 1.1 and 2.7 Hz."""
     return np.sin(2 * np.pi * 0.3 * t) + 0.6 * np.sin(2 * np.pi * 1.1 * t + 1) + 0.3 * np.sin(2 * np.pi * 2.7 * t + 2)
 
 
 def chirp(t: Floats) -> Floats:
-    """0.05 to 5 Hz, exponentially."""
+    """Return a sine whose frequency rises exponentially from 0.05 to 5 Hz."""
     low, growth = 0.05, np.log(100) / t[-1]
     return np.asarray(np.sin(2 * np.pi * low * np.expm1(growth * t) / growth))
 
 
 def band_limited(t: Floats) -> Floats:
-    """Gaussian noise below 2 Hz."""
+    """Return Gaussian noise below 2 Hz."""
     spectrum = np.fft.rfft(np.random.default_rng(7).normal(size=len(t)))
     spectrum[np.fft.rfftfreq(len(t), t[1] - t[0]) > 2.0] = 0
     return np.fft.irfft(spectrum, len(t)) * 5
 
 
 def braking(t: Floats) -> Floats:
-    """Drive, brake hard with pitching after it, stand, drive on; five times, in m/s^2."""
+    """Return the acceleration of a car in m/s^2 that drives, brakes hard, pitches and stands, five times."""
     phase = t % 20
     brake = np.interp(phase, [0, 5, 5.4, 8.5, 8.7, 20], [0.3, 0.3, -7, -7, 0, 0])
     since = np.maximum(phase - 8.7, 0)
@@ -113,13 +113,13 @@ def table(causal: bool) -> list[dict[str, object]]:
 
 
 def _model(report: ChannelReport) -> str:
-    """Say the motion's order, and how many tones are beside it."""
+    """Return the order of the kinematic model, and the number of tones."""
     tones = len(report.tones_hz)
     return f"{report.order}" + (f", {tones} tone{'s' if tones > 1 else ''}" if tones else "")
 
 
 def as_markdown(rows: list[dict[str, object]]) -> str:
-    """Write the table, with the geometric mean and the worst case below."""
+    """Return the table, with the geometric mean and the worst case below."""
     lines = [
         "| signal | noise | raw | best classic (knows the truth) | its error | becalm | model | ratio | in 1 sigma |",
         "|---|---|---|---|---|---|---|---|---|",

@@ -1,4 +1,4 @@
-"""The browser's part of how quick the tuner is: from the dial's turn to the canvas that shows it, in Chromium."""
+"""Measure in Chromium how long the tuner takes from a turn of its dial until the canvas shows the new picture."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ JUDGED = "() => /^[✓!✗]/.test(document.querySelector('#verdict').textContent
 
 
 def drawn_ms(rows: int, repeats: int) -> dict[str, list[float]]:
-    """Measure how long turns take until they are drawn, in milliseconds.
+    """Measure the time from a turn of the dial until the canvas is drawn, in milliseconds.
 
     Parameters
     ----------
     rows : int
-        Of the record, at 10 kHz.
+        Number of rows of the record, at 10 kHz.
     repeats : int
-        Turns of the dial in each view.
+        Number of turns in each view.
 
     Returns
     -------
     dict of str to list of float
-        By what is looked at; until the canvas is drawn, which the screen's next frame shows.
+        Times of all turns by view; the screen shows the canvas with its next frame.
     """
     from playwright.sync_api import sync_playwright
 
@@ -62,7 +62,7 @@ def drawn_ms(rows: int, repeats: int) -> dict[str, list[float]]:
             page.wait_for_function("() => window.becalm?.desk.pictures > 0 && becalm.dial.positions")
             found = {}
             for view, look in (("whole", "becalm.plot.whole()"), ("1 s", "becalm.plot.look(50, 51)")):
-                page.wait_for_function(JUDGED)  # what is judged beside it is not what a hand at the dial waits for
+                page.wait_for_function(JUDGED)  # the figures of the report must not slow down the turns
                 page.evaluate(f"() => {{ {look}; }}")
                 page.wait_for_function(IDLE)
                 found[view] = list(page.evaluate(TURN, repeats))
@@ -72,7 +72,7 @@ def drawn_ms(rows: int, repeats: int) -> dict[str, list[float]]:
 
 
 def in_browser(rows: int, repeats: int) -> str:
-    """Measure, and write the rows of a table; a sentence where there is no browser."""
+    """Measure, and return a table; without a browser, return a sentence."""
     if CHROMIUM is None:
         return "There is no Chromium on this machine to look at the page with.\n"
     table = ["| in the browser | median, ms | longest, ms |", "|---|---|---|"]

@@ -1,13 +1,14 @@
-"""What the live page costs: 6 channels at 10 kHz, raw and clean, 30 updates a second asked.
+"""What the live page costs: 6 channels at 10 kHz, raw and clean; 30 updates a second are required.
 
-A recording is replayed at its own pace, in blocks of 10 ms, through filters (motion of order 2, gate, limits) into a
-journal; Debian's Chromium, without a window, looks on. *Drawn* are pictures that show something new, a second, as the
-page counts them; *missing* are bins of 7 ms that a page never got, of all that closed meanwhile. *CPU of becalm* is the
-processor time of its process, all threads, in percent of one core; what the page costs is what it is more than without
-one. *Latency* is from a reading's arrival until all sinks but the journal have it, the page among them: the mean while
-it was measured, and the median and the 99th percentile of the last 4096 blocks. A page that is *stopped* (SIGSTOP) took
-some bins, and then nothing more. *Stolen* is the share of the processors that the machine's owner took meanwhile: a
-case is run again, up to `--tries` times, while that is over 2 %, and the quietest run is told.
+A recording is replayed in real time, in blocks of 10 ms, through filters (kinematic model of order 2, gate, limits)
+into a journal; headless Chromium from Debian shows the page. *Drawn* is the number of pictures per second with new
+data, as the page counts them; *missing* is the number of bins of 7 ms that closed meanwhile and that a page never
+received. *CPU of becalm* is the processor time of its process, all threads, in percent of one core; the next column is
+the difference from the case without a page. *Latency* is the time from the arrival of a reading until all sinks except
+the journal have it, including the page: the mean during the measurement, and the median and the 99th percentile of the
+last 4096 blocks. A page that is *stopped* (SIGSTOP) has received some bins, and then reads no more. *Stolen* is the
+share of processor time that the host of the virtual machine took meanwhile: while it exceeds 2 %, a case is run again,
+up to `--tries` times, and the run with the least stolen time is shown.
 
 Run: python benchmarks/app_live.py [--tries 3] [--seconds 42] [-o docs/app-live.md]
 """
@@ -55,7 +56,7 @@ with client.connect(f"ws://127.0.0.1:{port}/wire", origin=base, additional_heade
 
 
 class Case(NamedTuple):
-    """Who looks on."""
+    """The pages that are open during a run."""
 
     name: str
     pages: int
@@ -73,53 +74,57 @@ CASES = (
 
 
 class Found(NamedTuple):
-    """What a run showed."""
+    """The result of a run."""
 
-    drawn: tuple[float, ...]  # a second, of each page
-    missing: int
-    bytes_s: float  # of each page
-    cpu: float  # cores
-    browser: float
+    drawn: tuple[float, ...]  # pictures per second, of each page
+    missing: int  # number of bins
+    bytes_s: float  # bytes per second to each page
+    cpu: float  # processor time of becalm, in cores
+    browser: float  # processor time of the browsers, in cores
     latency_ms: tuple[float, float, float]  # mean, median, 99th percentile
     stolen: float
 
 
 def run(case: Case, folder: Path, seconds: float) -> Found:
-    """Show the stream to whom the case says."""
+    """Run a stream with the pages of a case."""
     words = ["--recipe", str(folder.parent / "rig.toml"), "--sink", "journal:journal"]
     source = f"replay:{folder.parent / 'rig.parquet'}?speed=1"
     with shown_live(folder, source, *words, served=case.served) as app, ExitStack() as stack:
-        pages = stack.enter_context(looking(app, case.pages))
+        pages = stack.enter_context(open_pages(app, case.pages))
         if case.stopped:
             stack.enter_context(stopped(app))
         time.sleep(_SETTLING_S)
         browsers = set(children_of(os.getpid())) - {app.process.pid}
         before = [counts(page) for page in pages]
-        status, cpu, browser = json.loads((folder / "status.json").read_text()), used([app.process.pid]), used(browsers)
+        status, cpu, browser = (
+            json.loads((folder / "status.json").read_text()),
+            cpu_seconds([app.process.pid]),
+            cpu_seconds(browsers),
+        )
         began, taken = time.monotonic(), processor_time()
         time.sleep(seconds)
-        passed, stolen = time.monotonic() - began, stolen_share(taken, processor_time())
+        took_s, stolen = time.monotonic() - began, stolen_share(taken, processor_time())
         after = [counts(page) for page in pages]
-        cpu, browser = used([app.process.pid]) - cpu, used(browsers) - browser
-        told = json.loads((folder / "status.json").read_text())
-    drawn = tuple((new["drawn"] - old["drawn"]) / passed for old, new in zip(before, after, strict=True))
+        cpu, browser = cpu_seconds([app.process.pid]) - cpu, cpu_seconds(browsers) - browser
+        last = json.loads((folder / "status.json").read_text())
+    drawn = tuple((new["drawn"] - old["drawn"]) / took_s for old, new in zip(before, after, strict=True))
     taken_bytes = [new["bytes"] - old["bytes"] for old, new in zip(before, after, strict=True)]
-    latency, earlier = told["latency_ms"], status["latency_ms"]
+    latency, earlier = last["latency_ms"], status["latency_ms"]
     mean = (latency["sum"] - earlier["sum"]) / (latency["outputs"] - earlier["outputs"])
     return Found(
         drawn,
         sum(int(new["gaps"] - old["gaps"]) for old, new in zip(before, after, strict=True)),
-        sum(taken_bytes) / passed / max(1, len(pages)),
-        cpu / passed,
-        browser / passed,
+        sum(taken_bytes) / took_s / max(1, len(pages)),
+        cpu / took_s,
+        browser / took_s,
         (mean, latency["p50"], latency["p99"]),
         stolen,
     )
 
 
 @contextmanager
-def looking(app: LiveApp, pages: int) -> Iterator[list[Page]]:
-    """Look on through so many browsers."""
+def open_pages(app: LiveApp, pages: int) -> Iterator[list[Page]]:
+    """Open the page in `pages` browsers until the block ends."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -135,7 +140,7 @@ def looking(app: LiveApp, pages: int) -> Iterator[list[Page]]:
 
 @contextmanager
 def stopped(app: LiveApp) -> Iterator[None]:
-    """Look on for some bins, and then take nothing more."""
+    """Open a page in a process that receives some bins and is then stopped."""
     port, token = app.base.rpartition(":")[2], app.url.partition("token=")[2]
     process = subprocess.Popen([sys.executable, "-c", _STOPPED, port, token], stdout=subprocess.PIPE)
     assert process.stdout is not None
@@ -148,20 +153,20 @@ def stopped(app: LiveApp) -> Iterator[None]:
 
 
 def counts(page: Page) -> dict[str, Any]:
-    """Return what a page has counted."""
+    """Return the counters of a page."""
     found: dict[str, Any] = page.evaluate("() => ({ ...becalmLive.counts })")
     return found
 
 
-def used(processes: set[int] | list[int]) -> float:
-    """Return seconds of processor time."""
-    told = [Path(f"/proc/{process}/stat") for process in processes]
-    fields = [stat.read_text().rpartition(")")[2].split() for stat in told if stat.exists()]
+def cpu_seconds(processes: set[int] | list[int]) -> float:
+    """Return the processor time of some processes, in seconds."""
+    paths = [Path(f"/proc/{process}/stat") for process in processes]
+    fields = [stat.read_text().rpartition(")")[2].split() for stat in paths if stat.exists()]
     return sum(int(each[11]) + int(each[12]) for each in fields) / os.sysconf("SC_CLK_TCK")
 
 
 def children_of(process: int) -> Iterator[int]:
-    """Return the processes that one began, and theirs."""
+    """Yield the process ids of all descendants of a process."""
     for task in Path(f"/proc/{process}/task").glob("*/children"):
         for child in map(int, task.read_text().split()):
             yield child
@@ -173,28 +178,28 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("--tries", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=42.0)
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        rows = int(RATE_HZ * (told.seconds + 4 * _SETTLING_S + 20))
+        rows = int(RATE_HZ * (arguments.seconds + 4 * _SETTLING_S + 20))
         values = readings(rows, CHANNELS, RATE_HZ)
         units = ["m/s^2"] * CHANNELS
         write(folder / "rig.parquet", Recording(values, names=names_of(CHANNELS), units=units, rate_hz=RATE_HZ))
         (folder / "rig.toml").write_text(recipe_of(CHANNELS, RATE_HZ).to_toml(), encoding="utf-8")
-        found = {case: quietest(case, folder, told) for case in CASES}
-    publish("The live page", __doc__, table(found), told.output)
+        found = {case: quietest(case, folder, arguments) for case in CASES}
+    publish("The live page", __doc__, table(found), arguments.output)
 
 
-def quietest(case: Case, folder: Path, told: Any) -> Found:
-    """Run a case until the machine was quiet."""
+def quietest(case: Case, folder: Path, arguments: Any) -> Found:
+    """Run a case until little time is stolen, at most `--tries` times; return the run with the least stolen time."""
     tried: list[Found] = []
-    while not tried or (min(one.stolen for one in tried) > _QUIET and len(tried) < told.tries):
-        tried.append(run(case, Path(tempfile.mkdtemp(dir=folder)), told.seconds))
+    while not tried or (min(one.stolen for one in tried) > _QUIET and len(tried) < arguments.tries):
+        tried.append(run(case, Path(tempfile.mkdtemp(dir=folder)), arguments.seconds))
     return min(tried, key=lambda one: one.stolen)
 
 
 def table(found: dict[Case, Found]) -> str:
-    """Lay out what was found."""
+    """Return the table of all cases."""
     alone = next(iter(found.values())).cpu
     lines = [
         "| who looks on | drawn /s | missing | kB/s a page | CPU of becalm | more than without | CPU of the browsers"

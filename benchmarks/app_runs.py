@@ -1,4 +1,4 @@
-"""`becalm app` in a process of its own, for the benchmarks and tests that look at its page."""
+"""Run `becalm app` in a subprocess, for the benchmarks and tests of its page."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ QUIET = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--
 
 
 class App(PageProcess):
-    """`becalm app` in a process of its own."""
+    """A subprocess that runs `becalm app`."""
 
     def __init__(self, folder: Path, *words: str, port: int = 0) -> None:
         self.folder, self.words, self.token_file = folder, words, folder.parent / "token"

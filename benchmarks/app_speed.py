@@ -1,14 +1,14 @@
-"""From a turn of the tuner's dial to the new picture, on ten million readings.
+"""How long the tuner takes from a turn of its dial to the new picture, on ten million readings.
 
-A real server of loopback, in a thread of its own, and a page that speaks with it over a WebSocket as a browser does:
-told is the time from sending "turn" until the picture is there, decoded, 2000 stretches wide. The dial goes to another
-place each time, so that nothing is known before, and is being dragged or let go. Where a gate left spikes out of the
-picture before, the same ones are left out meanwhile; *judged* is the picture in which it has judged anew. "Whole" is
-all rows, "1 s" one second in the middle of them. The record is a random walk in white noise at 10 kHz; with a tone, or
-with spikes, where that is said.
+A server on loopback runs in a thread, and a client exchanges messages with it over a WebSocket, as a browser does. The
+tables show the time from sending "turn" until the picture has arrived and is decoded; it has 2000 stretches. Each turn
+goes to a new position, so that no result is cached, and the dial is dragged or released. If the gate rejected spikes in
+the picture before, the first picture leaves out the same spikes; *judged* is the picture after the gate has run again.
+"Whole" is all rows, "1 s" is one second in the middle. The record is a random walk in white noise at 10 kHz, in some
+rows with a tone or with spikes.
 
-Below it the same in Chromium without a graphics card, by a record and a recipe that becalm tuned: from the dial's input
-event until the canvas is drawn, which the screen's next frame shows.
+The last table is measured in Chromium without a graphics card, with a recipe that becalm tuned: the time from the
+dial's input event until the canvas is drawn; the screen shows it with its next frame.
 
 Run: python benchmarks/app_speed.py [--rows 10000000] [--turns 15] [-o docs/app-speed.md]
 """
@@ -44,14 +44,14 @@ from pages import page_parser, publish
 
 RATE_HZ = 10_000.0
 MOST_WHOLE_MS, MOST_NEAR_MS = 150.0, 50.0
-"""What was asked of a picture of ten million rows, and of one second of them."""
+"""Required times for a picture of ten million rows, and of one second of them."""
 
 _WIDTH, _PATIENCE_S = 2000, 600.0
 _TOKEN = "a-token-for-a-benchmark-on-loopback"
 
 
 class Kind(NamedTuple):
-    """One way to filter."""
+    """A kind of filter."""
 
     name: str
     channel: str
@@ -62,7 +62,7 @@ class Kind(NamedTuple):
     tone: bool = False
 
     def recipe(self) -> Recipe:
-        """Return it as a page would restore it."""
+        """Return the recipe of the filter, which a page can restore."""
         tone = ToneRecipe(frequency_hz=50.0, bandwidth_hz=0.5, process_noise_density=0.01)
         channel = ChannelRecipe(
             name=self.channel,
@@ -73,8 +73,8 @@ class Kind(NamedTuple):
             gate=GateRecipe() if self.gate else None,
             tone=(tone,) if self.tone else (),
         )
-        told = {"mode": self.mode, "lag_s": self.lag_s, "tuned_on": TunedOn(rate_hz=RATE_HZ), "channel": (channel,)}
-        return Recipe.model_validate(told)
+        fields = {"mode": self.mode, "lag_s": self.lag_s, "tuned_on": TunedOn(rate_hz=RATE_HZ), "channel": (channel,)}
+        return Recipe.model_validate(fields)
 
 
 KINDS = (
@@ -100,29 +100,29 @@ def make(path: Path, rows: int) -> None:
 
 
 class Link:
-    """A page that measures."""
+    """A client of the tuner that measures times."""
 
     def __init__(self, wire: ClientConnection) -> None:
         self._wire, self._number = wire, 0
 
     def ask(self, do: str, **more: Any) -> int:
-        """Ask for something."""
+        """Send a message; return its number."""
         self._number += 1
         self._wire.send(json.dumps({"number": self._number, "do": do, **more}))
         return self._number
 
     def until(self, kind: str, answers: int = 0) -> dict[str, Any]:
-        """Wait for what answers a message, or a later one."""
+        """Wait for a message of a kind that answers the message with number `answers`, or a later one."""
         while True:
             data = self._wire.recv(_PATIENCE_S)
-            told = json.loads(data) if isinstance(data, str) else unframed(data)[0]
-            if told["kind"] == "trouble":
-                raise SystemExit(told["says"])
-            if told["kind"] == kind and (told.get("answers") or 0) >= answers:
-                return told
+            message = json.loads(data) if isinstance(data, str) else unframed(data)[0]
+            if message["kind"] == "trouble":
+                raise SystemExit(message["says"])
+            if message["kind"] == kind and (message.get("answers") or 0) >= answers:
+                return message
 
     def turned_ms(self, channel: int, density: float, final: bool) -> tuple[float, float]:
-        """Turn the dial; return how long the first picture took, and the one in which the gate has judged anew."""
+        """Turn the dial; return the times of the first picture and of the picture after the gate has run again."""
         begun = time.perf_counter()
         number = self.ask("turn", channel=channel, settings={"process_noise_density": density}, final=final)
         first = self.until("picture", number)
@@ -135,7 +135,7 @@ class Link:
 
 @contextmanager
 def linked(folder: Path) -> Iterator[Link]:
-    """Serve the tuner, and speak with it."""
+    """Serve the tuner, and connect a client to it."""
     listener = listen(LOOPBACK, 0)
     access, tuner = Access(LOOPBACK, listener.getsockname()[1], _TOKEN), Tuner(folder, None, 1)
     base = f"http://{LOOPBACK}:{access.port}"
@@ -157,20 +157,20 @@ def linked(folder: Path) -> Iterator[Link]:
 
 
 def measured(link: Link, channel: int, turns: int, span_s: tuple[float, float] | None, final: bool) -> str:
-    """Tell how long turns took, after one that is not told."""
+    """Measure some turns, after one that does not count; return their times for the table."""
     from_s, to_s = span_s or (None, None)
     link.until("picture", link.ask("look", channel=channel, from_s=from_s, to_s=to_s, width=_WIDTH))
     densities = np.geomspace(0.3, 3.0, turns + 1)
     first, whole = zip(*[link.turned_ms(channel, float(density), final) for density in densities][1:], strict=True)
-    return _told(first) if first == whole else f"{_told(first)}, judged {_told(whole)}"
+    return _summary(first) if first == whole else f"{_summary(first)}, judged {_summary(whole)}"
 
 
-def _told(took_ms: Sequence[float]) -> str:
+def _summary(took_ms: Sequence[float]) -> str:
     return f"{median(took_ms):.0f} ({max(took_ms):.0f})"
 
 
 def table(rows: int, turns: int) -> str:
-    """Measure, and write the rows of the table."""
+    """Measure, and return the table."""
     lines = [
         f"{rows:,} rows at {RATE_HZ:g} Hz, {turns} turns each; the median, and in brackets the longest. Asked: at most"
         f" {MOST_WHOLE_MS:g} ms whole, and {MOST_NEAR_MS:g} ms of 1 s.",
@@ -189,8 +189,7 @@ def table(rows: int, turns: int) -> str:
                 channel = names.index(kind.channel)
                 near = (middle_s, middle_s + 1.0)
                 looks = ((None, False), (None, True), (near, False))
-                told = [measured(link, channel, turns, *look) for look in looks]
-                cells = " | ".join(told)
+                cells = " | ".join(measured(link, channel, turns, *look) for look in looks)
                 lines.append(f"| {kind.name} | {cells} |")
     return "\n".join([*lines, ""])
 
@@ -200,9 +199,9 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("--rows", type=int, default=10_000_000, help="how long")
     parser.add_argument("--turns", type=int, default=15, help="of the dial, for each picture")
-    asked = parser.parse_args()
-    text = f"{table(asked.rows, asked.turns)}\n{in_browser(asked.rows, asked.turns)}"
-    publish("How fast the tuner's picture follows its dial", __doc__, text, asked.output)
+    arguments = parser.parse_args()
+    text = f"{table(arguments.rows, arguments.turns)}\n{in_browser(arguments.rows, arguments.turns)}"
+    publish("How fast the tuner's picture follows its dial", __doc__, text, arguments.output)
 
 
 if __name__ == "__main__":

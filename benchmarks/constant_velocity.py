@@ -1,7 +1,7 @@
-"""Position error of `becalm.clean`, nothing chosen, over that of the same filter with the true Q and R.
+"""Position error of `becalm.clean` without options, relative to a filter with the true model, Q and R.
 
-A target of constant velocity but for white acceleration, N = 2000 readings of its position; the mean of
-20 seeds. Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]], R = r. becalm is told neither q, r nor the order of motion.
+A target moves at constant velocity, disturbed by white acceleration; N = 2000 readings of its position, mean of
+20 seeds. Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]], R = r. becalm does not know q, r or the order of the model.
 
 Run: python benchmarks/constant_velocity.py [-o docs/constant-velocity.md]
 """
@@ -23,13 +23,13 @@ COUNT, SEEDS = 2000, 20
 CASES = ((0.01, 100.0, 1.0), (0.01, 1e4, 1.0), (0.002, 1e3, 0.01))  # dt in s, q, r
 
 
-class Told(NamedTuple):
-    """What one case gave in one mode."""
+class CaseResult(NamedTuple):
+    """The result of one case in one mode."""
 
-    ratio: float  # mean over seeds
-    worst: float
-    orders: str
-    seconds: float  # a record, mean
+    ratio: float  # of rms errors, mean over seeds
+    worst: float  # largest ratio
+    orders: str  # orders that becalm chose, with their counts
+    seconds: float  # mean time of a record
 
 
 def draw(dt: float, q: float, r: float, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64], becalm.Model]:
@@ -44,7 +44,7 @@ def draw(dt: float, q: float, r: float, seed: int) -> tuple[NDArray[np.float64],
     return position, position + np.sqrt(r) * rng.normal(size=COUNT), model
 
 
-def measure(dt: float, q: float, r: float, causal: bool) -> Told:
+def measure(dt: float, q: float, r: float, causal: bool) -> CaseResult:
     """Run one case."""
     ratios, seconds, orders = [], [], []
     run = becalm.kalman_filter if causal else becalm.kalman_smoother
@@ -58,20 +58,20 @@ def measure(dt: float, q: float, r: float, causal: bool) -> Told:
         ratios.append(rms_error(out.signal.samples[known, 0], position[known]) / true)
         orders.append(out.reports[0].order)
     tried = ", ".join(f"{orders.count(n)} x {n}" for n in sorted(set(orders), key=str))
-    return Told(mean(ratios), max(ratios), tried, mean(seconds[1:]))
+    return CaseResult(mean(ratios), max(ratios), tried, mean(seconds[1:]))
 
 
 def page() -> str:
-    """Run all cases and write the table."""
+    """Run all cases, and return the table."""
     lines = ["| dt | q | r | mode | error over that of the true model | worst | orders | s a record |"]
     lines.append("|---|---|---|---|---|---|---|---|")
     for case in CASES:
         for causal in (True, False):
-            told = measure(*case, causal)
+            got = measure(*case, causal)
             names = " | ".join(f"{value:g}" for value in case)
             mode = "causal" if causal else "smoothed"
             lines.append(
-                f"| {names} | {mode} | **{told.ratio:.3f}** | {told.worst:.3f} | {told.orders} | {told.seconds:.3f} |"
+                f"| {names} | {mode} | **{got.ratio:.3f}** | {got.worst:.3f} | {got.orders} | {got.seconds:.3f} |"
             )
     return "\n".join(lines) + "\n"
 

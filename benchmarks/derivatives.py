@@ -1,9 +1,9 @@
-"""Signal and derivative of PyNumDiff's simulations, nothing chosen, over PyNumDiff's truth-tuned `rtsdiff`.
+"""rms errors on PyNumDiff's simulations, relative to those of PyNumDiff's `rtsdiff` that is tuned with the truth.
 
-Six signals of 4 s at 100 Hz, white noise of 0.1 and 0.4, the median of 20 seeds. The rival is the same kind
-of smoother, of order 1 to 3, with the order and ratio that have the least rms error *knowing the truth*:
-one choice for the signal, another for its derivative. becalm knows the readings alone.
-rtsdiff runs as it comes, not forward and back.
+Six signals of 4 s at 100 Hz, white noise of 0.1 and 0.4, median of 20 seeds. The rival is the same kind of
+smoother, of order 1 to 3, with the order and the ratio that have the least rms error, *computed with the truth*:
+one choice for the signal, another one for its derivative. becalm gets only the readings, and no options.
+rtsdiff runs with its defaults, not forward and back.
 
 Run: pip install 'becalm[bench]', then python benchmarks/derivatives.py [-o docs/derivatives.md]
 """
@@ -46,7 +46,7 @@ class Errors(NamedTuple):
 
 
 def rival(rtsdiff: Any, z: Floats, truth: tuple[Floats, Floats]) -> Errors:
-    """Return the least error of each that rtsdiff can have."""
+    """Return the least errors of signal and derivative that rtsdiff can have."""
     found = []
     for order in ORDERS:
         for log_ratio in LOG_RATIOS:
@@ -56,7 +56,7 @@ def rival(rtsdiff: Any, z: Floats, truth: tuple[Floats, Floats]) -> Errors:
 
 
 def ours(z: Floats, truth: tuple[Floats, Floats]) -> Errors:
-    """Smooth with what was chosen; the derivative is the second state, or a difference where there is none."""
+    """Smooth with the chosen model; the derivative is the second state, or a difference if there is only one state."""
     tuning = choose(z, np.ones(len(z)), causal=False).tuning
     if tuning is None:
         raise ValueError("These readings tell no noise.")
@@ -67,7 +67,7 @@ def ours(z: Floats, truth: tuple[Floats, Floats]) -> Errors:
 
 
 def page() -> str:
-    """Run all and write the table."""
+    """Run all cases, and return the table."""
     rtsdiff, simulate = import_module("pynumdiff.kalman_smooth").rtsdiff, import_module("pynumdiff.utils.simulate")
     lines = ["| signal | noise | x | its worst seed | dx/dt | its worst seed |", "|---|---|---|---|---|---|"]
     ratios = []

@@ -1,4 +1,4 @@
-"""Records drawn from a model itself, with the truth: what benchmarks and tests hold a filter's promises against."""
+"""Simulate records from a model, with the truth, for benchmarks and tests."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Floats = NDArray[np.float64]
 
 
 def draw(model: Model, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return the first state of a model, begun at 0, and readings of it, (count,) each."""
+    """Return the first state of a model that starts at 0, and readings of this state, (count,) each."""
     w = np.linalg.cholesky(model.process_covariance) @ rng.normal(size=(model.states, count))
     x, truth = np.zeros(model.states), np.empty(count)
     for k in range(count):

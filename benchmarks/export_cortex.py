@@ -1,11 +1,11 @@
-"""Exported filters on emulated Cortex-Ms: instructions that a settled sample takes, counted.
+"""Instructions per sample of settled exported filters, counted on emulated Cortex-Ms.
 
-Counted are instructions, and no cycles: QEMU's -icount shift=0 gives each one nanosecond of the board's time, and the
-board's timer is read before and after blocks of half the golden readings and of all of them; the difference is what
-the second half takes, the look at each reading and the loop around it included. Two loops of known length are counted
-first, and a wrong count of them ends the run. On a Cortex-M4F most instructions take one cycle; those that load,
-branch or multiply and add take more. Channels: a level, a slope, a slope with rails and a watch for stuck readings, a
-bend, and a slope with one tone. Compiled by arm-none-eabi-gcc -O2.
+Instructions are counted, not cycles: with -icount shift=0, QEMU advances the board's clock by one nanosecond for each
+instruction. The board's timer is read before and after blocks of half the golden readings and of all of them; the
+difference is the count of the second half, including the check of each reading and the loop. Two loops of known length
+are counted first, and a wrong count ends the run. On a Cortex-M4F most instructions take one cycle; loads, branches
+and multiply-adds take more. Channels: models of order 1 (level), order 2 (slope), order 2 with saturation limits and a
+check for stuck readings (railed), order 3 (bend), and order 2 with one tone. Compiled by arm-none-eabi-gcc -O2.
 
 Run: python benchmarks/export_cortex.py [-o docs/export-cortex.md]   (needs arm-none-eabi-gcc, newlib, qemu-system-arm)
 """
@@ -25,7 +25,7 @@ from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.number_type import Precision
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from pages import page_parser, publish
 
 RATE_HZ = 100.0
@@ -37,7 +37,7 @@ LIMITS = LimitsRecipe(low=SPAN[0], high=SPAN[1], stuck_readings=7)
 
 
 class Count(NamedTuple):
-    """What one channel takes on one core."""
+    """The instructions per sample of one channel on one core."""
 
     precision: str
     channel: str
@@ -46,10 +46,10 @@ class Count(NamedTuple):
 
 
 def motion(name: str, order: int, cutoff: float, **more: object) -> ChannelRecipe:
-    """Return a motion whose cut-off is so many radians a step, with a noise of 1."""
+    """Return a kinematic model with a cut-off in radians per step, and a noise standard deviation of 1."""
     density = cutoff ** (2 * order) * RATE_HZ ** (2 * order - 1)
-    told = {"name": name, "unit": "m/s^2", "model": "motion", "order": order, "noise_std": 1.0, **more}
-    return ChannelRecipe.model_validate({**told, "process_noise_density": density})
+    fields = {"name": name, "unit": "m/s^2", "model": "motion", "order": order, "noise_std": 1.0, **more}
+    return ChannelRecipe.model_validate({**fields, "process_noise_density": density})
 
 
 CHANNELS = (
@@ -67,22 +67,22 @@ def counts(precision: Precision) -> Iterator[Count]:
     Raises
     ------
     subprocess.CalledProcessError
-        If they do not compile, a golden vector fails there, or known loops are counted wrongly.
+        If a channel does not compile, a golden vector fails, or the known loops are counted wrongly.
     """
     recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=RATE_HZ), channel=CHANNELS)
     spans = {one.name: SPAN for one in CHANNELS}
     bundle = bundle_of(recipe, "bench", ExportOptions(precision, spans=spans))
     with tempfile.TemporaryDirectory(prefix="becalm-cortex-") as place:
-        folder = unpacked(bundle, Path(place))
+        folder = write_bundle(bundle, Path(place))
         for core, name in CORES.items():
             make(folder, f"cortex-{core}")
-            said = make(folder, f"cortex-{core}-count")
-            for channel, many in re.findall(r"^bench_(\w+): ([\d.]+) instructions a sample", said, re.M):
+            output = make(folder, f"cortex-{core}-count")
+            for channel, many in re.findall(r"^bench_(\w+): ([\d.]+) instructions a sample", output, re.M):
                 yield Count(precision, channel, name, float(many))
 
 
 def make(folder: Path, target: str) -> str:
-    """Return what make says; if it fails, that goes to the terminal first."""
+    """Run make, and return its output; if make fails, print the output."""
     ran = subprocess.run(["make", "-s", "-C", str(folder), target], capture_output=True, text=True, check=False)
     if ran.returncode != 0:
         print(ran.stdout, ran.stderr, file=sys.stderr)
@@ -91,7 +91,7 @@ def make(folder: Path, target: str) -> str:
 
 
 def table(found: list[Count]) -> str:
-    """Return a table of Markdown: a channel a row, a core and a precision a column."""
+    """Return a table in Markdown: a row for each channel, a column for each core and precision."""
     columns = [(core, precision) for core in CORES.values() for precision in get_args(Precision)]
     by = {(one.channel, one.core, one.precision): one.instructions for one in found}
     rows = [

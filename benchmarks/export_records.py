@@ -1,18 +1,18 @@
-"""What is exported as C beside becalm itself: on real recordings, and on ten million readings.
+"""Exported C compared with becalm itself: on real recordings, and on ten million readings.
 
 Every channel of every recording is tuned as a causal filter (on its first 20 000 rows), exported as float64, float32
-and q31 with the range of its readings, compiled by `cc -O2`, and run over the whole record, row by row, beside
-becalm's own stream; readings that are passed on while a filter starts are not compared. *float64* is the greatest
-difference, in parts of the greatest signal; *float32* and *q31* are the power of the signal over that of the
-difference. Where a filter that keeps its gain meets missing readings, or a table of gains was thinned while it starts,
-it is held against its own specification in Python, which is becalm's stream everywhere else. Where less is kept than
-is asked for, the row is told, how far becalm's own stream moves when readings change in their last digit (no program
-comes nearer than that), and how far C is off its specification, which has more digits where the stream rounds them
-away. The first signal of a filter with several tones is hardly told by its readings: there becalm and C both keep
-eleven digits (`tests/export/test_first_rows.py`). A channel that is not exported is named with the reason.
+and q31 with the range of its readings, compiled by `cc -O2`, and run over the whole record, row by row, as is
+becalm's own stream; readings that are passed through while a filter starts are not compared. *float64* is the largest
+difference, relative to the largest signal; *float32* and *q31* are the ratio of the powers of signal and difference.
+Where a filter with a constant gain meets missing readings, or where a filter that starts uses a thinned table of gains,
+it is compared with its own specification in Python, which equals becalm's stream elsewhere. If a channel is less exact
+than required, the page shows the row, the change of becalm's own stream when readings change in their last digit (no
+program can be closer than that), and the difference between C and its specification, which has more digits where the
+stream rounds them away. The readings hardly determine the first signal of a filter with several tones: there becalm
+and C both have eleven digits (`tests/export/test_first_rows.py`). Channels that are not exported are counted by reason.
 
 Run: python benchmarks/export_records.py [-o docs/export-records.md] [NAME ...]; needs `pip install 'becalm[formats]'`.
-The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
+The recordings are in ../shared/data; with names, only files whose path contains one of them are processed.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from becalm.errors import BecalmError
 from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.number_type import Precision
 from becalm.export.proof.compiling import build
-from becalm.export.proof.verifying import Compared, compare, specified, unpacked
+from becalm.export.proof.verifying import RecordComparison, compare, run_specification, write_bundle
 from pages import page_parser, publish
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
@@ -44,12 +44,12 @@ from real_recordings import DATA, files, parts
 _TUNED_ON = 20_000
 _LONG = 10_000_000
 _SAME = 1e-12
-_FIRST = 20_000  # rows that are held against a specification
+_FIRST = 20_000  # rows that are compared with a specification
 _PRECISIONS: tuple[Precision, ...] = ("float64", "float32", "q31")
 
 
 class Row(NamedTuple):
-    """What was found of one record."""
+    """The results for one record."""
 
     record: str
     channels: int
@@ -59,7 +59,7 @@ class Row(NamedTuple):
 
 
 def tuned(recording: becalm.Recording) -> list[ChannelRecipe]:
-    """Tune every channel of a recording; those that cannot be are left out."""
+    """Tune every channel of a recording."""
     first = slice(0, _TUNED_ON)
     part = becalm.Recording(
         recording.samples[first], names=recording.names, units=recording.units, times_s=recording.times_s[first]
@@ -68,14 +68,14 @@ def tuned(recording: becalm.Recording) -> list[ChannelRecipe]:
 
 
 class Addition(NamedTuple):
-    """A record of one channel through C and through becalm, and what becalm itself does."""
+    """The comparison of C with becalm on one channel, with the sensitivity of becalm itself."""
 
-    compared: Compared
+    compared: RecordComparison
     moved: float
-    """How far becalm's stream moves, in parts of the greatest signal, where readings differ in their last digit."""
+    """Change of becalm's stream, relative to the largest signal, when readings change in their last digit."""
 
-    specified: Compared | None
-    """The first rows beside the specification, where the stream is beyond what is asked for, and no bank."""
+    specified: RecordComparison | None
+    """Comparison of the first rows with the specification, if C is not exact enough and the channel has no modes."""
 
 
 def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision: Precision) -> Addition:
@@ -86,22 +86,24 @@ def compared(channel: ChannelRecipe, rate_hz: float, readings: Floats, precision
     spans = {channel.name: (float(seen.min()) - more, float(seen.max()) + more)} if more > 0 else {}
     with tempfile.TemporaryDirectory() as place:
         bundle = bundle_of(recipe, "record", ExportOptions(precision=precision, spans=spans))
-        program = build(unpacked(bundle, Path(place)), bundle.stem, "cc", ("-O2",))
+        program = build(write_bundle(bundle, Path(place)), bundle.stem, "cc", ("-O2",))
         (one,) = bundle.channels
         found = compare(program, one, channel, "record", readings)
         if not is_beyond(found, precision):
             return Addition(found, 0.0, None)
-        told = None if one.design.modes else compare(program, one, channel, "record", readings[:_FIRST], specified)
-        return Addition(found, moved_by_digits(recipe, readings, one.kind.number.bits), told)
+        first = (
+            None if one.design.modes else compare(program, one, channel, "record", readings[:_FIRST], run_specification)
+        )
+        return Addition(found, moved_by_digits(recipe, readings, one.kind.number.bits), first)
 
 
-def is_beyond(one: Compared, precision: Precision) -> bool:
-    """Whether it keeps less than is asked for."""
+def is_beyond(one: RecordComparison, precision: Precision) -> bool:
+    """Return whether C is less exact than required."""
     return one.error > _SAME if precision == "float64" else not one.kept
 
 
 def moved_by_digits(recipe: Recipe, readings: Floats, bits: int) -> float:
-    """Return how far becalm's own stream moves where readings (N,) differ in the last of so many binary digits."""
+    """Return the change of becalm's own stream when readings (N,) change in the last of `bits` binary digits."""
     digits = np.random.default_rng(1).uniform(-1, 1, len(readings)) * 2.0**-bits
     signals = []
     for each in (readings, readings + readings * digits):
@@ -133,7 +135,7 @@ def _short(why: str, name: str) -> str:
 
 
 def recordings(names: Sequence[str]) -> Iterator[tuple[str, becalm.Recording]]:
-    """Give every recording with its title, and say how long it took; with names, only those whose path holds one."""
+    """Yield the recordings whose path contains one of the names, with titles; print how long each took."""
     for path in files():
         if names and not any(name in str(path) for name in names):
             continue
@@ -152,7 +154,7 @@ def records(names: Sequence[str]) -> Iterator[Row]:
 
 
 def long_record(rows: int) -> Row:
-    """Compare on a long record: a motion of order 2 that moves, in noise."""
+    """Compare on a long record of order 2: a sine and a walk in noise."""
     rng, rate_hz = np.random.default_rng(9), 1000.0
     walk = np.cumsum(np.cumsum(rng.normal(0, 1e-4, rows)) * 0.01)
     readings = 20 * np.sin(np.arange(rows) / 3000) + np.clip(walk, -60, 60) + rng.normal(0, 0.5, rows)
@@ -184,7 +186,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def _beyond(found: dict[Precision, list[Addition]]) -> Iterator[str]:
-    """Tell of each channel that keeps less than is asked for."""
+    """Yield a sentence on each channel that is less exact than required."""
     for precision, every in found.items():
         for one, moved, specification in every:
             if is_beyond(one, precision):
@@ -205,9 +207,9 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("names", nargs="*", help="files whose path holds one of these")
     parser.add_argument("--long", type=int, default=_LONG, help="readings of the long record; 0 leaves it out")
-    asked = parser.parse_args()
-    rows = [*([long_record(asked.long)] if asked.long else []), *records(asked.names)]
-    publish("What is exported, beside becalm", __doc__, table(rows), asked.output)
+    arguments = parser.parse_args()
+    rows = [*([long_record(arguments.long)] if arguments.long else []), *records(arguments.names)]
+    publish("What is exported, beside becalm", __doc__, table(rows), arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
 """What an exported filter costs on this machine: nanoseconds a row, bytes of code, of state and of tables.
 
-Each filter is exported with nothing said, compiled by gcc and by clang, and run over blocks of 4096 noisy readings that
-stay in the cache; the shortest of several runs counts. *Code* is that of all its functions (init, reset, step,
-step_block, gap) at -Os, without its tables; *state* and *tables* are what the header says, held against the compiler.
-A row of 4 bytes copied by `memcpy` is the rival that nobody beats.
+Each filter is exported with default options, compiled by gcc and by clang, and run over blocks of 4096 noisy readings
+that stay in the cache; the shortest of several runs counts. *Code* is the size of all functions (init, reset, step,
+step_block, gap) at -Os, without tables; *state* and *tables* are the sizes in the header, which the compiler checks.
+The last line compares with `memcpy` of a row of 4 bytes, which no filter can beat.
 
 Run: python benchmarks/export_speed.py [-o docs/export-speed.md]
 """
@@ -23,7 +23,7 @@ from becalm.errors import BecalmError
 from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.number_type import Precision
 from becalm.export.proof.compiling import build, compilers, run
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from pages import page_parser, publish
 
 _RATE_HZ = 100.0
@@ -45,9 +45,9 @@ int main(void) {
 
 
 class Cost(NamedTuple):
-    """What one filter costs."""
+    """The cost of one filter."""
 
-    ns: dict[str, float]  # a row, by compiler
+    ns: dict[str, float]  # nanoseconds per row, by compiler
     code_bytes: int
     state_bytes: int
     table_bytes: int
@@ -55,7 +55,7 @@ class Cost(NamedTuple):
 
 
 def motion(order: int, cutoff: float, **more: Any) -> ChannelRecipe:
-    """Return a motion whose cut-off is so many radians a step, in noise of 1."""
+    """Return a kinematic model with a cut-off in radians per step, and a noise standard deviation of 1."""
     density = cutoff ** (2 * order) * _RATE_HZ ** (2 * order - 1)
     return ChannelRecipe(
         name="ax", unit="m/s^2", model="motion", order=order, process_noise_density=density, noise_std=1.0, **more
@@ -63,7 +63,7 @@ def motion(order: int, cutoff: float, **more: Any) -> ChannelRecipe:
 
 
 def channels() -> dict[str, ChannelRecipe]:
-    """Return what is measured."""
+    """Return the filters to measure, by title."""
     modes = tuple(
         ModeRecipe(name=name, order=1, process_noise_density=q, noise_std=1.0, lasts_s=lasts)
         for name, q, lasts in (("still", 1e-4, 10.0), ("moving", 100.0, 1.0))
@@ -87,7 +87,7 @@ def cost(channel: ChannelRecipe, precision: Precision) -> Cost:
     bundle = bundle_of(recipe, "cost", ExportOptions(precision=precision, spans=spans))
     (one,) = bundle.channels
     with tempfile.TemporaryDirectory() as place:
-        folder = unpacked(bundle, Path(place))
+        folder = write_bundle(bundle, Path(place))
         ns = {name: _nanoseconds(bundle, folder, name) for name in compilers()}
         code = _code_bytes(bundle, folder)
     return Cost(ns, code, one.written.state_bytes, one.written.table_bytes, str(one.written.cost))
@@ -101,12 +101,12 @@ def _nanoseconds(bundle: Bundle, folder: Path, compiler: str) -> float:
     return min(_took(run(made, prefix, "time", str(rows)).stdout) for _ in range(_RUNS))
 
 
-def _took(said: str) -> float:
-    return float(said.split()[-2])
+def _took(output: str) -> float:
+    return float(output.split()[-2])
 
 
 def _code_bytes(bundle: Bundle, folder: Path) -> int:
-    """Return the size of all functions at -Os; of tables nothing."""
+    """Return the size of all functions at -Os in bytes, without tables."""
     made = folder / "small.o"
     subprocess.run(["cc", "-std=c99", "-Os", "-c", folder / f"{bundle.stem}.c", "-o", made], check=True)
     listed = subprocess.run(["nm", "-S", made], capture_output=True, text=True, check=True).stdout
@@ -114,7 +114,7 @@ def _code_bytes(bundle: Bundle, folder: Path) -> int:
 
 
 def copied_ns() -> float:
-    """Return how long a row takes that is only copied."""
+    """Return how long copying a row takes, in nanoseconds."""
     with tempfile.TemporaryDirectory() as place:
         source, program = Path(place) / "copy.c", Path(place) / "copy"
         source.write_text(_COPY, encoding="utf-8")
@@ -133,7 +133,7 @@ def lines() -> Iterator[str]:
             try:
                 found = cost(channel, precision)
             except BecalmError:
-                continue  # what q31 cannot hold
+                continue  # q31 cannot represent this filter
             took = " | ".join(f"{found.ns[name]:.2f}" for name in names)
             yield (
                 f"| {title} | {precision} | {took} | {found.code_bytes} B | {found.state_bytes} B"
@@ -145,8 +145,8 @@ def lines() -> Iterator[str]:
 
 def main() -> None:
     """Print the table, and write it to a page."""
-    asked = page_parser(__doc__).parse_args()
-    publish("What an exported filter costs", __doc__, "\n".join(lines()) + "\n", asked.output)
+    arguments = page_parser(__doc__).parse_args()
+    publish("What an exported filter costs", __doc__, "\n".join(lines()) + "\n", arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""Spikes and steps in simulated records, and in real ones: what is asked of a gate, and what it does.
+"""Spikes and steps in simulated and in real records: what a gate must do, and what it does.
 
-False alarms are counted over 10^8 readings, a random walk in Gaussian noise, beside what chance allows (99 %,
-Poisson). rms errors are those of `becalm.clean`, nothing chosen, with 1 % of spikes of 8 sigma over those of the
-same record without them: the median of 8 seeds, and the largest. A robust filter (`--robust`) meets 10 % of them; its
-error is told over that of `becalm.clean` without spikes, nothing chosen, and over its own without spikes. Real
-recordings show what share of their readings is taken for spikes.
+False alarms are counted over 10^8 readings, a random walk in Gaussian noise, and compared with the 99 % interval of a
+Poisson distribution. rms errors are those of `becalm.clean` without options with 1 % of spikes of 8 sigma, relative to
+the errors on the same record without spikes: the median of 8 seeds, and the largest in brackets. A robust filter
+(`--robust`) gets 10 % of spikes; its error is given relative to that of `becalm.clean` without options and spikes, and
+relative to its own error without spikes. For real recordings the share of readings that are rejected as spikes is
+given.
 
 Run: python benchmarks/faults.py [--readings 1e8] [--recordings FOLDER] [-o docs/faults.md]
 """
@@ -39,7 +40,7 @@ RECORDINGS = ("comma2k19/accelerometer.csv", "comma2k19/gyroscope.csv", "comma2k
 
 
 def smooth_motion(order: int, cutoff: float = 0.01) -> CausalFlow:
-    """Return a causal filter of a cut-off in cycles a step, with a gate of one false alarm an hour at 500 Hz."""
+    """Return a causal filter with a cut-off in cycles per step, and a gate with one false alarm per hour at 500 Hz."""
     part = motion(order, (2 * np.pi * cutoff) ** (2 * order))
     return CausalFlow(part, 1.0, Gate(threshold_for(1.0, RATE_HZ)))
 
@@ -52,8 +53,8 @@ def false_alarms(rate_hz: float, readings: float) -> Row:
     for _ in range(blocks):
         walk = level + np.cumsum(2 * np.pi * 0.01 * rng.normal(size=BLOCK))
         level = float(walk[-1])
-        told = flow.push(walk + rng.normal(size=BLOCK), np.ones(BLOCK))
-        count += sum(int(np.count_nonzero(part.verdicts)) for part in told)
+        estimates = flow.push(walk + rng.normal(size=BLOCK), np.ones(BLOCK))
+        count += sum(int(np.count_nonzero(part.verdicts)) for part in estimates)
     expected = blocks * BLOCK / rate_hz / 3600
     low, high = poisson.interval(0.99, expected)
     what = f"false alarms at {rate_hz:g} Hz in {expected:.1f} h"
@@ -61,14 +62,14 @@ def false_alarms(rate_hz: float, readings: float) -> Row:
 
 
 def truths(seed: int) -> dict[str, Floats]:
-    """Return what is to be found."""
+    """Return the true signals by name."""
     t = np.arange(ROWS) / RATE_HZ
     walk = np.cumsum(0.03 * np.random.default_rng(seed + 100).normal(size=ROWS))
     return {"random walk": walk, "slow sine": 5 * np.sin(np.pi * t), "constant": np.full(ROWS, 3.0)}
 
 
 def error_of(out: Cleaned, truth: Floats) -> float:
-    """Return the rms error, but for the first second."""
+    """Return the rms error without the first second."""
     return rms_error(out.signal.samples[STARTING:, 0], truth[STARTING:])
 
 
@@ -91,13 +92,13 @@ def spiky(name: str, causal: bool) -> Row:
 
 
 def spiked(seed: int, share: float) -> Floats:
-    """Return spikes, and zeros between them."""
+    """Return spikes in a share of the rows, and zeros in the others."""
     rng = np.random.default_rng(seed + 200)
     return np.where(rng.random(ROWS) < share, SIZE * rng.choice([-1.0, 1.0], ROWS), 0.0)
 
 
 def robustly(z: Floats, causal: bool) -> Cleaned:
-    """Clean a record of which many readings are wild."""
+    """Clean a record with a robust filter."""
     record = Recording(z, rate_hz=RATE_HZ)
     return clean(record, tune(record, causal=causal, wishes=Wishes(robust=True)))
 
@@ -118,7 +119,7 @@ def robust(name: str, causal: bool) -> Row:
 
 
 def robust_step(name: str) -> Row:
-    """Tell how many readings after a step of 50 sigma a robust filter is there, among many spikes, to 3 sigma."""
+    """Count the readings until a robust filter has followed a step of 50 sigma to within 3 sigma, among many spikes."""
     late = []
     for seed in range(SEEDS):
         truth = truths(seed)[name] + np.where(np.arange(ROWS) >= ROWS // 2, STEP, 0.0)
@@ -130,7 +131,7 @@ def robust_step(name: str) -> Row:
 
 
 def stepping(order: int) -> Row:
-    """Tell how many readings after a step of 50 sigma it is followed."""
+    """Count the readings until a filter jumps after a step of 50 sigma."""
     z = np.random.default_rng(order).normal(size=4096)
     z[2000:] += 50.0
     verdicts = np.concatenate([part.verdicts for part in smooth_motion(order).push(z, np.ones(len(z)))])
@@ -140,7 +141,7 @@ def stepping(order: int) -> Row:
 
 
 def burst(order: int) -> Row:
-    """Tell how many readings in a row are left out at the most, in a burst of anything."""
+    """Count the longest run of rejected readings in a burst of random readings."""
     rng = np.random.default_rng(order)
     z = rng.normal(size=4096)
     z[1000:1500] = rng.uniform(-300, 300, 500)
@@ -150,7 +151,7 @@ def burst(order: int) -> Row:
 
 
 def real(folder: Path) -> Iterator[Row]:
-    """Tell what share of real recordings is taken for spikes."""
+    """Yield rows with the share of readings in real recordings that is rejected as spikes."""
     for name in RECORDINGS:
         if not (folder / name).exists():
             continue
@@ -164,17 +165,17 @@ def real(folder: Path) -> Iterator[Row]:
 def main() -> None:
     """Print the table."""
     parser = page_parser(__doc__)
-    parser.add_argument("--readings", type=float, default=1e8, help="of the false alarms")
+    parser.add_argument("--readings", type=float, default=1e8, help="readings for the false alarms")
     parser.add_argument("--recordings", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
-    told = parser.parse_args()
-    rows = [false_alarms(rate_hz, told.readings) for rate_hz in (500.0, 10_000.0)]
+    arguments = parser.parse_args()
+    rows = [false_alarms(rate_hz, arguments.readings) for rate_hz in (500.0, 10_000.0)]
     rows += [spiky(name, causal) for name in truths(0) for causal in (True, False)]
     rows += [robust(name, causal) for name in truths(0) for causal in (True, False)]
     rows += [robust_step(name) for name in truths(0)]
     rows += [make(order) for make in (stepping, burst) for order in (1, 2, 3)]
-    rows += real(told.recordings)
+    rows += real(arguments.recordings)
     lines = ["| what | asked | got |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
-    publish("Spikes and steps", __doc__, "\n".join(lines) + "\n", told.output)
+    publish("Spikes and steps", __doc__, "\n".join(lines) + "\n", arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""What a fixed lag gains and costs: errors from the filter to the smoother, tuned as either; its curve; its time.
+"""What a fixed lag gains and costs: errors between those of filter and smoother, the trade-off curve, and time.
 
 The signals and noises of `accuracy.py`, 100 Hz. Each recording is tuned twice, as a causal filter and as a
-smoother, motions alone without the tones beside them, and then smoothed with lags of 0 to 30 readings, and of
-all. Of a lag of 13, 20 or 30 rows `becalm clean` keeps three to tell outliers, and smooths with 10, 17 or 27.
-Times are the processor's, the shortest of five runs.
+smoother, with kinematic models only, without tones. It is then smoothed with lags of 0 to 30 readings, and with all
+later readings. `becalm clean` uses three rows of the lag to detect outliers: for a lag of 13, 20 or 30 rows it smooths
+with 10, 17 or 27. Times are processor times, the shortest of five runs.
 
 Run: python benchmarks/fixed_lag.py [-o docs/fixed-lag.md]
 """
@@ -37,7 +37,7 @@ TIMED, STEPPED = 100_000, 2000  # rows in blocks, and one by one
 
 
 class Case(NamedTuple):
-    """One signal at one noise: rms errors at each lag, tuned in both ways, and the tuning of the smoother."""
+    """The rms errors of a signal at each lag, tuned as a filter and as a smoother, and the tuning of the smoother."""
 
     signal: str
     noise: float
@@ -47,7 +47,7 @@ class Case(NamedTuple):
 
 
 def tuned(z: Floats, causal: bool) -> Tuning:
-    """Tune the motion of a record as a filter or as a smoother, in steps."""
+    """Tune the kinematic model of a record as a filter or as a smoother, in units of steps."""
     evidence = Evidence.of(z, np.ones(len(z)))
     if not causal:
         return simplest(tune_smoother(evidence))
@@ -60,13 +60,13 @@ def errors(z: Floats, truth: Floats, tuning: Tuning) -> list[float]:
     model, level = tuning.component.to_model(1.0, tuning.noise_variance), z[0]
     found = []
     for lag in LAGS:
-        told = kalman_smoother(model, z - level).signal if lag is None else fixed_lag_smoother(model, z - level, lag)[0]
-        found.append(rms_error(told[:, 0] + level, truth))
+        out = kalman_smoother(model, z - level).signal if lag is None else fixed_lag_smoother(model, z - level, lag)[0]
+        found.append(rms_error(out[:, 0] + level, truth))
     return found
 
 
 def run() -> list[Case]:
-    """Run all cases, tuned in both ways."""
+    """Run all cases, tuned as filters and as smoothers."""
     t, cases = np.arange(COUNT) / RATE_HZ, []
     for number, (name, signal) in enumerate(SIGNALS.items()):
         for noise in NOISES:
@@ -79,7 +79,7 @@ def run() -> list[Case]:
 
 
 def error_table(cases: list[Case]) -> str:
-    """Write rms errors, tuned as a filter / as a smoother, over that of the smoother tuned as one."""
+    """Return the rms errors tuned as a filter / as a smoother, relative to the smoother that is tuned as a smoother."""
     heads = [f"lag {lag}" if lag is not None else "all" for lag in LAGS]
     lines = ["| signal | noise | " + " | ".join(heads) + " |", "|---" * (len(heads) + 2) + "|"]
     ratios = np.array([np.divide([one.as_filter, one.as_smoother], one.as_smoother[-1]) for one in cases])
@@ -93,17 +93,17 @@ def error_table(cases: list[Case]) -> str:
 
 
 def curve_table(cases: list[Case]) -> str:
-    """Write the curves of delay against noise of three examples."""
+    """Return the curves of noise against delay of three examples."""
     lines = []
     for one in (case for case in cases if (case.signal, case.noise) in EXAMPLES):
         curve = delay_curve(one.smoother, 1 / RATE_HZ)
-        told = ", ".join(f"{delay.wait_s * 1e3:.4g} ms {delay.left_db:.1f} dB" for delay in curve)
-        lines.append(f"- {one.signal}, {one.noise:.0%} noise, order {one.smoother.order}: {told} (the limit)")
+        points = ", ".join(f"{delay.wait_s * 1e3:.4g} ms {delay.left_db:.1f} dB" for delay in curve)
+        lines.append(f"- {one.signal}, {one.noise:.0%} noise, order {one.smoother.order}: {points} (the limit)")
     return "\n".join(lines)
 
 
 def time_table() -> str:
-    """Write what a reading costs a stream of order 2, with lags of 0, 10, 100 and 1000, in blocks and one by one."""
+    """Return the times of a reading in a stream of order 2, with lags of 0, 10, 100 and 1000, in blocks and singly."""
     model, z = motion(2, 1e-3).to_model(1.0, 1.0), np.random.default_rng(1).normal(size=TIMED)
     holes = np.where(np.random.default_rng(2).random(TIMED // 10) < 0.01, np.nan, z[: TIMED // 10])
     lines = ["| lag | block, ns | over lag 0 | 1 % missing, ns | one by one, ns |", "|---|---|---|---|---|"]

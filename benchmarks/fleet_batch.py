@@ -1,15 +1,15 @@
-"""A lake on Spark beside one plain process, and a model of a fleet on paper.
+"""A lake on Spark compared with one plain process, and an estimate for a large fleet.
 
 The lake has 200 sensors of 200 000 rows (two files each, not in the order of time; some with missing stretches and a
 gap), a time in seconds and one channel of a random walk in white noise, float64, snappy; the recipe is causal and was
-tuned on one of them. *Plain* is one process, pinned to one core, that cleans one sensor after the other by the very
-function that a task of Spark runs. Spark's start, and the first task of each worker, which loads becalm, are left out:
-a job over another output went before. *On that core* all of Spark, its driver, JVM and Python worker, is pinned to the
-same core. Of clusters each executor, with its worker, is pinned to a core of its own, and the driver is where there is
-room. Turns alternate; medians are told. *Ratio* is that of rows per second to the plain process, and of two executors
-to one. Every row of what plain and Spark made last is compared.
+tuned on one sensor. *Plain* is one process, pinned to one core, that cleans the sensors in sequence with the function
+that a task of Spark runs. The times leave out Spark's start and the first task of each worker, which loads becalm: the
+same job runs once before. *On that core* pins all processes of Spark (driver, JVM and Python worker) to that core. In
+clusters each executor, with its worker, is pinned to a core, and the driver is not pinned. The ways take turns; medians
+are given. *Ratio* compares rows per second with the plain process, and two executors with one. All rows of the last
+outputs of the plain process and of Spark are compared.
 
-The model at the end is arithmetic on what was measured here.
+The estimate at the end is arithmetic with the measured numbers.
 
 Run: python benchmarks/fleet_batch.py [--sensors 200] [--repeats 3] [-o docs/fleet-batch.md]
 """
@@ -36,15 +36,15 @@ from fleet_lakes import EACH, RATE_HZ, make_lake
 from fleet_spark import ONE_THREAD, Places, Ran, on_spark
 from pages import page_parser, publish
 
-PINNED = 0  # the core
+PINNED = 0  # number of the core
 LEAST_SHARE, LEAST_SCALING = 0.9, 1.7
-"""What was asked."""
+"""Required ratios: Spark on one core to the plain process, and two executors to one."""
 
 YEAR_S, FLEET, CORES = 365.25 * 86_400, 1000, 100
 
 
 def plain(lake: Path, recipe: Path, out: Path) -> Ran:
-    """Clean a lake in this process, one sensor after the other."""
+    """Clean a lake in this process, one sensor at a time."""
     shutil.rmtree(out, ignore_errors=True)
     book = open_book(recipe)
     sensors = [Sensor(place.name, place.bytes, str(book.hash_for(place.name))) for place in places_in(lake)]
@@ -60,11 +60,11 @@ def size_of(folder: Path) -> int:
 
 
 def lake_table(work: Path, sensors: int, repeats: int) -> tuple[list[str], float]:
-    """Time the lake; return the table, and how many rows a second a core does on Spark."""
-    rows, beside = sensors * EACH, Places(work / "lake", work / "r.toml", work / "plain")
-    places = beside._replace(out=work / "spark")
+    """Time all ways to clean the lake; return the table, and the rows per second of a core on Spark."""
+    rows, plain_places = sensors * EACH, Places(work / "lake", work / "r.toml", work / "plain")
+    places = plain_places._replace(out=work / "spark")
     ways: dict[str, Callable[[], Ran]] = {
-        "plain, one process on one core": lambda: plain_apart(beside),
+        "plain, one process on one core": lambda: plain_in_subprocess(plain_places),
         "Spark, `local[1]`, on that core": lambda: on_spark("local[1]", places, core=str(PINNED)),
         "Spark, one executor": lambda: on_spark("local-cluster[1,1,1024]", places),
         "Spark, two executors": lambda: on_spark("local-cluster[2,1,1024]", places),
@@ -83,15 +83,15 @@ def lake_table(work: Path, sensors: int, repeats: int) -> tuple[list[str], float
     lines = ["| way | seconds | M rows/s | ratio | asked |", "|---|---|---|---|---|"]
     for (name, seconds), ratio, wanted in zip(middle.items(), ratios, asked, strict=True):
         lines.append(f"| {name} | {seconds:.1f} | {rows / seconds / 1e6:.2f} | {ratio:.2f} | {wanted} |")
-    both = [compared(beside.out / lake.name, places.out / lake.name) for lake in (work / "lake").iterdir()]
+    both = [compared(plain_places.out / lake.name, places.out / lake.name) for lake in (work / "lake").iterdir()]
     assert sum(one.rows for one in both) == rows
-    apart = sum(one.differ for one in both)
-    lines.append(f"| numbers of Spark's that are not the plain ones to the bit | {apart} | | | 0 |")
+    different = sum(one.differ for one in both)
+    lines.append(f"| numbers of Spark's that are not the plain ones to the bit | {different} | | | 0 |")
     return lines, rows / one
 
 
-def plain_apart(places: Places) -> Ran:
-    """Run `plain` in a process of its own, pinned."""
+def plain_in_subprocess(places: Places) -> Ran:
+    """Run `plain` in a subprocess that is pinned to a core."""
     program = (
         "import json, os, sys; os.sched_setaffinity(0, {int(sys.argv[4])}); from pathlib import Path;"
         "import fleet_batch as b; lake, recipe, out = map(Path, sys.argv[1:4]);"
@@ -106,7 +106,7 @@ def plain_apart(places: Places) -> Ran:
 
 
 def model(work: Path, rows: int, rows_per_core: float) -> list[str]:
-    """Return the arithmetic of a thousand sensors for a year."""
+    """Return the estimate for a thousand sensors over a year."""
     samples = FLEET * YEAR_S * RATE_HZ
     bytes_in, bytes_out = (size_of(work / name) / rows for name in ("lake", "spark"))
     hours = samples / (rows_per_core * CORES) / 3600
@@ -124,25 +124,25 @@ def model(work: Path, rows: int, rows_per_core: float) -> list[str]:
 
 
 def main() -> None:
-    """Run all of it, and publish the page."""
+    """Run the benchmark, and publish the page."""
     parser = page_parser(__doc__)
     parser.add_argument("--sensors", type=int, default=200)
     parser.add_argument("--repeats", type=int, default=3)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
-        make_lake(work / "lake", asked.sensors)
+        make_lake(work / "lake", arguments.sensors)
         tuning = [sys.executable, "-m", "becalm", "tune", str(work / "lake" / "sensor=000"), "--causal", "-o"]
         subprocess.run([*tuning, str(work / "r.toml")], check=True, capture_output=True)
-        table, per_core = lake_table(work, asked.sensors, asked.repeats)
-        arithmetic = model(work, asked.sensors * EACH, per_core)
+        table, per_core = lake_table(work, arguments.sensors, arguments.repeats)
+        arithmetic = model(work, arguments.sensors * EACH, per_core)
     sections = [
-        f"## {asked.sensors} sensors of {EACH:,} rows\n\n{asked.repeats} turns.",
+        f"## {arguments.sensors} sensors of {EACH:,} rows\n\n{arguments.repeats} turns.",
         "\n".join(table),
         "## A thousand sensors for a year, on paper",
         *arithmetic,
     ]
-    publish("A fleet on Spark", __doc__, "\n\n".join(sections), asked.output)
+    publish("A fleet on Spark", __doc__, "\n\n".join(sections), arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""An endless sensor that is cut in time, beside the same as a whole.
+"""A very long sensor that is cleaned in stretches, compared with the same sensor as one task.
 
 It has four files, not in the order of time, missing stretches and a gap; a time in seconds and one channel, float64. As
-a whole it is one task; cut in time, stretches of 8 388 608 rows (of a tenth of the rows 1 048 576). Every row of both
-outputs is compared, of a causal filter by its bits, of a smoother by how far apart they are beside the largest number.
-Spark has started then, and its workers have not. Memory is the most that any Python worker held (VmHWM).
+a whole it is one task; cut in time, each task has a stretch of 8 388 608 rows (1 048 576 for the shorter record). All
+rows of both outputs are compared: bitwise for a causal filter, by the largest difference relative to the largest number
+for a smoother. The times include the start of Spark's workers, but not of Spark itself. Memory is the peak of any
+Python worker (VmHWM).
 
 Run: python benchmarks/fleet_endless.py [--rows 100000000] [-o docs/fleet-endless.md]
 """
@@ -29,7 +30,7 @@ TUNED_ON = 400_000  # rows
 
 @contextmanager
 def watched() -> Iterator[list[float]]:
-    """Watch the memory of Spark's Python workers; give the most that one held so far, in MB."""
+    """Watch the memory of Spark's Python workers; yield a list with the peak of any worker so far, in MB."""
     most, done = [0.0], threading.Event()
 
     def watch() -> None:
@@ -52,13 +53,13 @@ def _held_mb(process: Path) -> float:
         if b"pyspark" not in (process / "cmdline").read_bytes():
             return 0.0
         lines = (process / "status").read_text().splitlines()
-    except OSError:  # it is gone
+    except OSError:  # the process has ended
         return 0.0
     return sum(float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 
 
 def endless_table(work: Path, rows: int) -> list[str]:
-    """Time the endless sensor, whole and cut in time, and compare every row."""
+    """Time the long sensor, as a whole and cut in time, and compare all rows."""
     lines = [
         "| rows | filter | way | seconds | M rows/s | most MB of a worker | seams |",
         "|---|---|---|---|---|---|---|",
@@ -73,10 +74,10 @@ def endless_table(work: Path, rows: int) -> list[str]:
                 with watched() as most:
                     ran = on_spark("local[2]", Places(lake, recipe, work / name), stretch=stretch, rounds=1)
                 assert ran.states == {"cleaned": 1}, ran
-                told = (
+                cells = (
                     f"{count:,} | {mode} | {name} | {ran.seconds:.1f} | {count / ran.seconds / 1e6:.2f} | {most[0]:.0f}"
                 )
-                lines.append(f"| {told} | {ran.seams or 'none'} |")
+                lines.append(f"| {cells} | {ran.seams or 'none'} |")
                 print(lines[-1], flush=True)
             found = compared(work / "whole" / "sensor=endless", work / "cut in time" / "sensor=endless")
             bits, far = f"{found.differ} numbers differ to the bit", f"{found.apart:.1e} apart at most"
@@ -87,17 +88,17 @@ def endless_table(work: Path, rows: int) -> list[str]:
 
 
 def main() -> None:
-    """Run all of it, and publish the page."""
+    """Run the benchmark, and publish the page."""
     parser = page_parser(__doc__)
     parser.add_argument("--rows", type=int, default=100_000_000)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         make_endless(work / "some", TUNED_ON)
         tuning = [sys.executable, "-m", "becalm", "tune", str(work / "some" / "sensor=endless"), "--causal", "-o"]
         subprocess.run([*tuning, str(work / "r.toml")], check=True, capture_output=True)
-        table = endless_table(work, asked.rows)
-    publish("An endless sensor on Spark", __doc__, "\n".join(table), asked.output)
+        table = endless_table(work, arguments.rows)
+    publish("An endless sensor on Spark", __doc__, "\n".join(table), arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Lakes for benchmarks of a fleet: many usual sensors, and an endless one."""
+"""Write lakes for benchmarks of a fleet: many sensors of usual length, or a very long one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def make_lake(root: Path, sensors: int) -> None:
 
 
 def make_endless(root: Path, rows: int) -> None:
-    """Write one sensor of so many rows, in four files."""
+    """Write one sensor with a number of rows, in four files."""
     rng, level, each = np.random.default_rng(1), 0.0, rows // 4
     for part in range(4):
         place = root / "sensor=endless" / f"date=2026-01-{part + 1:02d}"

@@ -1,12 +1,13 @@
-"""How soon the report on a fleet opens, and answers, in Chromium without a graphics card.
+"""How fast the report on a fleet opens and reacts, in Chromium without a graphics card.
 
-The fleet is simulated: each sensor has readings' innovations of its own, most white, some coloured, with a tone, or of
-another size than told, which becalm judges as it does those of a recording; a few are faulty, outlying or refused.
+The fleet is simulated. Each sensor has its own innovations, which becalm judges like those of a recording: most are
+white, some are coloured, have a tone, or have another variance than predicted. A few sensors are faulty, outlying or
+refused.
 
-*Opens* is the time from the start of the navigation to the page's file until the frame that shows the first rows is
-painted, each time in a browser context that has nothing cached. *Answers* is the time from a press of a filter, a
-letter in the search, or a press of a heading until the frame that shows it is painted: of all filters, of six searches,
-and of all headings both ways. Told are medians, and in brackets the longest.
+*Opens* is the time from the start of the navigation to the page's file until the frame with the first rows is painted,
+each time in a browser context with an empty cache. *Answers* is the time from a click on a filter, a change of the
+search or a click on a heading until the frame with the result is painted: for all filters, six searches, and all
+headings in both directions. Medians are given, and the longest times in brackets.
 
 Run: python benchmarks/fleet_report.py [--sensors 10000] [--repeats 7] [-o docs/fleet-report.md]
 """
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 MOST_OPENS_MS, MOST_ANSWERS_MS, MOST_BYTES = 1000.0, 100.0, 1_000_000
-"""What was asked of a page of 10 000 sensors."""
+"""Required of a page of 10 000 sensors: times in milliseconds, and bytes."""
 
 _INNOVATIONS, _ROWS, _RATE_HZ = 600, 8_640_000, 100.0
 _CLASSES = (("vibration", "m/s^2", 0.02), ("strain", "um/m", 0.8), ("load", "kN", 0.35))
@@ -64,14 +65,14 @@ _ANSWERS = f"""async () => {{
 
 
 class Timed(NamedTuple):
-    """What was measured of a page, in milliseconds."""
+    """The times of a page, in milliseconds."""
 
     opens: list[float]
     answers: dict[str, list[float]]
 
 
 def simulated(sensors: int, seed: int = 5) -> list[FleetRow]:
-    """Return the rows of a fleet of one channel a sensor, in the order of their names."""
+    """Return the rows of a fleet, with one channel per sensor, in the order of their names."""
     rng = np.random.default_rng(seed)
     return [_row(number, rng) for number in range(sensors)]
 
@@ -107,12 +108,12 @@ def _row(number: int, rng: np.random.Generator) -> FleetRow:
         rows=_ROWS - int(rng.integers(200)),
         rate_hz=_RATE_HZ,
     )
-    told = f"Its noise is {noise_std / usual_std:.2g} times that of {channel} elsewhere." if outlying else ""
-    return replace(row, outlying=told)
+    remark = f"Its noise is {noise_std / usual_std:.2g} times that of {channel} elsewhere." if outlying else ""
+    return replace(row, outlying=remark)
 
 
 def _judged(kind: float, rng: np.random.Generator) -> Judgement:
-    """Judge innovations that are white, or coloured, with a tone, or of another size than told."""
+    """Judge innovations that are white, coloured, with a tone, or of another variance than predicted."""
     innovations = rng.normal(size=_INNOVATIONS)
     if kind < 0.004:
         innovations[1:] += 0.8 * innovations[:-1]
@@ -129,7 +130,7 @@ def _faults(rng: np.random.Generator) -> tuple[Fault, ...]:
 
 
 def timed(browser: Browser, path: Path, repeats: int) -> Timed:
-    """Open a page some times, and press all that can be pressed on it."""
+    """Open a page `repeats` times, and operate all its controls."""
     opens: list[float] = []
     answers: dict[str, list[float]] = {}
     for _ in range(repeats):
@@ -146,7 +147,7 @@ def timed(browser: Browser, path: Path, repeats: int) -> Timed:
 
 
 def table(sensors: int, repeats: int) -> str:
-    """Measure, and write the rows of the table; a sentence where there is no browser."""
+    """Measure, and return the table; without a browser, return a sentence."""
     if CHROMIUM is None:
         return "There is no Chromium on this machine to open the page with.\n"
     from playwright.sync_api import sync_playwright
@@ -177,8 +178,8 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("--sensors", type=int, default=10_000, help="of the fleet")
     parser.add_argument("--repeats", type=int, default=7, help="how often it is opened")
-    asked = parser.parse_args()
-    publish("How soon a fleet's report opens", __doc__, table(asked.sensors, asked.repeats), asked.output)
+    arguments = parser.parse_args()
+    publish("How soon a fleet's report opens", __doc__, table(arguments.sensors, arguments.repeats), arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Jobs over a lake on Spark, each in processes of its own, as benchmarks run them."""
+"""Run jobs over a lake on Spark for benchmarks, each in new processes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""Around processes whose libraries are to have no threads of their own."""
+"""Environment of processes whose libraries must not start threads."""
 
 
 class Ran(NamedTuple):
-    """What a job took."""
+    """The time of a job, the number of sensors by state, and the seams of the first sensor."""
 
     seconds: float
     states: dict[str, int]
@@ -47,7 +47,7 @@ with session(master, settings, schedules=True) as spark:
 
 
 class Places(NamedTuple):
-    """What is cleaned, how, and where to."""
+    """The paths of a lake, its recipe and the output."""
 
     lake: Path
     recipe: Path
@@ -55,9 +55,9 @@ class Places(NamedTuple):
 
 
 def on_spark(master: str, places: Places, *, stretch: int = 1 << 40, core: str = "", rounds: int = 2) -> Ran:
-    """Clean a lake on Spark, in processes of its own, so often; the last time is told.
+    """Clean a lake on Spark in new processes, `rounds` times; return the last result.
 
-    All of it is pinned to a core where one is named; else each executor of a cluster has a core of its own.
+    With `core`, all processes are pinned to this core; otherwise each executor of a cluster is pinned to its own core.
     """
     words = [master, *map(str, places), str(stretch), core, str(rounds)]
     environment = os.environ | ONE_THREAD | {"PYTHONPATH": str(Path(__file__).parent)}

@@ -1,15 +1,15 @@
-"""A stream over a fleet, killed and timed: nothing is lost, nothing told twice, and what a row costs.
+"""A stream over a fleet, killed and timed: no row is lost or written twice, and the cost of a row.
 
-*Killed*: files of four sensors come into a lake, and a stream on a small cluster of Spark's (two executors in processes
-of their own) filters them into Parquet files. Meanwhile one of its processes after the other is killed (SIGKILL) at
-random moments: the Python driver, its JVM, an executor, a Python worker. What counts at the end, by the output's log,
-must be what one uninterrupted stream gives: every row once, in order, to the bit. Files that do not count are what
-killed processes left; whoever reads all files in the folder reads them too.
+*Killed*: files of four sensors arrive in a lake, and a stream on a small Spark cluster (two executors in separate
+processes) filters them into Parquet files. Meanwhile its processes are killed (SIGKILL) one after the other at random
+times: the Python driver, its JVM, an executor, a Python worker. At the end, the files that the output's log lists must
+be what one uninterrupted stream writes: every row once, in order, bitwise equal. Killed processes leave files that the
+log does not list; they do not count, but a program that reads all files in the folder reads them too.
 
-*Timed*: sensors of two channels, a row a sample or blocks of 500, in micro-batches of a million rows on two cores; the
-median of those in which the JVM was warm. Spark's two ways of handing rows to Python are compared: as `Row`, which
-becalm uses, and as pandas frames. On a local disk without Hadoop's native library each file that is written costs some
-10 ms of the JVM's, for processes that do nothing but `chmod`; with many sensors that is most of it.
+*Timed*: sensors of two channels, one sample per row or blocks of 500, in micro-batches of a million rows on two cores;
+the median of the micro-batches in which the JVM was warm. Two ways in which Spark passes rows to Python are compared:
+as `Row`, which becalm uses, and as pandas frames. On a local disk without Hadoop's native library, each written file
+costs the JVM some 10 ms for subprocesses that only run `chmod`; with many sensors this is most of the time.
 
 Run: python benchmarks/fleet_stream.py [--kills 16] [--only killed,timed] [-o docs/fleet-stream.md]
 """
@@ -33,7 +33,7 @@ FRAMES = ("100 sensors, a row a sample", "1000 sensors, a row a sample")
 
 
 def kills(count: int) -> str:
-    """Kill; return what was left as a table."""
+    """Kill processes of a stream; return a table of the result."""
     with tempfile.TemporaryDirectory() as folder:
         found = killed(Path(folder), count, lambda kind: print(f"killed: {kind}", flush=True))
     who = ", ".join(f"{kind} {times}" for kind, times in found.kills.items())
@@ -42,7 +42,7 @@ def kills(count: int) -> str:
 
 
 def costs() -> str:
-    """Time; return a table."""
+    """Time streams; return a table."""
     from becalm.fleet.session import session
 
     lines = ["in a micro-batch | handed over as | rows/s | JVM, s/million rows | Python, s/million rows"]
@@ -63,14 +63,14 @@ def costs() -> str:
 
 
 def main() -> None:
-    """Kill and time."""
+    """Run the parts of the benchmark, and publish the page."""
     parser = page_parser(__doc__)
     parser.add_argument("--kills", type=int, default=16, help="how many processes are killed")
     parser.add_argument("--only", default="killed,timed", help="parts, with commas")
-    asked = parser.parse_args()
-    parts = {"killed": lambda: kills(asked.kills), "timed": costs}
-    text = "\n".join(parts[name]() for name in asked.only.split(","))
-    publish("Streams over a fleet", __doc__, text, asked.output)
+    arguments = parser.parse_args()
+    parts = {"killed": lambda: kills(arguments.kills), "timed": costs}
+    text = "\n".join(parts[name]() for name in arguments.only.split(","))
+    publish("Streams over a fleet", __doc__, text, arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Kills the processes of a stream over a fleet one after the other, and compares what counts at the end."""
+"""Kill the processes of a stream over a fleet one after the other, and compare the rows at the end."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ RECIPE, NAMES = recipe_of(CHANNELS, RATE_HZ), tuple(names_of(CHANNELS))
 _BEGINS_S = 1.764e9
 _PAUSE_S, _LONGEST_S, _PATIENCE_S = 0.7, 3.0, 300.0
 _MOST_FILES = 5000
-_AMID_WRITING = 0.7  # so many kills wait for a file that is being written
+_AMID_WRITING = 0.7  # share of the kills that wait until a file is being written
 
 
 class Found(NamedTuple):
-    """What was left at the end."""
+    """The result at the end."""
 
     kills: dict[str, int]
     rows: int
-    orphans: int  # files that a killed process left, and that do not count
+    orphans: int  # number of files that killed processes left, and that the log does not list
     says: str
 
     @property
     def is_same(self) -> bool:
-        """Whether it is what an uninterrupted stream gives."""
+        """Return whether the output is that of an uninterrupted stream."""
         return self.says == _SAME
 
 
@@ -51,26 +51,26 @@ _SAME = "the same to the bit, every row once, in order"
 
 @dataclass
 class GrowingLake:
-    """A lake into which a file of every sensor comes, again and again."""
+    """A lake to which a file of each sensor is added again and again."""
 
     folder: Path
     files: int = 0
     _stop: threading.Event = field(default_factory=threading.Event)
 
     def __post_init__(self) -> None:
-        """Make all that will ever come."""
+        """Make the rows of all files."""
         rows = _MOST_FILES * FILE_ROWS
         self.time_s = np.round((_BEGINS_S + np.arange(rows) / RATE_HZ) * 1e6) / 1e6
         self.values = {sensor: readings(rows, CHANNELS, RATE_HZ, int(sensor)) for sensor in SENSORS}
 
     @property
     def rows(self) -> int:
-        """How many of each sensor came."""
+        """Return the number of rows of each sensor so far."""
         return self.files * FILE_ROWS
 
     @contextmanager
     def growing(self) -> Iterator[None]:
-        """Let files come."""
+        """Add files in a thread, until the block ends."""
         thread = threading.Thread(target=self._grow, daemon=True)
         thread.start()
         try:
@@ -88,29 +88,29 @@ class GrowingLake:
             self.files += 1
 
     def uninterrupted(self, sensor: str) -> Output:
-        """Return what a stream that nobody killed tells of a sensor."""
+        """Return the output of an uninterrupted stream for a sensor."""
         stream = Stream(RECIPE, 1 / RATE_HZ, resolution_of(self.time_s[:FIRST_ROWS]))
         return stream.take(Block(NAMES, (), self.time_s[: self.rows], self.values[sensor][: self.rows]))
 
 
 def killed(folder: Path, kills: int, say: Callable[[str], None] = lambda _: None, seed: int = 7) -> Found:
-    """Kill a stream's processes so often; then let it go on until all is told, and compare.
+    """Kill a stream's processes, let it finish all rows, and compare them.
 
     Parameters
     ----------
     folder : Path
-        Empty, for all of it.
+        Empty folder for all files.
     kills : int
-        How often; Python driver, its JVM, executor and Python worker by turns.
+        Number of kills: of the Python driver, its JVM, an executor and a Python worker in turn.
     say : callable
-        Is told of each kill.
+        Function that gets the kind of each killed process.
     seed : int
-        Of the dice.
+        Seed of the random numbers.
 
     Raises
     ------
     RuntimeError
-        If the stream does not go on.
+        If the stream makes no progress.
     """
     (folder / "r.toml").write_text(RECIPE.to_toml(), encoding="utf-8")
     lake, stream, dice = GrowingLake(folder / "lake"), StreamRun(folder), random.Random(seed)
@@ -120,7 +120,7 @@ def killed(folder: Path, kills: int, say: Callable[[str], None] = lambda _: None
             stream.begin()
             for _ in range(kills):
                 say(_kill(stream, dice))
-        _wait(lambda: _told_rows(stream.output) >= lake.rows * len(SENSORS), stream)
+        _wait(lambda: _written_rows(stream.output) >= lake.rows * len(SENSORS), stream)
     finally:
         stream.end()
     orphans = len(_uncounted(stream.output))
@@ -128,9 +128,9 @@ def killed(folder: Path, kills: int, say: Callable[[str], None] = lambda _: None
 
 
 def _kill(stream: StreamRun, dice: random.Random) -> str:
-    """Kill one process amid its work; begin again where the driver is gone."""
+    """Kill one process while the stream is working; return its kind."""
     before = len(committed(stream.output))
-    _wait(lambda: len(committed(stream.output)) > before, stream)  # it is at work
+    _wait(lambda: len(committed(stream.output)) > before, stream)  # the stream is working
     if dice.random() < _AMID_WRITING:
         left = _uncounted(stream.output)
         _wait(lambda: bool(_uncounted(stream.output) - left), stream)
@@ -143,12 +143,12 @@ def _kill(stream: StreamRun, dice: random.Random) -> str:
 
 
 def _uncounted(output: Path) -> set[Path]:
-    """Return the files that do not count, or not yet."""
+    """Return the files that the log does not list, or not yet."""
     return set(output.glob("kind=*/*/*.parquet")) - set(committed(output))
 
 
 def _wait(is_so: Callable[[], bool], stream: StreamRun) -> None:
-    """Wait until something is so; begin the stream again where it ended meanwhile."""
+    """Wait until a condition is true; start the stream again if it ends meanwhile."""
     until = time.monotonic() + _PATIENCE_S
     while not is_so():
         if stream.has_begun and not stream.is_running:
@@ -159,7 +159,7 @@ def _wait(is_so: Callable[[], bool], stream: StreamRun) -> None:
         time.sleep(0.01)
 
 
-def _told_rows(output: Path) -> int:
+def _written_rows(output: Path) -> int:
     return sum(pq.read_metadata(path).num_rows for path in committed(output) if "kind=readings" in path.parts)
 
 
@@ -169,8 +169,8 @@ def _compare(stream: StreamRun, lake: GrowingLake) -> str:
         if not np.array_equal(_seconds(table), expected.time_s):
             return f"NOT all rows of {sensor} once and in order: {table.num_rows} of {lake.rows}"
         for c, name in enumerate(NAMES):
-            for end, told in (("", expected.signal), ("_sigma", expected.sigma)):
-                if not np.array_equal(table[name + end].to_numpy(), told[:, c], equal_nan=True):
+            for end, values in (("", expected.signal), ("_sigma", expected.sigma)):
+                if not np.array_equal(table[name + end].to_numpy(), values[:, c], equal_nan=True):
                     return f"{name}{end} of {sensor} is NOT the same"
     return _SAME
 

@@ -1,6 +1,6 @@
-"""What the benchmark of streams over a fleet and its tests share: files of a lake, a stream in processes, what counts.
+"""Write files of a lake, run a stream over them in subprocesses, and read its output, for a benchmark and tests.
 
-Run as a program it is the stream: python benchmarks/fleet_stream_runs.py LAKE OUTPUT RECIPE MASTER EVERY_S PARTITIONS
+This program runs the stream: python benchmarks/fleet_stream_runs.py LAKE OUTPUT RECIPE MASTER EVERY_S PARTITIONS
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _SETTINGS = {"spark.task.maxFailures": "8", "spark.sql.files.openCostInBytes": "
 def write_rows(
     place: Path, time_s: Floats, channels: dict[str, Floats], stamps: pa.DataType = STAMPS, block: int = 0
 ) -> None:
-    """Write rows as a Parquet file that appears whole; with arrays of so many rows where `block` says so."""
+    """Write rows as a Parquet file that appears complete; with `block`, each of its rows has arrays of that length."""
     time = pa.array(np.round(time_s * 1e6).astype(np.int64)).cast(pa.timestamp("us")).cast(stamps)
     columns = {"time": time} | {name: pa.array(values) for name, values in channels.items()}
     if block:
@@ -45,7 +45,7 @@ def write_rows(
 
 
 def committed(output: Path) -> list[Path]:
-    """List the files that the log of a stream's output counts, in the order in which they came to count."""
+    """List the files that the log of a stream's output contains, in the order of the log."""
     folder = output / "_spark_metadata"
     logs = [path for path in folder.iterdir() if not path.name.startswith(".")] if folder.exists() else []
     found: dict[str, None] = {}
@@ -55,14 +55,14 @@ def committed(output: Path) -> list[Path]:
 
 
 def told_in(output: Path, sensor: str, kind: str = "readings") -> pa.Table:
-    """Return what a stream told of a sensor, file by file as they came to count."""
+    """Return the output of a stream for a sensor, in the order of the log."""
     folder = output / f"kind={kind}" / f"sensor={sensor}"
     tables = [pq.read_table(path, partitioning=None) for path in committed(output) if path.parent == folder]
     return pa.concat_tables(tables) if tables else pa.table({})
 
 
 class Process(NamedTuple):
-    """A process of a stream's."""
+    """A process of a stream."""
 
     pid: int
     parent: int
@@ -70,14 +70,14 @@ class Process(NamedTuple):
 
 
 def below(root: int) -> list[Process]:
-    """List the processes that began from one, and itself."""
+    """List a process and its descendants."""
     found = {process.pid: process for process in map(_process, _numbers()) if process is not None}
-    told, wanted = list[Process](), {root}
-    for process in sorted(found.values()):  # parents come first, but where numbers began anew
+    listed, wanted = list[Process](), {root}
+    for process in sorted(found.values()):  # parents come first, unless the system has wrapped its process ids
         if process.pid in wanted or process.parent in wanted:
             wanted.add(process.pid)
-            told.append(process)
-    return told
+            listed.append(process)
+    return listed
 
 
 def _numbers() -> list[int]:
@@ -86,24 +86,24 @@ def _numbers() -> list[int]:
 
 def _process(pid: int) -> Process | None:
     with contextlib.suppress(OSError, ValueError, IndexError):
-        told = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
         command = Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode("utf-8", "replace")
-        return Process(pid, int(told[1]), command)
+        return Process(pid, int(fields[1]), command)
     return None
 
 
 @dataclass
 class StreamRun:
-    """A stream in processes of its own, which are killed and begun again.
+    """A stream in subprocesses, which can be killed and started again.
 
     Attributes
     ----------
     folder : Path
-        Holds `lake`, `out`, `r.toml`.
+        Folder with `lake`, `out` and `r.toml`.
     master : str
-        Where it runs.
+        Master URL of Spark.
     every_s : float
-        How often a micro-batch begins.
+        Time between the starts of micro-batches, in seconds.
     """
 
     folder: Path
@@ -115,31 +115,31 @@ class StreamRun:
 
     @property
     def output(self) -> Path:
-        """Where it writes."""
+        """Return the folder of the output."""
         return self.folder / "out"
 
     def begin(self) -> None:
-        """Begin, or go on."""
+        """Start the stream, or resume it."""
         words = [self.folder / "lake", self.output, self.folder / "r.toml", self.master, self.every_s, 2]
-        with (self.folder / "stderr.txt").open("ab") as said:
+        with (self.folder / "stderr.txt").open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, __file__, *map(str, words)], cwd=self.folder, stdout=said, stderr=said
+                [sys.executable, __file__, *map(str, words)], cwd=self.folder, stdout=log, stderr=log
             )
 
     @property
     def has_begun(self) -> bool:
-        """Whether it was begun, and not ended."""
+        """Return whether the stream was started, and not ended by `end`."""
         return self._process is not None
 
     @property
     def is_running(self) -> bool:
-        """Whether its driver is there."""
+        """Return whether the driver is running."""
         return self._process is not None and self._process.poll() is None
 
     def kill_one(self, dice: random.Random) -> str | None:
-        """Kill one of its processes; return which kind, None where there is none yet."""
+        """Kill a process of the stream; return its kind, or None until there is a process of each kind."""
         kinds: dict[str, list[Process]] = {}
-        for process in self._look():
+        for process in self._processes():
             kinds.setdefault(_kind(process, self._process.pid if self._process else 0), []).append(process)
         there = [kind for kind in KINDS if kind in kinds]
         if len(there) < len(KINDS):
@@ -150,8 +150,8 @@ class StreamRun:
         return kind
 
     def end(self) -> None:
-        """Kill all of it that is left."""
-        for process in self._look():
+        """Kill all processes of the stream."""
+        for process in self._processes():
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process.pid, signal.SIGKILL)
         if self._process is not None:
@@ -161,11 +161,11 @@ class StreamRun:
         self._process, self._known = None, {}
 
     def said(self) -> str:
-        """Return the last that it said."""
+        """Return the end of the output of its processes."""
         return (self.folder / "stderr.txt").read_text(encoding="utf-8", errors="replace")[-4000:]
 
-    def _look(self) -> list[Process]:
-        """List its processes that are there, those among them whose parents are gone."""
+    def _processes(self) -> list[Process]:
+        """List the running processes of the stream, including those whose parents have ended."""
         roots = [*([self._process.pid] if self._process else []), *self._known]
         now = {process.pid: process for root in roots for process in below(root)}
         self._known |= now

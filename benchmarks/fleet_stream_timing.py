@@ -1,4 +1,4 @@
-"""Times streams over a fleet: a lake is written and streamed in micro-batches, and what each used is looked up."""
+"""Time streams over a fleet: write a lake, stream it in micro-batches, and read the processor time of each."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
 
 _BEGINS_S, _TICKS = 1.764e9, os.sysconf("SC_CLK_TCK")
-_BATCHES, _COLD = 6, 2  # of which so many are left out: the JVM is cold
+_BATCHES, _COLD = 6, 2  # micro-batches, and those at the start that do not count because the JVM is cold
 
 
 class Fleet(NamedTuple):
-    """What comes in each micro-batch."""
+    """The content of each micro-batch."""
 
     sensors: int
-    rows: int  # of each
-    block: int = 0  # rows in a row of arrays; 0 for a row a sample
+    rows: int  # rows of each sensor
+    block: int = 0  # samples in each row's arrays; 0 for one sample per row, without arrays
 
 
 class Cost(NamedTuple):
-    """What a million rows cost, in seconds."""
+    """The cost of a million rows, in seconds."""
 
     wall_s: float
-    jvm_s: float  # of all processors
-    python_s: float
+    jvm_s: float  # processor time
+    python_s: float  # processor time
 
 
 def timed(spark: SparkSession, folder: Path, fleet: Fleet) -> Cost:
@@ -57,9 +57,9 @@ def timed(spark: SparkSession, folder: Path, fleet: Fleet) -> Cost:
     marks, batch = [(time.monotonic(), *_used_s())], -1
     while stream.isActive:
         time.sleep(0.05)
-        told: Any = stream.lastProgress
-        if told is not None and told["batchId"] > batch and told["numInputRows"]:
-            batch = told["batchId"]
+        progress: Any = stream.lastProgress
+        if progress is not None and progress["batchId"] > batch and progress["numInputRows"]:
+            batch = progress["batchId"]
             marks.append((time.monotonic(), *_used_s()))
     query.wait(stream)
     costs = np.diff(np.array(marks), axis=0)[_COLD:] / (fleet.sensors * fleet.rows) * 1e6
@@ -68,7 +68,7 @@ def timed(spark: SparkSession, folder: Path, fleet: Fleet) -> Cost:
 
 @contextmanager
 def in_frames() -> Iterator[None]:
-    """Let Spark hand rows to Python as pandas frames meanwhile."""
+    """Make Spark pass rows to Python as pandas frames, until the block ends."""
 
     def filtered(shape: StreamSchema, blocks: DataFrame, plan: SensorPlan) -> DataFrame:
         answers = blocks.groupBy("sensor").transformWithStateInPandas(
@@ -76,7 +76,7 @@ def in_frames() -> Iterator[None]:
         )
         return answers.mapInArrow(partial(to_output_batches, shape), shape.output_ddl)
 
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])  # type: ignore[no-untyped-call]  # no worker finds it
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])  # type: ignore[no-untyped-call]  # workers cannot import it
     before, query._filtered = query._filtered, filtered
     try:
         yield
@@ -88,10 +88,10 @@ class _Frames(SensorProcessor):
     def handleInputRows(self, key: Any, rows: Iterator[Any], timerValues: Any) -> Iterator[Any]:  # noqa: N802
         import pandas as pd
 
-        told = (row for frame in rows for row in frame.itertuples(index=False))
-        answers = [row.asDict() for row in super().handleInputRows(key, told, timerValues)]
+        tuples = (row for frame in rows for row in frame.itertuples(index=False))
+        answers = [row.asDict() for row in super().handleInputRows(key, tuples, timerValues)]
         columns = [column.split()[0] for column in ANSWER.split(", ")]
-        yield pd.DataFrame(answers, columns=columns, dtype=object)  # else a column of nulls becomes one of numbers
+        yield pd.DataFrame(answers, columns=columns, dtype=object)  # pandas would turn a column of nulls into numbers
 
 
 def _write(folder: Path, fleet: Fleet) -> None:
@@ -110,13 +110,13 @@ def _used_s() -> tuple[float, float]:
     """Return the processor time that the JVM and Python's workers have used so far."""
     used = {"java": 0.0, "python": 0.0}
     for process in below(os.getpid()):
-        told = _stat(process.pid)
-        used["java" if "SparkSubmit" in process.command else "python"] += sum(map(int, told[11:13])) / _TICKS
+        fields = _stat(process.pid)
+        used["java" if "SparkSubmit" in process.command else "python"] += sum(map(int, fields[11:13])) / _TICKS
     return used["java"], used["python"]
 
 
 def _stat(pid: int) -> list[str]:
     try:
         return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-    except OSError:  # it has ended since
+    except OSError:  # the process has ended meanwhile
         return ["0"] * 20

@@ -1,10 +1,10 @@
-"""Full process and measurement covariances of several channels by maximum likelihood: errors, honesty, time.
+"""Full process and measurement covariances of several channels by maximum likelihood: errors, their estimates, time.
 
 Two states, two channels: F = [[0.9, 0], [-0.3, 0.8]], H = I, Q = [[2, -0.5], [-0.5, 1]], R = diag(3, 2),
-N = 1001, started from a known state. All six entries of Q and R are unknown, and the search starts from
-identities. Beside it, from the same records, is unweighted least squares on the readings' autocovariances.
+N = 1001, with a known initial state. All six entries of Q and R are unknown, and the search starts from
+identity matrices. For comparison, unweighted least squares on the readings' autocovariances uses the same records.
 Then the car: three channels at 500 Hz, F = [[1, T, 0], [0, 1, 0], [0, 0, 1]], G = [[T^2/2, 0], [T, 0], [0, T]],
-H = I, two variances of Q and three of R unknown, and no start known. Times are of the processor, one
+H = I; two variances of Q, three of R and the initial state are unknown. Times are processor times of one
 thread.
 
 Run: python benchmarks/full_noise.py [-o docs/full-noise.md] [--runs 500]
@@ -51,16 +51,16 @@ CAR = Model(
 
 
 class Runs(NamedTuple):
-    """Many records of one model, tuned; each row one run."""
+    """The tuned covariances of many records of one model; each row is one record."""
 
-    off: Floats  # entries found, minus the truth
-    errors: Floats  # their standard errors
-    moments: Floats  # what least squares on autocovariances found, minus the truth
-    seconds: Floats  # of the processor
+    off: Floats  # errors of the entries, estimate minus truth
+    errors: Floats  # estimated standard errors of the entries
+    moments: Floats  # errors of least squares on autocovariances
+    seconds: Floats  # processor time
 
 
 def simulate(model: Model, count: int, seed: list[int]) -> Floats:
-    """Draw readings (N, m), from rest on."""
+    """Draw readings (N, m) of a model that starts at zero."""
     rng = np.random.default_rng(seed)
     w = rng.multivariate_normal(np.zeros(len(model.Q)), model.Q, count) @ model.G.T
     v = rng.multivariate_normal(np.zeros(model.channels), model.R, count)
@@ -72,13 +72,13 @@ def simulate(model: Model, count: int, seed: list[int]) -> Floats:
 
 
 def unknowing(model: Model) -> Model:
-    """Return the same with identities for Q and R."""
+    """Return the model with identity matrices as Q and R."""
     Q, R = np.eye(len(model.Q)), np.eye(model.channels)
     return Model(F=model.F, H=model.H, Q=Q, R=R, G=model.G, x0=model.x0, P0=model.P0)
 
 
 def by_moments(model: Model, z: Floats) -> Floats:
-    """Return the entries that unweighted least squares on the readings' autocovariances gives."""
+    """Estimate the entries by unweighted least squares on the readings' autocovariances."""
     process, noise = patterns_of("Q", model.Q, "full"), patterns_of("R", model.R, "full")
     together = np.ones((model.channels, model.channels), dtype=bool)
     found = autocovariances(model, process, noise, together, np.ones(model.channels)).estimate(z)
@@ -87,7 +87,7 @@ def by_moments(model: Model, z: Floats) -> Floats:
 
 
 def entries(Q: Floats, R: Floats, full: bool) -> Floats:
-    """Return what is free of Q and R, in one row."""
+    """Return the unknown entries of Q and R, in one row."""
     parts = [matrix[np.tril_indices(len(matrix))] if full else np.diag(matrix) for matrix in (Q, R)]
     return np.concatenate(parts)
 
@@ -95,7 +95,7 @@ def entries(Q: Floats, R: Floats, full: bool) -> Floats:
 def repeat(model: Model, rows: int, runs: int, tune: Callable[[Floats], TunedModel], full: bool) -> Runs:
     """Tune many records of one model."""
     truth = entries(model.Q, model.R, full)
-    tune(simulate(model, rows, [SEED]))  # compiles
+    tune(simulate(model, rows, [SEED]))  # a run to warm up
     off, errors, moments, seconds = [], [], [], []
     for run in range(runs):
         z = simulate(model, rows, [SEED, run])
@@ -109,13 +109,13 @@ def repeat(model: Model, rows: int, runs: int, tune: Callable[[Floats], TunedMod
 
 
 def shares(runs: Runs) -> str:
-    """Return which shares of the entries lie within one and within two of their errors."""
+    """Return the shares of errors within one and within two standard errors."""
     off = np.abs(runs.off / runs.errors)
     return f"{np.mean(off < 1):.1%} | {np.mean(off < 2):.1%}"
 
 
 def plane_page(runs: int) -> list[str]:
-    """Measure the six entries of the plane."""
+    """Measure the six entries of the model with two channels."""
     found = repeat(PLANE, ROWS, runs, lambda z: tune_model(unknowing(PLANE), z, "full", "full"), full=True)
     names = ["Q[0,0]", "Q[0,1]", "Q[1,1]", "R[0,0]", "R[0,1]", "R[1,1]"]
     squares, rough, expected = ((each**2).mean(axis=0) for each in (found.off, found.moments, found.errors))
@@ -179,7 +179,7 @@ def car_page(car_runs: int) -> list[str]:
 
 
 def untold_page() -> list[str]:
-    """Show what is said where the readings do not tell."""
+    """Show what becalm says if readings do not determine an entry."""
     accelerometer = Model(F=np.array([[1, STEP_S], [0, 1]]), H=[[0, 1]], Q=np.diag([1e-3, 4e-3]), R=[[1.0]])
     slope = motion(2, 0.01).to_model(1.0, 1.0)
     silent = simulate(CAR, 3000, [SEED, 2])
@@ -200,9 +200,9 @@ def main() -> None:
     """Print the tables; with -o, write them as a page."""
     parser = page_parser(__doc__)
     parser.add_argument("--runs", type=int, default=500, help="records of two channels")
-    given = parser.parse_args()
-    text = "\n".join(plane_page(given.runs) + car_page(CAR_RUNS) + untold_page())
-    publish("Full covariances", __doc__, text, given.output)
+    arguments = parser.parse_args()
+    text = "\n".join(plane_page(arguments.runs) + car_page(CAR_RUNS) + untold_page())
+    publish("Full covariances", __doc__, text, arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,17 @@
-"""Readings of real recordings hidden in blocks, and what becalm says of them.
+"""How well becalm estimates readings of real recordings that were hidden in blocks.
 
-Every channel of every recording (its first 20 000 rows; rates of less than 1000 rows, and channels of less than ten
-values, are left out): blocks of 8, 40 and 200 readings, 5 % of the rows in all, are hidden at random places, and the
-record is cleaned smoothed, with nothing chosen. *ratio* is the rms error at the hidden readings over the better of two:
-a line across each block, and the best Butterworth forward and back over readings whose holes are filled with lines, of
-order 1, 2 or 4 and any cut-off, *which knows the hidden readings*. An error below the rounding of a converter is none.
-Bounds: never above 1.3; median at most 1.0. Rows where the estimate is NaN are counted, and left out on both sides;
-*filled* is the ratio over all hidden readings with `--fill`. The last table says how many readings each record loses
-when nothing is hidden.
+Of every channel of every recording (its first 20 000 rows; recordings of less than 1000 rows and channels with less
+than ten values are left out), blocks of 8, 40 or 200 readings, 5 % of all rows, are hidden at random places, and the
+record is smoothed without options. *ratio* is the rms error at the hidden readings relative to the better of two
+rivals: a line across each block, and the best Butterworth filter forward and back over readings whose holes are filled
+with lines; its order (1, 2 or 4) and its cut-off are chosen *with the hidden readings*. Errors below the rounding of
+the converter count as that rounding. Bounds: never above 1.3; median at most 1.0. Rows in which the estimate is NaN are
+counted, and left out for both; *filled* is the ratio over all hidden readings with `--fill`. The last table has the
+number of readings that each record loses when no reading is hidden.
 
 Run: python benchmarks/hidden_blocks.py [-o docs/hidden-blocks.md] [--jobs N] [--quick] [NAME ...]
-The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken. `--quick` takes
-the first 5000 rows. Needs `pip install 'becalm[formats]'`.
+The recordings are in ../shared/data; with names, only files whose path contains one of them are processed.
+`--quick` uses the first 5000 rows. Needs `pip install 'becalm[formats]'`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import becalm
-from becalm.classic.bridging import joined_by_lines
+from becalm.classic.bridging import interpolate_linearly
 from becalm.classic.register import CLASSICS
 from becalm.core.reading_verdicts import LOST, Verdict
 from pages import page_parser, publish
@@ -44,32 +44,32 @@ WORST = 1.3
 _SHARE = 0.05
 _LONGEST, _QUICK, _SHORTEST = 20_000, 5000, 1000
 _FEWEST_VALUES = 10
-_FEW = 0.1  # of the hidden readings are told: the best of many rivals says nothing of so few
+_FEW = 0.1  # with estimates for a smaller share of the hidden readings, no ratio is computed
 _CUTOFFS = np.geomspace(2e-4, 0.49, 40)
 _SEED = 20261103
 
 
 class Block(NamedTuple):
-    """What came of one channel with blocks of one length.
+    """The result for one channel with blocks of one length.
 
     Attributes
     ----------
     recording, channel : str
-        Which.
+        Names of the recording and the channel.
     length : int
-        Readings in a block.
+        Number of readings in a block.
     ratio : float
-        Error of becalm over that of the better rival; NaN where every estimate is NaN or where cleaning failed.
+        Error of becalm relative to that of the better rival; NaN with few estimates or after an exception.
     error : float
-        The rms error of becalm, in the channel's unit.
+        The rms error of becalm with `--fill`, in the channel's unit.
     filled : float
-        The ratio over all hidden readings, the guesses in holes among them.
+        The ratio over all hidden readings, with the estimates of `--fill`.
     rival : str
-        Which rival is the better one.
+        Name of the better rival.
     unknown : float
         Share of the hidden readings for which the estimate is NaN.
     verdict : str
-        What becalm says of its model; or the exception.
+        Verdict of becalm on its model, or the exception.
     """
 
     recording: str
@@ -84,16 +84,16 @@ class Block(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """How many readings of a channel did not enter its filter, and why.
+    """The number of readings of a channel that its filter did not use.
 
     Attributes
     ----------
     recording, channel : str
-        Which.
+        Names of the recording and the channel.
     readings : int
-        All of them.
+        Number of all readings.
     counts : dict of str to int
-        Those that were left out, by their verdict.
+        Number of unused readings, by verdict.
     """
 
     recording: str
@@ -103,14 +103,14 @@ class LeftOut(NamedTuple):
 
 
 class Channel(NamedTuple):
-    """A channel of a recording, with a time base of its own."""
+    """A channel of a recording; `data` has only this channel."""
 
     recording: str
     data: becalm.Recording
 
 
 def channels(names: Sequence[str], longest: int) -> Iterator[Channel]:
-    """Return all channels of all recordings, their first rows."""
+    """Yield the first rows of all channels of all recordings."""
     for path in files():
         if names and not any(name in str(path) for name in names):
             continue
@@ -125,7 +125,7 @@ def channels(names: Sequence[str], longest: int) -> Iterator[Channel]:
 
 
 def hidden_rows(z: Floats, length: int, rng: np.random.Generator) -> Flags:
-    """Return rows (N,) to hide: 5 % of them in blocks, none at an end, none that is missing already."""
+    """Return the rows (N,) to hide: 5 % of all in blocks, but no row at an end, and none that is missing already."""
     known, hidden = np.flatnonzero(np.isfinite(z)), np.zeros(len(z), bool)
     count = max(round(_SHARE * len(known) / length), 1)
     part = len(known) // count
@@ -136,8 +136,8 @@ def hidden_rows(z: Floats, length: int, rng: np.random.Generator) -> Flags:
 
 
 def rivals(z: Floats, hidden: Flags) -> dict[str, Floats]:
-    """Return the errors at hidden readings of z (N,), of a line and of each Butterworth."""
-    filled = joined_by_lines(np.where(hidden, np.nan, z))
+    """Return the errors of a line and of each Butterworth filter at the hidden readings of z (N,)."""
+    filled = interpolate_linearly(np.where(hidden, np.nan, z))
     off = {"line": (filled - z)[hidden]}
     for order in (1, 2, 4):
         one = CLASSICS[f"Butterworth {order} both ways"]
@@ -147,7 +147,7 @@ def rivals(z: Floats, hidden: Flags) -> dict[str, Floats]:
 
 
 def best_of(off: dict[str, Floats], rows: Flags) -> tuple[float, str]:
-    """Return the least rms error in some of the hidden rows, and whose it is."""
+    """Return the least rms error in some of the hidden rows, and the name of the rival that has it."""
     errors = {name: _rms(one, rows) for name, one in off.items()}
     best = min(errors, key=lambda name: errors[name])
     return errors[best], best
@@ -172,22 +172,22 @@ def block(channel: Channel, length: int) -> Block:
         says = f"{type(failure).__name__}: {failure}".replace("\n", " ")[:120]
         return Block(channel.recording, name, length, np.nan, np.nan, np.nan, "", 1.0, says)
     error, report = (out.signal.samples[:, 0] - z)[hidden], out.reports[0]
-    told, all_rows = np.isfinite(error), np.ones(np.count_nonzero(hidden), bool)
+    known, all_rows = np.isfinite(error), np.ones(np.count_nonzero(hidden), bool)
     rounding = float(np.diff(np.unique(z[np.isfinite(z)])).min()) / np.sqrt(12)
-    least, whose = best_of(off, told) if told.mean() > _FEW else (np.nan, "")
-    ratio = _rms(error, told) / max(least, rounding) if told.mean() > _FEW else np.nan
+    least, rival = best_of(off, known) if known.mean() > _FEW else (np.nan, "")
+    ratio = _rms(error, known) / max(least, rounding) if known.mean() > _FEW else np.nan
     least_of_all, best = best_of(off, all_rows)
     ratio_filled = _rms((filled - z)[hidden], all_rows) / max(least_of_all, rounding)
     verdict = f"{report.verdict}, order {report.order}" if report.order else report.verdict
     return Block(
-        channel.recording, name, length, ratio, _rms((filled - z)[hidden], all_rows), ratio_filled, whose or best,
-        1 - np.count_nonzero(told) / len(told), verdict,
+        channel.recording, name, length, ratio, _rms((filled - z)[hidden], all_rows), ratio_filled, rival or best,
+        1 - np.count_nonzero(known) / len(known), verdict,
     )  # fmt: skip
 
 
 def left_out(channel: Channel) -> LeftOut:
-    """Clean a channel of which nothing is hidden, and count the readings that it loses."""
-    recipe = becalm.tune(channel.data, wishes=becalm.Wishes(fill=True))  # else holes would hide why readings were lost
+    """Clean a channel without hidden readings, and count the readings that the filter does not use."""
+    recipe = becalm.tune(channel.data, wishes=becalm.Wishes(fill=True))  # else HOLE would hide why readings were lost
     counts = becalm.clean(channel.data, recipe).reports[0].verdicts
     lost = {Verdict(code).name.lower() for code in np.flatnonzero(LOST).tolist()} - {"missing"}
     readings = int(np.isfinite(channel.data.samples).sum())
@@ -196,7 +196,7 @@ def left_out(channel: Channel) -> LeftOut:
 
 
 def blocks(channel: Channel) -> tuple[list[Block], LeftOut]:
-    """Hide blocks of all lengths that the record is long enough for; count what it loses without."""
+    """Hide blocks of each length that fits into the record; also count the readings that it loses without them."""
     found = [block(channel, length) for length in LENGTHS if _SHARE * len(channel.data) >= length]
     return found, left_out(channel)
 
@@ -244,7 +244,7 @@ def _worst(one: Block) -> float:
 
 
 def _summary(of: Sequence[Block]) -> str:
-    """Return the cells of some channels: how many, their median, how many beyond, the worst, twice; failed, NaN."""
+    """Return the cells of some channels: their number; of both ratios the median, violations, worst; failures, NaN."""
     cells = [str(len(of))]
     for values in ([one.ratio for one in of], [one.filled for one in of]):
         ratios = np.array([value for value in values if np.isfinite(value)])
@@ -256,7 +256,7 @@ def _summary(of: Sequence[Block]) -> str:
 
 
 def _lost(of: Sequence[LeftOut]) -> str:
-    """Return the cells of a recording's channels: how many, their readings, and what they lose."""
+    """Return the cells of a recording's channels: their number, their readings, and the readings that they lose."""
     readings, total = sum(one.readings for one in of), Counter[str]()
     for one in of:
         total.update(one.counts)
@@ -277,18 +277,18 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="files whose path holds one of these")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--quick", action="store_true", help="only the first 5000 rows")
-    words = parser.parse_args()
-    todo = channels(words.names, _QUICK if words.quick else _LONGEST)
+    arguments = parser.parse_args()
+    todo = channels(arguments.names, _QUICK if arguments.quick else _LONGEST)
     found: list[Block] = []
     lost: list[LeftOut] = []
-    with get_context("spawn").Pool(words.jobs) as pool:
+    with get_context("spawn").Pool(arguments.jobs) as pool:
         for results, counts in pool.imap(blocks, todo):
             found += results
             lost.append(counts)
             for one in results:
                 what = f"{one.recording}, {one.channel}, {one.length}"
                 print(f"{what}: {one.ratio:.3f} filled {one.filled:.3f}", file=sys.stderr)
-    publish("Readings hidden in blocks", __doc__, page(found, lost), words.output)
+    publish("Readings hidden in blocks", __doc__, page(found, lost), arguments.output)
 
 
 if __name__ == "__main__":

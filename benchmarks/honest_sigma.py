@@ -1,15 +1,15 @@
 """Share of samples whose true value lies within one sigma, with and without the spread of the tuning.
 
-Walks of order 1 to 3 with white noise of variance 1, cleaned by `becalm.clean`, nothing chosen. 68.3 % is
-right. "conditional" takes the tuning for exact, as `kalman_filter` with a Model does; "with spread" is sigma as
-it is written. No number told from a record is right for every walk: where one at q/r = 1e-4 moves less than its
-noise hides, the search ends at its slowest filter, whose sigma is too wide; of quicker walks that happen to look as
-still, as at q/r = 1e-2, the same sigma is too narrow. The means over walks are what can be held.
+Walks of order 1 to 3 with white noise of variance 1, cleaned by `becalm.clean` without options. 68.3 % is
+right. "conditional" treats the tuning as exact, as `kalman_filter` with a Model does; "with spread" is sigma in
+the output. No estimate from a short record is right for every walk: if the noise hides the motion of a walk at
+q/r = 1e-4, the search ends at its slowest filter, whose sigma is too wide; the same sigma is too narrow for a faster
+walk, as at q/r = 1e-2, that looks equally still by chance. Only the means over walks can be right.
 
-Smoothed walks of order 1 at q/r = 1 stay low: there cross-validation takes too high an order, which is no spread
-of a ratio.
+The shares of smoothed walks of order 1 at q/r = 1 stay low, because cross-validation chooses too high an order, which
+the spread of the ratio does not include.
 
-The last column is the largest standard error of the shares in its row, from record to record.
+The last column is the largest standard error of the shares in its row, estimated from the scatter between records.
 
 Run: python benchmarks/honest_sigma.py [-o docs/honest-sigma.md]
 """
@@ -33,12 +33,12 @@ SEED = 20260205
 
 
 class Shares(NamedTuple):
-    """Of the records of one length: the share within sigma, without and with the spread, and its mean."""
+    """The shares of samples within one sigma in records of one length."""
 
-    conditional: float
-    spread: float
-    widening: float
-    error: float
+    conditional: float  # without the spread of the tuning
+    spread: float  # with the spread
+    widening: float  # mean factor of sigma
+    error: float  # larger standard error of both shares
 
 
 def shares(order: int, ratio: float, count: int, causal: bool) -> Shares:

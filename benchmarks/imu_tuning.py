@@ -1,4 +1,4 @@
-"""The IMU paper's tuning again: the least of step lag plus spectrum, on white noise of its measured variance.
+"""The IMU paper's tuning repeated: the minimum of step lag plus spectrum, on white noise of the measured variance.
 
 The paper (Kownacki 2010) tunes R and Q of a filter for an accelerometer, state [V, a], and for a gyroscope,
 state [omega, epsilon], by the cost of its equation (10); its records are not public. Here ten seconds of
@@ -46,7 +46,7 @@ def trial(sensor: Sensor, record: Floats) -> StepTrial:
 
 
 def optima() -> str:
-    """Compare the ratios of least cost with the printed ones."""
+    """Compare the ratios Q/R of least cost with those that the paper prints."""
     lines = [
         "| sensor | \\|X(f)\\| is | Q/R in the paper | Q/R here, of 10 records: median (least to most) | t_f - t_s, ms"
         " | J at the paper's ratio over the least J |",
@@ -68,7 +68,7 @@ def optima() -> str:
 
 
 def coloured() -> str:
-    """Show what harmonics do to the accelerometer's optimum."""
+    """Show the effect of harmonics on the accelerometer's optimum."""
     lines = ["| share of the variance in harmonics | Q/R of least cost |", "|---|---|"]
     for share in SHARES:
         record = white("accelerometer", 0, 1 - share) + harmonics("accelerometer", share)
@@ -78,7 +78,7 @@ def coloured() -> str:
 
 
 def valley() -> str:
-    """Show where searches over R and Q end, beside the one over Q/R."""
+    """Show where searches over R and Q end, and where the search over Q/R ends."""
     lines = ["| sensor | search | from R, Q | to R, Q | Q/R | J | filters |", "|---|---|---|---|---|---|---|"]
     for sensor, printed in PRINTED.items():
         one = replace(trial(sensor, white(sensor, 0)), initial_covariance=None)
@@ -97,7 +97,7 @@ def _valley_row(sensor: Sensor, search: str, start: str, found: StepTuning) -> s
 
 
 def page() -> str:
-    """Write all tables, and what they say."""
+    """Return the page with all tables and their discussion."""
     return f"""## The optimum
 
 J(R, Q) = int from t_s to t_f of (S - x)^2 dt + int from 0 to Fs/2 of |X(f)| df: the first for the record plus a

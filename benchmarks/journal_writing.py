@@ -1,12 +1,12 @@
-"""A live stream of six channels into the journal, beside the same bytes into a plain file.
+"""A live stream of six channels written to the journal, compared with the same bytes written to a plain file.
 
-Each block is kept in a transaction that is on the disk when it ends: time, raw, clean, sigma and verdict of
-each row, snapshot of the filters (4 kB) and position. The rival appends the same arrays, as they lie in
-memory, to a file, and calls fsync after each block; it neither packs, seals nor indexes them, and cannot be
-asked where the stream stood. Both in turns on the same disk; medians are told. What was kept is read
-again and every number compared. A core's share is that of keeping alone, at 10 kHz. Rolling is the closed
-stretch out of the database into Parquet, checked and recorded, in a thread beside the stream; its rival is
-pyarrow's own writing of the same table, which is in memory already.
+Each block is committed in a transaction that is on the disk when it ends: time, raw, clean, sigma and verdict of
+each row, a snapshot of the filters (4 kB) and the position. The rival appends the same arrays, as they are in
+memory, to a file, and calls fsync after each block; it does not compress, checksum or index them, and does not
+record the position of the stream. Both take turns on the same disk; medians are given. The journal is read again,
+and every number is compared. A core's share is the processor time of the commits alone, at 10 kHz. Rolling moves a
+closed stretch from the database to Parquet, with a check and a record, in another thread than the stream; its rival
+is pyarrow, which writes the same table from memory.
 
 Run: python benchmarks/journal_writing.py [--seconds 30] [--repeats 5] [-o docs/journal-writing.md]
 """
@@ -38,7 +38,7 @@ PARTS = ("time_s", "values", "signal", "sigma", "verdicts")
 
 
 def outputs(rows: int, block: int) -> list[Output]:
-    """Make a stream: random walks in noise, what a filter might make of them, a settled sigma."""
+    """Return the output of a stream: random walks with noise, the walks as clean values, and a constant sigma."""
     rng = np.random.default_rng(3)
     signal = np.cumsum(rng.normal(0, 0.1, (rows, CHANNELS)), axis=0)
     values, stamps = signal + rng.normal(size=signal.shape), START_S + np.arange(rows) / RATE_HZ
@@ -47,22 +47,22 @@ def outputs(rows: int, block: int) -> list[Output]:
     return [Output(c.start, stamps[c], values[c], signal[c], sigma[c], verdicts[c]) for c in cuts]
 
 
-def keep(folder: Path, stream: list[Output], options: str = "?roll=1d") -> tuple[float, float]:
-    """Keep a stream, and return the seconds it took on the clock and of a processor."""
+def commit_all(folder: Path, stream: list[Output], options: str = "?roll=1d") -> tuple[float, float]:
+    """Commit a stream to a journal; return the wall-clock and the processor time in seconds."""
     journal = Journal(Address.parsed(f"journal:{folder}{options}"))
     journal.last()
     journal.open(HEAD)
     begun, spent = time.perf_counter(), time.process_time()
     for one in stream:
         rows = one.first_row + len(one)
-        journal.keep([one], Checkpoint(rows, f'{{"row": {rows}}}', SNAPSHOT, RECIPE, "replay:drive.csv"))
+        journal.commit([one], Checkpoint(rows, f'{{"row": {rows}}}', SNAPSHOT, RECIPE, "replay:drive.csv"))
     took = time.perf_counter() - begun, time.process_time() - spent
     journal.close()
     return took
 
 
 def append(path: Path, stream: list[Output]) -> float:
-    """Append the arrays of a stream to a file, on the disk after each block, and return the seconds."""
+    """Append the arrays of a stream to a file, with fsync after each block; return the seconds."""
     begun = time.perf_counter()
     with path.open("wb") as file:
         for one in stream:
@@ -75,7 +75,7 @@ def append(path: Path, stream: list[Output]) -> float:
 
 
 def check(folder: Path, stream: list[Output]) -> None:
-    """Stop unless the journal gives every number back."""
+    """Exit with an error if a number in the journal differs from the stream."""
     with open_journal(folder) as journal:
         found = pa.concat_tables(list(journal.tables())).slice(0, stream[-1].first_row + len(stream[-1]))
     for channel, name in enumerate(HEAD.names):
@@ -86,7 +86,7 @@ def check(folder: Path, stream: list[Output]) -> None:
 
 
 def writing(seconds: int, repeats: int) -> list[str]:
-    """Measure keeping, a row of the table for each length of a block."""
+    """Measure the commits; return a table with a row for each length of a block."""
     lines = ["| block | journal, rows/s | plain file, rows/s | ratio | a core's share |", "|---|---|---|---|---|"]
     for name, block in BLOCKS.items():
         rows = seconds * RATE_HZ
@@ -94,7 +94,7 @@ def writing(seconds: int, repeats: int) -> list[str]:
         took: list[tuple[float, float, float]] = []
         for _ in range(repeats):
             with tempfile.TemporaryDirectory() as folder:
-                kept, spent = keep(Path(folder) / "journal", stream)
+                kept, spent = commit_all(Path(folder) / "journal", stream)
                 took.append((kept, spent, append(Path(folder) / "plain", stream)))
                 check(Path(folder) / "journal", stream)
         ratio = median(kept / plain for kept, _, plain in took)
@@ -105,14 +105,14 @@ def writing(seconds: int, repeats: int) -> list[str]:
 
 
 def rolling(seconds: int, repeats: int) -> str:
-    """Measure rolling, and tell it in a sentence."""
+    """Measure rolling; return a sentence with the result."""
     rows = seconds * RATE_HZ
     stream = outputs(rows, RATE_HZ)
     kept, rivals = [], []
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            keep(folder / "journal", stream)
+            commit_all(folder / "journal", stream)
             with open_journal(folder / "journal") as journal:
                 table = pa.concat_tables(list(journal.tables()))
             begun = time.perf_counter()
@@ -126,7 +126,7 @@ def rolling(seconds: int, repeats: int) -> str:
 
 
 def roll(folder: Path, last: Output) -> float:
-    """Tell a journal of the next days, so that all before rolls, and return the seconds until it is recorded."""
+    """Commit rows of a later day, so that all earlier rows are rolled; return the seconds until that is recorded."""
     journal = Journal(Address.parsed(f"journal:{folder}?roll=1d"))
     checkpoint = journal.last()
     if checkpoint is None:
@@ -135,8 +135,8 @@ def roll(folder: Path, last: Output) -> float:
     rows = checkpoint.rows + len(last)
     later = replace(last, first_row=checkpoint.rows, time_s=last.time_s + 2 * 86_400)
     begun = time.perf_counter()
-    journal.keep([later], replace(checkpoint, rows=rows))
-    settled = journal.settle(600)
+    journal.commit([later], replace(checkpoint, rows=rows))
+    settled = journal.wait_until_rolled(600)
     took = time.perf_counter() - begun
     journal.close()
     if not settled or not list(folder.glob("*/*.parquet")):
@@ -149,11 +149,15 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("--seconds", type=int, default=30, help="of the stream")
     parser.add_argument("--repeats", type=int, default=5, help="turns")
-    chosen = parser.parse_args()
-    lines = [f"{chosen.seconds} s at 10 kHz, {chosen.repeats} turns.", "", *writing(chosen.seconds, chosen.repeats)]
-    lines += ["", rolling(chosen.seconds, chosen.repeats), "", "Every number was read again as it was kept.", ""]
+    arguments = parser.parse_args()
+    lines = [
+        f"{arguments.seconds} s at 10 kHz, {arguments.repeats} turns.",
+        "",
+        *writing(arguments.seconds, arguments.repeats),
+    ]
+    lines += ["", rolling(arguments.seconds, arguments.repeats), "", "Every number was read again as it was kept.", ""]
     text = "\n".join(lines)
-    publish("Writing a journal", __doc__, text, chosen.output)
+    publish("Writing a journal", __doc__, text, arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,15 @@
-"""The filter in C, in nanoseconds a row, beside SciPy's filters over the same rows in the same run.
+"""The filter in C, in nanoseconds a row, compared with SciPy's filters over the same rows in the same run.
 
-A million readings of a walk of each order, one channel, in even time; and the same with one reading in a hundred
-missing, where the gain is never settled for long. *Filter* is what reads them all and tells signal and sigma, without
-limits and monitor; *channel* is all that a stream does; *smoother* goes there and back; *likelihood* is what tuning
-asks for. `lfilter` and `sosfiltfilt` run a Butterworth filter of the same order, and tell no sigma. The shortest of
-five runs, of one thread; ratios are of these.
+A million evenly sampled readings of a walk of each order, one channel; and the same with one reading in a hundred
+missing, so that the gain does not stay settled for long. *Filter* computes signal and sigma, without limits and
+monitor; *channel* is all that a stream does; *smoother* runs forward and back; *likelihood* is the score that tuning
+needs. `lfilter` and `sosfiltfilt` run a Butterworth filter of the same order, without sigma. Times are the shortest of
+five runs of one thread; ratios are ratios of these times.
 
-*Whole* is `becalm.clean` of such a record in memory by a recipe that becalm tuned on it: limits, outliers, filter,
-verdict on every sample, and what the report says. The recipe's motion is damped, as most are: it returns to a level of
-its own, so slowly that its gain goes on changing over the whole record, and every row takes its covariance along.
-*Undamped* is the same recipe without damping. All are times of the processor, of all threads.
+*Whole* is `becalm.clean` of such a record in memory with a recipe that becalm tuned on it: limits, outliers, filter,
+verdict on every sample, and report. The recipe's kinematic model is damped, as in most recipes: it returns to a level,
+so slowly that its gain changes over the whole record, and the covariance is computed in every row. *Undamped* is the
+same recipe without damping. All times are processor times of all threads.
 
 Run: python benchmarks/kernel.py [-o docs/kernel.md]
 """
@@ -46,8 +46,8 @@ def measured(order: int, z: Floats) -> list[float]:
     return [nanoseconds(job, ROWS) for job in jobs]
 
 
-def beside(order: int, z: Floats) -> list[float]:
-    """Return nanoseconds a row of SciPy's filters: once, and there and back."""
+def measured_scipy(order: int, z: Floats) -> list[float]:
+    """Return nanoseconds a row of SciPy's filters: forward, and forward and back."""
     b, a = butter(order, 2 * CUTOFF)
     sections = butter(order, 2 * CUTOFF, output="sos")
     jobs: list[Callable[[], object]] = [partial(lfilter, b, a, z), partial(sosfiltfilt, sections, z)]
@@ -55,7 +55,7 @@ def beside(order: int, z: Floats) -> list[float]:
 
 
 def whole(order: int, causal: bool) -> Iterator[str]:
-    """Clean a recording in memory by its recipe, damped and undamped; write a row of each."""
+    """Clean a recording in memory with its recipe, damped and undamped; yield a row for each."""
     rng = np.random.default_rng(2)
     z = 0.05 * rng.normal(size=ROWS)
     for _ in range(order):
@@ -72,14 +72,14 @@ def whole(order: int, causal: bool) -> Iterator[str]:
 
 
 def whole_table() -> str:
-    """Measure whole channels, and write the rows."""
+    """Measure whole channels, and return the table."""
     lines = ["## Whole channels", "", "| order | mode | motion | ns a row |", "|---|---|---|---|"]
     lines += [row for order in (1, 2) for causal in (True, False) for row in whole(order, causal)]
     return "\n".join([*lines, ""])
 
 
 def table() -> str:
-    """Measure, and write the rows."""
+    """Measure the parts of the filter, and return the table."""
     lines = [
         "| order | readings | filter | `lfilter` | filter / `lfilter` | channel | smoother | `sosfiltfilt`"
         " | smoother / `sosfiltfilt` | likelihood |",
@@ -88,11 +88,11 @@ def table() -> str:
     rng = np.random.default_rng(1)
     for order in EVERY_ORDER:
         z = np.cumsum(0.1 * rng.normal(size=ROWS)) + rng.normal(size=ROWS)
-        once, twice = beside(order, z)
+        once, twice = measured_scipy(order, z)
         for what, share in (("all came", 0.0), ("1 in 100 missing", MISSING)):
             read = np.where(rng.random(ROWS) < share, np.nan, z)
-            alone, channel, smoother, likelihood = measured(order, read)
-            figures = (alone, once, alone / once, channel, smoother, twice, smoother / twice, likelihood)
+            own, channel, smoother, likelihood = measured(order, read)
+            figures = (own, once, own / once, channel, smoother, twice, smoother / twice, likelihood)
             lines.append(f"| {order} | {what} | " + " | ".join(f"{figure:.3g}" for figure in figures) + " |")
     return "\n".join([*lines, ""])
 

@@ -1,9 +1,9 @@
-"""`becalm clean` with a recipe on a large Parquet file, beside reading and writing it with pyarrow.
+"""`becalm clean` with a recipe on a large Parquet file, compared with reading and writing the file with pyarrow.
 
-A time column and six channels of random walks in white noise, float64, snappy. Whole processes, wall
-clock, in turns; medians are told, and the most memory that any run held. pyarrow reads the whole table
-and writes it again as it is; becalm also writes a column of uncertainties for each channel. Every output
-must have all rows; of a small file every number is compared with what `becalm.clean` finds.
+A time column and six channels of random walks in white noise, float64, snappy. Wall-clock times of whole
+processes, which take turns; medians are given, and the peak memory of any run. pyarrow reads the whole table
+and writes it unchanged; becalm also writes a column of uncertainties for each channel. Every output
+must have all rows; for a small file, every number is compared with the result of `becalm.clean`.
 
 Run: python benchmarks/large_files.py [--rows 10000000] [--repeats 7] [-o docs/large-files.md]
 """
@@ -27,7 +27,7 @@ from pages import page_parser, publish
 
 CHANNELS, BLOCK = 6, 1 << 20
 SMALL, EQUAL = 20_000, 1e-10
-"""Rows of the file whose numbers are compared, and how near they must be to each column's largest."""
+"""Rows of the file whose numbers are compared, and the largest difference relative to a column's largest number."""
 
 MODES: dict[str, list[str]] = {"causal": ["--causal"], "smoothed": []}
 NOT_DESCRIBED = 4
@@ -35,11 +35,11 @@ COPY = "import sys, pyarrow.parquet as pq; pq.write_table(pq.read_table(sys.argv
 
 
 class Ran(NamedTuple):
-    """What one process took."""
+    """The cost of one process."""
 
     seconds: float
-    megabytes: float
-    described: bool  # by its model, every channel
+    megabytes: float  # peak memory
+    described: bool  # whether the model describes its channel for all channels
 
 
 def make(path: Path, rows: int) -> None:
@@ -72,22 +72,22 @@ def run(words: list[str]) -> Ran:
 
 
 def tune(source: Path, mode: str) -> list[str]:
-    """Tune a recipe, and return the words that clean a file with it; the output is `mode`.parquet beside it."""
+    """Tune a recipe; return the arguments that clean the file with it, to `mode`.parquet in the same folder."""
     recipe, output = str(source.with_name(f"{mode}.toml")), str(source.with_name(f"{mode}.parquet"))
     run(["-m", "becalm", "tune", str(source), "-o", recipe, *MODES[mode]])
     return ["-m", "becalm", "clean", str(source), "-o", output, "--recipe", recipe]
 
 
 def check_rows(path: Path, rows: int) -> None:
-    """Stop unless a file has so many rows."""
+    """Exit with an error if a file does not have this number of rows."""
     found = pq.read_metadata(path).num_rows
     if found != rows:
         raise SystemExit(f"{path.name} has {found} rows; the input has {rows}.")
 
 
 def compare() -> str:
-    """Clean a small file, compare every number with `becalm.clean`, and tell the largest difference."""
-    import becalm  # once all is measured: a child starts with the memory that this process holds
+    """Clean a small file, compare every number with `becalm.clean`, and return a sentence on the largest difference."""
+    import becalm  # after all measurements: a subprocess starts with the memory of this process
 
     worst = 0.0
     with tempfile.TemporaryDirectory() as name:
@@ -97,20 +97,20 @@ def compare() -> str:
             run(tune(source, mode))
             output = source.with_name(f"{mode}.parquet")
             check_rows(output, SMALL)
-            told = pq.read_table(output)
+            written = pq.read_table(output)
             expected = becalm.clean(becalm.read(source), becalm.Recipe.load(source.with_name(f"{mode}.toml")))
             for i in range(CHANNELS):
                 for column, record in ((f"channel_{i}", expected.signal), (f"channel_{i}_sigma", expected.sigma)):
                     numbers = record.samples[:, i]
-                    difference = np.abs(told[column].to_numpy() - numbers).max() / np.abs(numbers).max()
-                    if not difference <= EQUAL:  # NaN is no agreement
+                    difference = np.abs(written[column].to_numpy() - numbers).max() / np.abs(numbers).max()
+                    if not difference <= EQUAL:  # NaN must fail too
                         raise SystemExit(f"{mode}, {column}: differs from becalm.clean by {difference:.0e}.")
                     worst = max(worst, float(difference))
     return f"Of {SMALL:,} rows every number is that of `becalm.clean`; the largest difference is {worst:.0e}.\n"
 
 
 def table(rows: int, repeats: int) -> str:
-    """Measure, and write the rows of the table."""
+    """Measure, and return the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         source = folder / "in.parquet"
@@ -148,9 +148,9 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("--rows", type=int, nargs="+", default=[10_000_000], help="how long; several may be given")
     parser.add_argument("--repeats", type=int, default=7, help="turns")
-    chosen = parser.parse_args()
-    text = "\n".join(table(rows, chosen.repeats) for rows in chosen.rows)
-    publish("Large files", __doc__, f"{text}\n{compare()}", chosen.output)
+    arguments = parser.parse_args()
+    text = "\n".join(table(rows, arguments.repeats) for rows in arguments.rows)
+    publish("Large files", __doc__, f"{text}\n{compare()}", arguments.output)
 
 
 if __name__ == "__main__":

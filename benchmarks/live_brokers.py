@@ -1,4 +1,4 @@
-"""Real brokers on loopback that tests and benchmarks start, kill and start again on the same port and store."""
+"""Run real brokers on loopback, which tests and benchmarks can kill and restart on the same port and store."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEADLINE_S = 30.0
 
 
 class Broker:
-    """A server's process; used by `with`, which ends it."""
+    """The process of a broker, a context manager that starts and ends it."""
 
     def __init__(self, command: list[str], port: int, folder: Path) -> None:
         self.command = command
@@ -27,7 +27,7 @@ class Broker:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        """Start it, and wait until it answers."""
+        """Start the broker, and wait until it accepts connections."""
         with (self.folder / "broker.log").open("ab") as log:
             self._process = subprocess.Popen(self.command, stdout=log, stderr=subprocess.STDOUT, cwd=self.folder)
         end = time.monotonic() + DEADLINE_S
@@ -43,11 +43,11 @@ class Broker:
         raise RuntimeError(f"{self.command[0]} did not start: {(self.folder / 'broker.log').read_text()[-2000:]}")
 
     def kill(self) -> None:
-        """Kill it as a power cut would: nothing is written any more."""
+        """Kill the broker with SIGKILL, so that it writes no more data."""
         self._end(signal.SIGKILL)
 
     def send(self, what: signal.Signals) -> None:
-        """Send its process a signal: SIGSTOP makes it stand still, SIGCONT go on."""
+        """Send a signal to the process: SIGSTOP halts it, SIGCONT continues it."""
         assert self._process is not None
         self._process.send_signal(what)
 
@@ -58,12 +58,12 @@ class Broker:
             self._process = None
 
     def __enter__(self) -> Self:
-        """Start it."""
+        """Start the broker."""
         self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it, as a person would."""
+        """End the broker with SIGTERM."""
         self._end(signal.SIGTERM)
 
 
@@ -74,25 +74,25 @@ def mosquitto(
     certificate: Path | None = None,
     more: Sequence[str] = (),
 ) -> Broker:
-    """Make a mosquitto whose settings are those of its package, but for the port, the store and who may enter.
+    """Return a mosquitto with the default settings of its package, except for port, store and access.
 
     Parameters
     ----------
     folder : Path
-        Where its settings and its store are.
+        Folder of its settings and its store.
     passwords : dict of str to str, optional
-        Who may enter; everybody where not told.
+        Passwords of the users; without it, everybody may connect.
     certificate : Path, optional
-        A folder that `certified` filled: TLS alone is spoken.
+        Folder from `certified`: the broker then accepts only TLS.
     more : sequence of str
-        Lines of its settings.
+        Further lines of the settings.
     """
     program = _program("mosquitto")
     port = free_port()
     folder.mkdir(parents=True, exist_ok=True)
     lines = ["persistence true", f"persistence_location {folder}/", f"listener {port} 127.0.0.1", *more]
     if os.geteuid() == 0:
-        lines.insert(0, "user root")  # it gives up root else, and cannot write its store
+        lines.insert(0, "user root")  # otherwise it drops the rights of root, and cannot write its store
     if certificate is not None:
         lines += [f"{what} {certificate / name}" for what, name in (("certfile", "cert.pem"), ("keyfile", "key.pem"))]
     lines.append(f"allow_anonymous {'true' if passwords is None else 'false'}")
@@ -108,7 +108,7 @@ def mosquitto(
 
 
 def nats_server(folder: Path, *more: str) -> Broker:
-    """Make a NATS server with JetStream in `folder`; `more` goes behind its command."""
+    """Return a NATS server with JetStream in `folder`; `more` are further arguments."""
     port = free_port()
     folder.mkdir(parents=True, exist_ok=True)
     command = [_program("nats-server"), "-a", "127.0.0.1", "-p", str(port), "-js", "-sd", str(folder / "store"), *more]
@@ -116,7 +116,7 @@ def nats_server(folder: Path, *more: str) -> Broker:
 
 
 def nats_as_mqtt(folder: Path) -> Broker:
-    """Make a NATS server whose port speaks MQTT; what is published is in a store on disk."""
+    """Return a NATS server whose port accepts MQTT; it stores messages on disk."""
     server = nats_server(folder)
     settings = folder / "nats.conf"
     settings.write_text(f'server_name: pump\nmqtt {{ listen: "127.0.0.1:{free_port()}" }}\n')
@@ -125,7 +125,7 @@ def nats_as_mqtt(folder: Path) -> Broker:
 
 
 def certified(folder: Path) -> Path:
-    """Fill a folder with cert.pem and key.pem, signed by themselves, for localhost and 127.0.0.1."""
+    """Write cert.pem and key.pem, self-signed for localhost and 127.0.0.1, to a folder; return the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     key, cert = folder / "key.pem", folder / "cert.pem"
     asked = ["-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost"]
@@ -136,8 +136,8 @@ def certified(folder: Path) -> Path:
 
 
 def _program(name: str) -> str:
-    beside = Path(sys.executable).with_name(name)  # where pip puts nats-server
-    found = str(beside) if beside.exists() else program_path(name)
+    installed = Path(sys.executable).with_name(name)  # pip puts nats-server there
+    found = str(installed) if installed.exists() else program_path(name)
     if found is None:
         raise FileNotFoundError(f"{name} is not installed here")
     return found

@@ -1,11 +1,11 @@
-"""Killed: a stream is killed 200 times at random moments, and nothing is lost, nothing told twice.
+"""A stream is killed 200 times at random moments; no row may be lost or written twice.
 
-*File to journal*: a recording of three channels at 1 kHz is replayed at its own pace into a journal, and becalm is
-killed (SIGKILL) up to some seconds after each start. *JetStream to journal*: a sender publishes the same rows, ten a
-message, through a real NATS server; becalm or the server is killed, by the toss of a coin. *File to PostgreSQL*:
-becalm or a real server, with all its children, is killed. In each case what was kept at the end must be what one
-uninterrupted stream gives, to the bit. *MQTT to journal*: a real mosquitto, set as its package sets it, is killed;
-what it acknowledged and lost is not there any more, but every row must be kept or counted as missing.
+*File to journal*: a recording of three channels at 1 kHz is replayed in real time into a journal, and becalm is
+killed (SIGKILL) up to three seconds after each start. *JetStream to journal*: a sender publishes the same rows, ten per
+message, through a real NATS server; becalm or the server is killed at random. *File to PostgreSQL*: becalm or a real
+server, with all its child processes, is killed. In each case the rows at the end must be bitwise those of one
+uninterrupted stream. *MQTT to journal*: a real mosquitto with the default settings of its package is killed; rows that
+it acknowledged and lost cannot be recovered, but every row must be written or counted as missing.
 
 Run: python benchmarks/live_kills.py [--kills 200] [--only file,jetstream,postgres,mosquitto] [-o docs/live-kills.md]
 """
@@ -40,7 +40,7 @@ _ENOUGH_ROWS = 1 << 20
 
 
 class Found(NamedTuple):
-    """What was left at the end."""
+    """The result at the end."""
 
     rows: int
     says: str
@@ -49,15 +49,15 @@ class Found(NamedTuple):
 
 @dataclass
 class Killing:
-    """Kills becalm, or what it speaks to, again and again."""
+    """Kills becalm, or the server that it is connected to, again and again."""
 
     folder: Path
     words: list[str]
     kills: int
-    restart: Callable[[], None] | None = None  # kills the server and starts it again
+    restart: Callable[[], None] | None = None  # function that kills the server and starts it again
 
     def run(self, last_words: list[str], is_done: Callable[[], bool]) -> str:
-        """Kill so often; then let the stream go on with `last_words` until all is done. Return who was killed."""
+        """Kill processes, then run the stream with `last_words` until `is_done`; return the counts of kills."""
         dice, servers = random.Random(7), 0
         live = LiveProcess(self.folder, self.words)
         for _ in range(self.kills):
@@ -80,7 +80,7 @@ class Killing:
 
 
 def recording(folder: Path, rows: int) -> tuple[Path, Floats, Floats]:
-    """Write a recording; return where, its stamps and its readings."""
+    """Write a recording; return its path, its stamps and its readings."""
     stamps, values = np.arange(rows) / RATE_HZ, readings(rows, CHANNELS, RATE_HZ)
     path = folder / "recording.parquet"
     columns = {"time": stamps} | {name: values[:, number] for number, name in enumerate(NAMES)}
@@ -92,15 +92,15 @@ def recording(folder: Path, rows: int) -> tuple[Path, Floats, Floats]:
 
 
 def uninterrupted(stamps: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Return signal and sigma of a stream that nobody killed."""
+    """Return signal and sigma of an uninterrupted stream."""
     elapsed = np.ones(len(stamps))
     elapsed[0] = 0.0
-    told = Stream(RECIPE, 1 / RATE_HZ).take(Block(NAMES, ("m/s^2",) * CHANNELS, stamps, values, "", elapsed))
-    return told.signal, told.sigma
+    output = Stream(RECIPE, 1 / RATE_HZ).take(Block(NAMES, ("m/s^2",) * CHANNELS, stamps, values, "", elapsed))
+    return output.signal, output.sigma
 
 
 def compare(table: pa.Table, stamps: Floats, values: Floats) -> str:
-    """Say whether a table holds what an uninterrupted stream tells, row by row and to the bit."""
+    """Return a sentence on whether a table is bitwise the output of an uninterrupted stream, row by row."""
     rows = table["row"].to_numpy()
     if not np.array_equal(rows, np.arange(len(stamps))):
         return f"NOT all rows once: {len(rows)} of {len(stamps)}, {len(np.unique(rows))} different"
@@ -113,7 +113,7 @@ def compare(table: pa.Table, stamps: Floats, values: Floats) -> str:
 
 
 def kept(journal: Path) -> pa.Table:
-    """Return all that a journal holds."""
+    """Return all rows of a journal."""
     with open_journal(journal) as reader:
         return pa.concat_tables([*reader.tables()], promote_options="default")
 
@@ -143,8 +143,8 @@ def into_postgres(folder: Path, kills: int) -> Found:
         killing = Killing(folder, [f"replay:{path}?speed=1", *words], kills, restart)
         who = killing.run([f"replay:{path}", *words], lambda: False)
         columns = ["row", *NAMES, *(f"{name}_sigma" for name in NAMES)]
-        told = server.asked(f"SELECT {', '.join(columns)} FROM kept ORDER BY row")
-        table = pa.table(dict(zip(columns, map(list, zip(*told, strict=True)), strict=True)))
+        rows = server.asked(f"SELECT {', '.join(columns)} FROM kept ORDER BY row")
+        table = pa.table(dict(zip(columns, map(list, zip(*rows, strict=True)), strict=True)))
         return Found(len(stamps), compare(table, stamps, values), who)
 
 
@@ -190,7 +190,7 @@ def through_mosquitto(folder: Path, kills: int) -> Found:
                 time.sleep(dice.uniform(0, 1.0))
                 broker.kill()
                 broker.start()
-            time.sleep(35.0)  # the longest back-off, and a little: only a row that comes tells of those before it
+            time.sleep(35.0)  # longer than the longest back-off: lost rows are noticed only when a later row arrives
             sender.finish()
             until = time.monotonic() + 35.0
             while accounted(folder / "kept")[0] < sender.rows and time.monotonic() < until:
@@ -202,9 +202,9 @@ def through_mosquitto(folder: Path, kills: int) -> Found:
 
 
 def accounted(journal: Path) -> tuple[int, int, int]:
-    """Return up to which row a journal accounts for all, and how many of them are kept, and missing.
+    """Return the number of the row after the last accounted one, the number of rows, and the number of missing rows.
 
-    It begins with the first row that came: those before were sent to nobody, as becalm had not subscribed yet.
+    The count starts with the first row in the journal, because becalm had not subscribed when earlier rows were sent.
     """
     with open_journal(journal) as reader:
         missing = sum(loss.rows or 0 for loss in reader.losses() if loss.kind == "missing")
@@ -214,13 +214,13 @@ def accounted(journal: Path) -> tuple[int, int, int]:
 
 
 def rows_for(kills: int) -> int:
-    """Return more rows than are replayed while so many lives last."""
+    """Return a number of rows that is larger than the number replayed until the last kill."""
     return round(kills * _LONGEST_LIFE_S * RATE_HZ * 0.6) + 20_000
 
 
 @contextmanager
 def sending(run: Callable[[], None], stop: Callable[[], None]) -> Iterator[None]:
-    """Run a sender beside."""
+    """Run a sender in a thread until the block ends."""
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
     try:
@@ -243,15 +243,15 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("--kills", type=int, default=200, help="how often each is killed")
     parser.add_argument("--only", default=",".join(CASES), help="cases, with commas")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     lines = ["stream | kills of becalm + of the server | rows | what was kept", "---|--:|--:|---"]
-    for name in asked.only.split(","):
+    for name in arguments.only.split(","):
         title, case = CASES[name]
         with tempfile.TemporaryDirectory() as folder:
-            found = case(Path(folder), asked.kills)
+            found = case(Path(folder), arguments.kills)
         lines.append(f"{title} | {found.kills} | {found.rows} | {found.says}")
         print(lines[-1], flush=True)
-    publish("Killed streams", __doc__, "\n".join(lines) + "\n", asked.output)
+    publish("Killed streams", __doc__, "\n".join(lines) + "\n", arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`becalm live --page` in a process of its own, for the benchmarks and tests that look at its page."""
+"""Run `becalm live --page` in a subprocess, for the benchmarks and tests of its page."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from page_processes import PageProcess
 
 
 class LiveApp(PageProcess):
-    """`becalm live` with its page.
+    """A subprocess that runs `becalm live` with its page.
 
     Parameters
     ----------
     folder : Path
-        Where journal, log and token are.
+        Folder of the journal, the log and the token.
     source : str
-        As on the command line.
+        Source, as on the command line.
     words : str
-        More of it.
+        Further arguments of the command line.
     served : bool
-        Whether there is a page at all.
+        Whether to serve the page.
     """
 
     def __init__(self, folder: Path, source: str, *words: str, served: bool = True) -> None:
@@ -29,14 +29,14 @@ class LiveApp(PageProcess):
         self._start(0)
 
     def _start(self, port: int) -> None:
-        told = ["--log", str(self.folder / "live.log"), "--status", str(self.folder / "status.json")]
+        files = ["--log", str(self.folder / "live.log"), "--status", str(self.folder / "status.json")]
         page = ["--page", str(port), "--token-file", str(self.folder / "token")] if self._served else []
-        self._run(["live", self.source, *self.words, *told, *page], self.folder, served=self._served)
+        self._run(["live", self.source, *self.words, *files, *page], self.folder, served=self._served)
 
 
 @contextmanager
 def shown_live(folder: Path, source: str, *words: str, served: bool = True) -> Iterator[LiveApp]:
-    """Show a stream until the block ends."""
+    """Run a stream with its page until the block ends."""
     app = LiveApp(folder, source, *words, served=served)
     try:
         yield app

@@ -1,4 +1,4 @@
-"""A real PostgreSQL on loopback that tests and benchmarks start, kill and start again."""
+"""Run a real PostgreSQL server on loopback, which tests and benchmarks can kill and restart."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _SETTINGS = {
     "max_connections": "20",
     "shared_buffers": "32MB",
     "lc_messages": "C",
-    "fsync": "off",  # what a killed process wrote stays with the system; only a power cut takes it
+    "fsync": "off",  # after a kill the system still has all written data; only a power cut would lose them
 }
 
 
 class PostgresServer:
-    """One server with one user, one password and one data folder; it lives through kills.
+    """A server with one user, one password and one data folder, which outlives kills.
 
     Parameters
     ----------
     folder : Path
-        Whose it is; the folder must be reachable for the user who runs the server, as those of `postgres_folder` are.
+        Folder of its files; the user who runs the server must be able to enter it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -66,10 +66,10 @@ class PostgresServer:
         assert made.returncode == 0, made.stderr
 
     def start(self, **settings: str) -> None:
-        """Start it, with settings that it keeps, and wait until it answers on its port."""
+        """Start the server and wait until it answers; the settings also apply to later starts."""
         self._settings |= settings
-        said = {**self._settings, "port": str(self.port), "unix_socket_directories": str(self.data)}
-        words = [word for name, value in said.items() for word in ("-c", f"{name}={value}")]
+        all_settings = {**self._settings, "port": str(self.port), "unix_socket_directories": str(self.data)}
+        words = [word for name, value in all_settings.items() for word in ("-c", f"{name}={value}")]
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(
                 [_program("postgres"), "-D", self.data, "-c", "listen_addresses=127.0.0.1", *words],
@@ -82,7 +82,7 @@ class PostgresServer:
         self._wait()
 
     def kill(self) -> None:
-        """Kill it and all its children at once."""
+        """Kill the server and all its child processes at once."""
         if self._process is not None:
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
@@ -90,14 +90,14 @@ class PostgresServer:
             self._process = None
 
     def stop(self) -> None:
-        """Stop it in its own way, and quickly."""
+        """Stop the server with SIGQUIT."""
         if self._process is not None:
             self._process.send_signal(signal.SIGQUIT)
             self._process.wait()
             self._process = None
 
     def connect(self) -> Any:
-        """Return a connection of a person who looks."""
+        """Return a connection to the server."""
         import psycopg
 
         return psycopg.connect(
@@ -105,12 +105,12 @@ class PostgresServer:
         )
 
     def do(self, statements: str) -> None:
-        """Let a person do something."""
+        """Execute SQL statements."""
         with self.connect() as connection:
             connection.execute(statements)
 
     def asked(self, query: str) -> list[tuple[Any, ...]]:
-        """Return what a query tells."""
+        """Return the rows of a query."""
         with self.connect() as connection:
             answer: list[tuple[Any, ...]] = connection.execute(query).fetchall()
         return answer
@@ -130,7 +130,7 @@ class PostgresServer:
 
 @contextmanager
 def postgres_server(**settings: str) -> Iterator[PostgresServer]:
-    """Run a server in a folder of its own, which pytest's own would not let another user reach."""
+    """Run a server in a temporary folder; other users could not enter pytest's folders."""
     with tempfile.TemporaryDirectory(prefix="becalm-postgres-", ignore_cleanup_errors=True) as name:
         server = PostgresServer(Path(name))
         try:

@@ -1,4 +1,4 @@
-"""What the benchmarks of streams share: a stream in a process of its own, what it uses and says, a sender, a recipe."""
+"""Run a stream or a sender in a subprocess, and make readings and recipes, for the benchmarks of streams."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def names_of(channels: int) -> list[str]:
 
 
 def recipe_of(channels: int, rate_hz: float) -> Recipe:
-    """Return a recipe as tuning finds it for accelerometers: motion of order 2, a gate, limits."""
+    """Return a recipe like those tuned for accelerometers: kinematic models of order 2, a gate, limits."""
     one = ChannelRecipe(
         name="c",
         unit="m/s^2",
@@ -51,7 +51,7 @@ def recipe_of(channels: int, rate_hz: float) -> Recipe:
 
 
 def readings(rows: int, channels: int, rate_hz: float, seed: int = 0) -> Floats:
-    """Return readings as accelerometers on a car give them: some slow motion, a vibration, white noise."""
+    """Return readings like those of accelerometers on a car: slow motion, a vibration and white noise."""
     rng, t = np.random.default_rng(seed), np.arange(rows) / rate_hz
     phases = rng.uniform(0, 2 * np.pi, channels)
     motion = np.sin(2 * np.pi * 0.7 * t[:, None] + phases) + 0.3 * np.sin(2 * np.pi * 11.0 * t[:, None] + 2 * phases)
@@ -59,7 +59,7 @@ def readings(rows: int, channels: int, rate_hz: float, seed: int = 0) -> Floats:
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    """Return a port of loopback that nobody listens on."""
+    """Return a port of loopback that no program listens at."""
     with socket.socket(type=kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -67,14 +67,14 @@ def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
 
 @dataclass
 class LiveProcess:
-    """A `becalm live` in a process of its own.
+    """A subprocess that runs `becalm live`.
 
     Attributes
     ----------
     folder : Path
-        Where it runs, and leaves its log.
+        Working folder, which also gets the log.
     words : list of str
-        The command's arguments.
+        Arguments of the command.
     """
 
     folder: Path
@@ -83,30 +83,30 @@ class LiveProcess:
     process: subprocess.Popen[bytes] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin."""
+        """Start the subprocess."""
         status, log = self.folder / "status.json", self.folder / "becalm.log"
         more = ["--status", str(status), "--log", str(log)]
         command = [sys.executable, "-m", "becalm", "live", *self.words, *more]
-        with (self.folder / "stderr.txt").open("ab") as said:
-            self.process = subprocess.Popen(command, cwd=self.folder, stdout=self.output, stderr=said)
+        with (self.folder / "stderr.txt").open("ab") as errors:
+            self.process = subprocess.Popen(command, cwd=self.folder, stdout=self.output, stderr=errors)
 
     @property
     def cpu_s(self) -> float:
-        """Processor time that it has used."""
-        told = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-        return (int(told[11]) + int(told[12])) / _TICKS
+        """Return the processor time that the subprocess has used, in seconds."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / _TICKS
 
     @property
     def status(self) -> dict[str, Any]:
-        """What it last said of itself; {} before it said anything."""
+        """Return the last status that the stream has written; {} before the first one."""
         try:
-            told: dict[str, Any] = json.loads((self.folder / "status.json").read_text(encoding="utf-8"))
+            status: dict[str, Any] = json.loads((self.folder / "status.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return {}
-        return told
+        return status
 
     def wait_for(self, state: str) -> None:
-        """Wait until it says that it is in a state."""
+        """Wait until the status has this state."""
         until = time.monotonic() + _LONGEST_WAIT_S
         while self.status.get("state") != state:
             if self.process.poll() is not None or time.monotonic() > until:
@@ -114,16 +114,16 @@ class LiveProcess:
             time.sleep(0.05)
 
     def said(self) -> str:
-        """Return what it said on stderr."""
+        """Return its error output."""
         return (self.folder / "stderr.txt").read_text(encoding="utf-8")
 
     def kill(self) -> None:
-        """Kill it as a power cut would."""
+        """Kill the subprocess with SIGKILL."""
         self.process.kill()
         self.process.wait()
 
     def stop(self) -> int:
-        """Ask it to stop; return its exit code."""
+        """Stop the subprocess with SIGTERM; return its exit code."""
         with contextlib.suppress(ProcessLookupError):
             self.process.send_signal(signal.SIGTERM)
         return self.process.wait(_LONGEST_WAIT_S)
@@ -131,7 +131,7 @@ class LiveProcess:
 
 @dataclass(frozen=True)
 class Sending:
-    """What a sender sends: rows in datagrams, evenly."""
+    """The rows that a sender sends in datagrams, at an even rate."""
 
     port: int
     channels: int
@@ -141,7 +141,7 @@ class Sending:
 
 
 def send(sending: Sending) -> None:
-    """Send rows over loopback as an instrument would, each datagram when its last row is taken."""
+    """Send rows over loopback like an instrument: each datagram at the time of its last row."""
     per = max(1, round(sending.datagram_s * sending.rate_hz))
     count = round(sending.seconds * sending.rate_hz / per)
     values = readings(per * 100, sending.channels, sending.rate_hz)
@@ -163,7 +163,7 @@ def send(sending: Sending) -> None:
 
 @contextlib.contextmanager
 def sender(sending: Sending) -> Iterator[subprocess.Popen[bytes]]:
-    """Send from a process of its own."""
+    """Send rows from a subprocess until the block ends."""
     words = [str(value) for value in vars(sending).values()]
     process = subprocess.Popen([sys.executable, __file__, *words])
     try:
@@ -174,15 +174,15 @@ def sender(sending: Sending) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def stolen_share(before: tuple[int, int], after: tuple[int, int]) -> float:
-    """Return which share of the processors' time the machine's owner took between two looks."""
+    """Return the share of processor time that the host of the virtual machine took between two calls."""
     total = after[1] - before[1]
     return (after[0] - before[0]) / total if total else 0.0
 
 
 def processor_time() -> tuple[int, int]:
-    """Return the time that was stolen, and all time, in ticks."""
-    told = [int(word) for word in Path("/proc/stat").read_text(encoding="ascii").splitlines()[0].split()[1:9]]
-    return told[7], sum(told)
+    """Return the stolen and the total processor time, in ticks."""
+    ticks = [int(word) for word in Path("/proc/stat").read_text(encoding="ascii").splitlines()[0].split()[1:9]]
+    return ticks[7], sum(ticks)
 
 
 if __name__ == "__main__":

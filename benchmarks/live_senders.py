@@ -1,4 +1,4 @@
-"""Senders of the benchmark that kills: rows in numbered messages, sent again until a broker has acknowledged them."""
+"""Send rows in numbered messages for `live_kills.py`, each again until the broker has acknowledged it."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _PATIENCE_S = 2.0
 
 
 class Sender:
-    """Sends rows, a message at a time.
+    """Sends rows, one message at a time.
 
     Parameters
     ----------
     port : int
-        The broker's.
+        Port of the broker.
     names : sequence of str
-        The channels.
+        Names of the channels.
     stamps, values : (N,), (N, m) float arrays
-        What to send.
+        Rows to send.
     message_rows : int
-        Rows of a message.
+        Number of rows in a message.
     """
 
     def __init__(self, port: int, names: Sequence[str], stamps: Floats, values: Floats, message_rows: int) -> None:
@@ -38,14 +38,14 @@ class Sender:
         self._message_rows, self._encoder = message_rows, Encoder("arrow", dict.fromkeys(names, "m/s^2"))
         self._stop, self._ended = threading.Event(), threading.Event()
         self.rows = 0
-        """Rows that the broker has acknowledged."""
+        """Number of rows that the broker has acknowledged."""
 
     def stop(self) -> None:
-        """Send no more."""
+        """Stop to send."""
         self._stop.set()
 
     def finish(self) -> bool:
-        """Send no more, and wait until what was sent is acknowledged."""
+        """Stop to send, and wait until all messages are acknowledged; return whether that took less than 60 s."""
         self._stop.set()
         return self._ended.wait(60.0)
 
@@ -57,10 +57,10 @@ class Sender:
 
 
 class JetStreamSender(Sender):
-    """Publishes to a stream `drive` that it makes; a message that is sent again has the same id."""
+    """Creates a stream `drive` and publishes to it; a message that is sent again has the same id."""
 
     def run(self) -> None:
-        """Send until told to stop."""
+        """Send until `stop` or `finish` is called."""
         asyncio.run(self._run())
         self._ended.set()
 
@@ -93,7 +93,7 @@ class MqttSender(Sender):
     """Publishes to the topic `drive`, with QoS 1."""
 
     def run(self) -> None:
-        """Send until told to stop."""
+        """Send until `stop` or `finish` is called."""
         from paho.mqtt.client import Client
         from paho.mqtt.enums import CallbackAPIVersion
 

@@ -1,10 +1,11 @@
-"""Sinks of a stream, beside the plainest way of writing the same rows to the same place.
+"""Sinks of a stream, compared with the simplest way of writing the same rows to the same place.
 
-Six channels, 10,000 rows at a time, as they come in a second at 10 kHz; filters of 20 kB and a position go with
-each. *parquet*: beside pyarrow writing the same tables into one file. *delta*: beside deltalake appending them.
-*postgres*: beside psycopg sending bytes that were made before to an equal table, which is what the server itself
-takes; a real server on this machine that syncs to its disk. In turns, the shortest time of each; every row must be
-there at the end. Of parquet the last file is made whole within the time; its clean copy is synced to the disk as well.
+Six channels, 10,000 rows at a time, which is one second at 10 kHz; each commit includes filters of 20 kB and a
+position. *parquet*: pyarrow writes the same tables into one file. *delta*: deltalake appends the same tables.
+*postgres*: psycopg sends bytes that are prepared in advance to an equal table, so that only the server's time counts; a
+real server on this machine syncs to its disk. Both ways take turns, and the shortest time of each counts; every row
+must exist at the end. The time of parquet includes the completion of the last file; its clean copy is also synced to
+the disk.
 
 Run: python benchmarks/live_sinks.py [--rows 500000] [--repeats 3] [-o docs/live-sinks.md]
 """
@@ -28,7 +29,7 @@ from becalm.live.protocols import CheckpointSink
 from becalm.live.sinks.delta import DeltaSink
 from becalm.live.sinks.parquet import ParquetSink
 from becalm.live.sinks.postgres import PostgresSink
-from becalm.live.sinks.postgres_rows import BEGINS, ENDS, BinaryRows
+from becalm.live.sinks.postgres_rows import COPY_HEADER, COPY_TRAILER, BinaryRows
 from becalm.live.tables import output_table
 from live_postgres import PASSWORD, USER, PostgresServer, postgres_server
 from live_programs import program_path
@@ -40,14 +41,14 @@ SNAPSHOT = bytes(20_000)
 
 
 class Way(NamedTuple):
-    """One way of writing: done with a folder and outputs, and then the number of rows that are found."""
+    """A way of writing outputs to a folder, and a function that counts the rows there."""
 
     write: Callable[[Path, list[Output]], None]
     count: Callable[[Path], int]
 
 
 def made(rows: int) -> list[Output]:
-    """Return the outputs of a stream: random walks in white noise, stamped from 1970 on."""
+    """Return the outputs of a stream: random walks in white noise, with stamps in seconds since 1970."""
     rng, outputs = np.random.default_rng(3), []
     for first in range(0, rows, BLOCK):
         count = min(BLOCK, rows - first)
@@ -65,14 +66,14 @@ def made(rows: int) -> list[Output]:
     return outputs
 
 
-def kept(keeper: CheckpointSink, outputs: list[Output]) -> None:
-    """Keep outputs one by one, as a stream does."""
-    keeper.last()
-    keeper.open(HEAD)
+def commit_all(sink: CheckpointSink, outputs: list[Output]) -> None:
+    """Commit outputs one by one, as a stream does."""
+    sink.last()
+    sink.open(HEAD)
     for output in outputs:
         rows = output.first_row + len(output)
-        keeper.keep([output], Checkpoint(rows, f'{{"row": {rows}}}', SNAPSHOT, HEAD.recipe, "replay:made.parquet"))
-    keeper.close()
+        sink.commit([output], Checkpoint(rows, f'{{"row": {rows}}}', SNAPSHOT, HEAD.recipe, "replay:made.parquet"))
+    sink.close()
 
 
 def by_parquet_sink(folder: Path, outputs: list[Output]) -> None:
@@ -116,20 +117,20 @@ def in_delta(folder: Path) -> int:
 
 
 def postgres_ways(server: PostgresServer) -> tuple[Way, Way]:
-    """Return how rows go to a server, by the sink and by bare COPY."""
+    """Return two ways of writing rows to a server: the sink and plain COPY."""
     address = f"postgres://{USER}@127.0.0.1:{server.port}/postgres?table="
 
     def by_sink(_: Path, outputs: list[Output]) -> None:
         forget("kept", "kept_checkpoint", "kept_losses")
-        kept(PostgresSink(Address.parsed(f"{address}kept")), outputs)
+        commit_all(PostgresSink(Address.parsed(f"{address}kept")), outputs)
 
     def by_copy(_: Path, outputs: list[Output]) -> None:
         forget("plain")
         binary = BinaryRows(CHANNELS)
-        prepared = [b"".join([BEGINS, *map(bytes, binary.of(output)), ENDS]) for output in outputs]
+        prepared = [b"".join([COPY_HEADER, *map(bytes, binary.encode(output)), COPY_TRAILER]) for output in outputs]
         with server.connect() as connection:
             connection.execute("CREATE TABLE plain (LIKE kept INCLUDING ALL)")
-            columns = connection.execute("SELECT * FROM plain").description[:-1]  # the last one the server makes
+            columns = connection.execute("SELECT * FROM plain").description[:-1]  # the server generates the last one
             names = ", ".join(f'"{column.name}"' for column in columns)
             started[0] = time.perf_counter()
             for piece in prepared:
@@ -148,11 +149,11 @@ def postgres_ways(server: PostgresServer) -> tuple[Way, Way]:
 
 
 started = [0.0]
-"""When the clock was started; a way may start it anew after what does not count."""
+"""Start of the measured time; a way of writing sets it again after its preparations."""
 
 
 def seconds(way: Way, outputs: list[Output]) -> float:
-    """Write once, look whether all is there, and return the time it took."""
+    """Write all outputs once, check that all rows exist, and return the time in seconds."""
     with tempfile.TemporaryDirectory(prefix="becalm-sinks-") as folder:
         started[0] = time.perf_counter()
         way.write(Path(folder), outputs)
@@ -165,8 +166,8 @@ def seconds(way: Way, outputs: list[Output]) -> float:
 
 @contextmanager
 def rivals() -> Iterator[list[tuple[str, Way, str, Way]]]:
-    """Give each sink beside its rival."""
-    delta = Way(lambda folder, outputs: kept(DeltaSink(Address.parsed(f"delta:{folder}")), outputs), in_delta)
+    """Yield each sink with its rival."""
+    delta = Way(lambda folder, outputs: commit_all(DeltaSink(Address.parsed(f"delta:{folder}")), outputs), in_delta)
     listed = [
         ("parquet", Way(by_parquet_sink, in_files), "pyarrow", Way(by_pyarrow, in_files)),
         ("delta", delta, "deltalake, rows only", Way(by_deltalake, in_delta)),
@@ -197,10 +198,10 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("--rows", type=int, default=500_000)
     parser.add_argument("--repeats", type=int, default=3)
-    asked = parser.parse_args()
-    text = table(asked.rows, asked.repeats)
-    said = f"\n{asked.rows:,} rows of {CHANNELS} channels: {4 * CHANNELS + 2} columns, raw and clean.\n"
-    publish("How fast streams are kept", __doc__, text + said, asked.output)
+    arguments = parser.parse_args()
+    text = table(arguments.rows, arguments.repeats)
+    size = f"\n{arguments.rows:,} rows of {CHANNELS} channels: {4 * CHANNELS + 2} columns, raw and clean.\n"
+    publish("How fast streams are kept", __doc__, text + size, arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""A soak at full speed: 1e8 samples through `becalm live`, from a file into a journal, held against the file's way.
+"""A soak test: 1e8 samples go through `becalm live` at full speed, and are compared with a causal clean.
 
-A recording of six channels at 10 kHz is replayed as fast as it goes through the filters of `live_runs.recipe_of`
-(motion of order 2, gate, limits) into a journal on disk. What the journal then holds is compared, row by row, with
-what `clean --causal`'s way makes of the same readings in chunks: the signals must agree to 1e-12, every row be there
-once, every number be finite. Memory must stay flat: what the process holds is asked twice a second, and the greatest
-is told of each quarter. *Filters alone* is the same without file and journal.
+A recording of six channels at 10 kHz is replayed from a file as fast as possible through the filters of
+`live_runs.recipe_of` (kinematic model of order 2, gate, limits) into a journal on disk. The rows of the journal are
+compared with the output of `clean --causal` for the same readings in chunks: the signals must agree to 1e-12, every row
+must exist once, and every number must be finite. Memory must stay constant: it is read twice a second, and the largest
+value in each quarter of the time is given. *Filters alone* is the same without file and journal.
 
 Run: python benchmarks/live_soak.py [--samples 1e8] [-o docs/live-soak.md]
 """
@@ -33,15 +33,15 @@ RECIPE, NAMES = recipe_of(CHANNELS, RATE_HZ), tuple(names_of(CHANNELS))
 
 
 class Found(NamedTuple):
-    """What was found of a journal."""
+    """The comparison of a journal with a causal clean."""
 
     rows: int
-    apart: float
-    finite: bool
+    apart: float  # largest difference of two signals, in m/s^2
+    finite: bool  # whether all numbers are finite
 
 
 def blocks_of(count: int) -> Iterator[tuple[Floats, Floats]]:
-    """Make stamps and readings, a block at a time."""
+    """Yield stamps and readings of `count` blocks."""
     some = readings(ROWS * 4, CHANNELS, RATE_HZ)
     for number in range(count):
         stamps = (number * ROWS + np.arange(ROWS)) / RATE_HZ
@@ -49,7 +49,7 @@ def blocks_of(count: int) -> Iterator[tuple[Floats, Floats]]:
 
 
 def write_recording(path: Path, count: int) -> None:
-    """Write them to a file."""
+    """Write `count` blocks to a file."""
     fields = [pa.field("time", pa.float64(), metadata={"unit": "s"})]
     fields += [pa.field(name, pa.float64(), metadata={"unit": "m/s^2"}) for name in NAMES]
     with pq.ParquetWriter(path, pa.schema(fields), compression="none", use_dictionary=False) as writer:
@@ -69,22 +69,22 @@ def filters_alone(count: int) -> float:
 
 
 def replay(folder: Path) -> tuple[float, list[float]]:
-    """Replay the recording into a journal; return how long that took, and the memory meanwhile in MB."""
+    """Replay the recording into a journal; return the time in seconds, and the memory during that time in MB."""
     (folder / "r.toml").write_text(RECIPE.to_toml(), encoding="utf-8")
     words = ["replay:recording.parquet?rows=16384", "--recipe", "r.toml", "--sink", "journal:kept"]
     begun, memory = time.perf_counter(), []
     live = LiveProcess(folder, words)
     while live.process.poll() is None:
         time.sleep(0.5)
-        if told := live.status.get("memory_bytes"):
-            memory.append(told / 1e6)
+        if held_bytes := live.status.get("memory_bytes"):
+            memory.append(held_bytes / 1e6)
     if live.process.returncode:
         raise SystemExit(f"The stream ended with {live.process.returncode}: {live.said()}")
     return time.perf_counter() - begun, memory
 
 
 def compare(journal: Path, count: int) -> Found:
-    """Hold a journal against the file's way."""
+    """Compare a journal with a causal clean of the same readings."""
     row, apart, finite, rest = 0, 0.0, True, None
     with open_journal(journal) as reader, Cleaner(RECIPE, 1 / RATE_HZ) as cleaner:
         tables = reader.tables()
@@ -99,10 +99,10 @@ def compare(journal: Path, count: int) -> Found:
             if not np.array_equal(kept["row"].to_numpy(), np.arange(row, row + ROWS)):
                 raise SystemExit(f"The rows from {row} on are not there once each.")
             row += ROWS
-            for name, told in zip(NAMES, filed, strict=True):
-                live, known = kept[name].to_numpy(), np.isfinite(told.signal)
+            for name, expected in zip(NAMES, filed, strict=True):
+                live, known = kept[name].to_numpy(), np.isfinite(expected.signal)
                 finite = finite and bool(np.isfinite(live[known]).all())
-                apart = max(apart, float(np.abs(live[known] - told.signal[known]).max()))
+                apart = max(apart, float(np.abs(live[known] - expected.signal[known]).max()))
     return Found(row, apart, finite)
 
 
@@ -110,8 +110,8 @@ def main() -> None:
     """Run the soak."""
     parser = page_parser(__doc__)
     parser.add_argument("--samples", type=float, default=1e8, help="rows times channels")
-    asked = parser.parse_args()
-    count = max(4, round(asked.samples / CHANNELS / ROWS))
+    arguments = parser.parse_args()
+    count = max(4, round(arguments.samples / CHANNELS / ROWS))
     samples = count * ROWS * CHANNELS
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -128,7 +128,7 @@ def main() -> None:
     lines += [f"farthest from the file's way, m/s^2 | {found.apart:.2g}"]
     lines += [f"all finite | {'yes' if found.finite else 'NO'}"]
     lines += [f"filters alone, samples a second | {samples / alone_s:.3g}"]
-    publish("A soak of a live stream", __doc__, "\n".join(lines) + "\n", asked.output)
+    publish("A soak of a live stream", __doc__, "\n".join(lines) + "\n", arguments.output)
 
 
 if __name__ == "__main__":

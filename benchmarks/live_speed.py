@@ -1,14 +1,15 @@
-"""What a live stream costs, and how late it tells: over UDP on loopback, through filters, into the journal.
+"""What a live stream costs, and its latency: over UDP on loopback, through filters, into the journal.
 
-A sender in a process of its own sends Arrow messages at even times; `becalm live` filters each channel (motion of order
-2, gate, limits) and keeps rows, filters and position once a second in a journal on disk. *CPU* is the processor time of
-becalm's process, all its threads, in percent of one core while the stream runs; *lost* counts rows by sequence numbers,
-and rows sent that were never told. Latency is from the arrival of a message's last byte to the moment when its rows
-were with every sink but the journal (a pipe, where `stdout:` is named); of rows that were read together, the last
-message counts, of blocks that waited and were joined the first. Datagrams are left in the kernel's buffer for `gather`,
-and then all are read: 50 ms unless it is said, where only the journal takes rows, which it does once a second; else
-each is read at once. *Stolen* is the share of the processors that the machine's owner took meanwhile: a case is run
-again, up to `--tries` times, while that is over 2 %, and the quietest run is told.
+A sender in another process sends Arrow messages at even times; `becalm live` filters each channel (kinematic model of
+order 2, gate, limits) and commits rows, filters and position once a second to a journal on disk. *CPU* is the processor
+time of becalm's process, all threads, in percent of one core while the stream runs; *lost* counts rows that the
+sequence numbers show as lost, and rows that were sent and never written. Latency is the time from the arrival of a
+message's last byte until every sink except the journal has its rows (a pipe, for `stdout:`); for messages that are read
+together the last one counts, for blocks that waited and were joined the first one. Datagrams stay in the kernel's
+buffer for the time `gather`, and are then read together: for 50 ms by default if the journal is the only sink, because
+it gets rows once a second; otherwise each datagram is read at once. *Stolen* is the share of processor time that the
+host of the virtual machine took meanwhile: while it exceeds 2 %, a case is run again, up to `--tries` times, and the
+run with the least stolen time is shown.
 
 Run: python benchmarks/live_speed.py [--tries 3] [--seconds 12] [-o docs/live-speed.md]
 """
@@ -29,7 +30,7 @@ _CLIMB = (20_000, 40_000, 80_000, 160_000, 320_000, 640_000)
 
 
 class Case(NamedTuple):
-    """A stream."""
+    """The settings of a stream and its sender."""
 
     name: str
     channels: int
@@ -52,10 +53,10 @@ CASES = (
 
 
 class Found(NamedTuple):
-    """What a run showed."""
+    """The result of a run."""
 
-    cpu: float  # cores
-    lost: int
+    cpu: float  # processor time, in cores
+    lost: int  # number of rows
     p50_ms: float
     p99_ms: float
     stolen: float
@@ -84,7 +85,7 @@ def _watched(live: LiveProcess, sending: Sending) -> Found:
     live.wait_for("running")
     time.sleep(1.0)
     with sender(sending) as sent:
-        time.sleep(3.0)  # of which one went by before the first datagram
+        time.sleep(3.0)  # the first datagram is sent after about one second
         begun_s, cpu_s, owner = time.monotonic(), live.cpu_s, processor_time()
         time.sleep(sending.seconds - 4)
         cpu = (live.cpu_s - cpu_s) / (time.monotonic() - begun_s)
@@ -99,7 +100,7 @@ def _watched(live: LiveProcess, sending: Sending) -> Found:
 
 
 def quietest(case: Case, seconds: float, tries: int) -> tuple[Found, int]:
-    """Run a case until little is stolen; return the run from which least was, and how many there were."""
+    """Run a case until little time is stolen; return the run with the least stolen time, and the number of runs."""
     found: list[Found] = []
     while len(found) < tries and not (found and found[-1].stolen <= _QUIET):
         found.append(run(case, seconds))
@@ -107,16 +108,16 @@ def quietest(case: Case, seconds: float, tries: int) -> tuple[Found, int]:
 
 
 def climb(seconds: float) -> tuple[int, Found]:
-    """Return the highest rate of 6 channels at which no row is lost, and how that run was."""
-    held: tuple[int, Found] | None = None
+    """Return the highest rate of 6 channels at which no row is lost, and the result of that run."""
+    highest: tuple[int, Found] | None = None
     for rate_hz in _CLIMB:
         found = run(Case("climb", 6, rate_hz, 0.002 if rate_hz <= 160_000 else 0.001, "20ms"), seconds)
         if found.lost:
             break
-        held = rate_hz, found
-    if held is None:
+        highest = rate_hz, found
+    if highest is None:
         raise SystemExit("Not even the lowest rate was held.")
-    return held
+    return highest
 
 
 def main() -> None:
@@ -125,24 +126,24 @@ def main() -> None:
     parser.add_argument("--tries", type=int, default=3, help="runs of a case on a machine that is not quiet")
     parser.add_argument("--seconds", type=float, default=12.0, help="how long each run lasts")
     parser.add_argument("--only", default="", help="cases whose name holds this")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     lines = [
         "stream | CPU, % of a core | rows lost | p50, ms | p99, ms | runs | stolen, %",
         "---|--:|--:|--:|--:|--:|--:",
     ]
-    for case in (case for case in CASES if asked.only in case.name):
-        found, runs = quietest(case, asked.seconds, asked.tries)
+    for case in (case for case in CASES if arguments.only in case.name):
+        found, runs = quietest(case, arguments.seconds, arguments.tries)
         times = f"{found.p50_ms:.2f} | {found.p99_ms:.2f}"
         lines.append(
             f"{case.name} | {100 * found.cpu:.1f} | {found.lost} | {times} | {runs} | {100 * found.stolen:.1f}"
         )
         print(lines[-1], flush=True)
-    if not asked.only:
-        rate_hz, found = climb(asked.seconds)
+    if not arguments.only:
+        rate_hz, found = climb(arguments.seconds)
         most = " (the most that was tried)" if rate_hz == _CLIMB[-1] else ""
         lines += ["", f"Highest rate of 6 channels at which no row was lost: {rate_hz} rows a second{most}, with"]
         lines += [f"{found.cpu:.2f} cores; p50 {found.p50_ms:.2f} ms, p99 {found.p99_ms:.2f} ms."]
-    publish("Speed of a live stream", __doc__, "\n".join(lines) + "\n", asked.output)
+    publish("Speed of a live stream", __doc__, "\n".join(lines) + "\n", arguments.output)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""becalm in a process of its own that serves a page, for the benchmarks and tests that look at it."""
+"""Run becalm in a subprocess that serves a page, for the benchmarks and tests of pages."""
 
 from __future__ import annotations
 
@@ -13,47 +13,47 @@ from pathlib import Path
 
 
 class PageProcess(ABC):
-    """A process that prints the address of its page; `url` is empty until it has."""
+    """A subprocess that serves a page; `url` is the address that it printed, "" until then."""
 
     url = ""
 
     @abstractmethod
     def _start(self, port: int) -> None:
-        """Start it on a port; 0 is any that is free."""
+        """Start the subprocess with its page at a port; 0 means any free port."""
 
     def _run(self, words: Sequence[str], folder: Path | None = None, *, served: bool = True) -> None:
-        """Run becalm in a folder, until its page is served if there is one."""
+        """Start becalm in a folder; with `served`, wait until it has printed the address of its page."""
         command, environment = (
             [sys.executable, "-m", "becalm", *words],
             {**os.environ, "COLUMNS": "1000", "NO_COLOR": "1"},
         )
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment, cwd=folder)
         assert self.process.stderr is not None
-        said = ""
+        output = ""
         while served:
             line = self.process.stderr.readline()
-            said += line
+            output += line
             if found := re.search(r"http://\S+", line):
                 self.url = found[0]
                 return
-            assert line, f"no address was printed: {said}"
+            assert line, f"no address was printed: {output}"
 
     @property
     def base(self) -> str:
-        """Its address, without the token."""
+        """Return the address of the page, without the token."""
         return self.url.partition("/?")[0]
 
     def kill(self) -> None:
-        """End it as a machine does that loses its power."""
+        """Kill the subprocess with SIGKILL."""
         self.process.kill()
         self._ended()
 
     def start_again(self) -> None:
-        """Start it on the same port."""
+        """Start the subprocess again, with its page at the same port."""
         self._start(int(self.base.rpartition(":")[2]))
 
     def stop(self) -> None:
-        """End it as Ctrl-C does, unless it has ended."""
+        """Stop the subprocess with SIGINT, as Ctrl-C does, unless it has ended."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         self._ended()

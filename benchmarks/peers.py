@@ -1,19 +1,19 @@
-"""becalm's filters beside copying, scipy and other Kalman libraries: nanoseconds a sample.
+"""becalm's filters compared with copying, SciPy and other Kalman libraries, in nanoseconds a sample.
 
 float64, one thread, all in one process. The rivals of a job take turns; medians of seven turns are
-told, of wall-clock and of CPU time: where they differ, the machine had other work. N counts the
-time steps of one call, those of all records of a batch; slow libraries get fewer. The ratio is that of
-wall times, rival over becalm: above 1, becalm is the faster one. In the rows on growth it is to the
-smallest. "differs" is the largest difference to what becalm found, over the largest value; more
-than 1e-6 would not be the same job. Models have x0 and P0, and a library that returns states returns
+given, of wall-clock and of CPU time: if they differ, the machine had other work. N is the number of
+time steps of one call, in all records of a batch; slow libraries get fewer. The ratio is that of
+wall-clock times, rival over becalm: above 1, becalm is faster. In the rows on growth, it is the ratio to the
+smallest record. "differs" is the largest difference from becalm's results, relative to the largest value; with
+more than 1e-6 a rival would not do the same job. Models have x0 and P0, and a library that returns states returns
 all of them, from the first reading on. statsmodels and dynamax get their readings in units of the
-noise and statsmodels a smaller tolerance; as they come, both are wrong on the gyroscope's small numbers.
+noise, and statsmodels a smaller tolerance; with their defaults, both are wrong on the gyroscope's small numbers.
 
-What is "asked" was set before the work, from prototypes elsewhere, whose memory was quicker beside
-its processor. Where it is not reached, look at the rows of copying first: into fresh arrays, copying alone
-is not five times as fast as `lfilter` here, and arrays filled side by side cost more than one after the other.
+The requirements ("asked") were set before the work, from prototypes on a machine whose memory was faster relative to
+its processor. If one is not reached, look at the rows of copying first: on this machine copying into new arrays
+is less than five times as fast as `lfilter`, and filling arrays in parallel costs more than one after the other.
 
-What else was measured is listed in [Measured](measured.md).
+Further measurements are listed in [Measured](measured.md).
 
 Run: pip install 'becalm[bench]', then python benchmarks/peers.py [-o docs/benchmarks.md]
 """
@@ -37,26 +37,26 @@ ONE_THREAD = {
     "JAX_PLATFORMS": "cpu",
 }
 LIBRARIES = ("becalm", "numpy", "scipy")
-"""What becalm itself stands on; the peers' versions come after them."""
+"""Libraries that becalm uses; their versions are shown before those of the rivals."""
 
 
 def use_one_thread() -> None:
-    """Start again with one thread, unless it is so: libraries look when they are loaded."""
+    """Restart this program with one thread per library, unless it has that environment already."""
     if any(os.environ.get(name) != value for name, value in ONE_THREAD.items()):
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **ONE_THREAD})
 
 
 def processor() -> str:
-    """Tell the processor's model."""
-    facts = Path("/proc/cpuinfo")
-    lines = facts.read_text(encoding="utf-8").splitlines() if facts.exists() else []
+    """Return the model of the processor."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return models[0] if models else platform.machine()
 
 
 def table(jobs: Sequence[str], quick: bool, long: bool) -> tuple[str, bool]:
     """Measure; return the table and whether all rivals agree with becalm."""
-    from peers_adapters import BATCH_PEERS, PEERS, installed  # loads numpy: after use_one_thread
+    from peers_adapters import BATCH_PEERS, PEERS, installed  # imports numpy: after use_one_thread
     from peers_jobs import FULL, JOBS, QUICK
 
     scale = QUICK if quick else FULL
@@ -95,10 +95,10 @@ def main() -> None:
     parser.add_argument("jobs", nargs="*", help="names of jobs (gyroscope, strain, car, ...); all by default")
     parser.add_argument("--quick", action="store_true", help="small sizes: see that all runs and agrees, time nothing")
     parser.add_argument("--long", action="store_true", help="grow to 1e8 samples (5 GB)")
-    chosen = parser.parse_args()
+    arguments = parser.parse_args()
     use_one_thread()
-    text, agree = table(chosen.jobs, chosen.quick, chosen.long)
-    publish("becalm beside others", __doc__, text, chosen.output)
+    text, agree = table(arguments.jobs, arguments.quick, arguments.long)
+    publish("becalm beside others", __doc__, text, arguments.output)
     if not agree:
         raise SystemExit("A rival's results are not becalm's: see the last column.")
 

@@ -1,8 +1,8 @@
-"""Other Kalman libraries, each called so that it gives what becalm gives.
+"""Call other Kalman libraries so that they compute the same results as becalm.
 
-x0 and P0 are of the first reading, before it is seen. A library that predicts before every reading
-gets the state before that, stepped back by `before`. Each is called as its documentation says, with
-what is not needed left out where it can be; one that compiles does so before it is timed.
+x0 and P0 are the prior of the first reading. A library that predicts before every reading gets the state one step
+earlier, from `before`. Each library is called as its documentation says, without results that are not needed. A library
+that compiles does so before it is timed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from becalm import Model
 Floats = NDArray[np.float64]
 
 SETTLED = 1e-28
-"""Change of P, squared, in units of the noise, below which statsmodels may keep its gain and still agree to 1e-6."""
+"""Tolerance of statsmodels, the squared change of P in units of the noise, at which its results agree to 1e-6."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,15 @@ class Peer:
     Attributes
     ----------
     package : str
-        Its name on PyPI.
+        Name of the library on PyPI.
     count : int
-        Samples to time it on: fewer where it is slow.
+        Largest number of samples to time; it is smaller for slow libraries.
     means : callable
-        Filters z (N, m) by a model; returns the states (N, n).
+        Function that filters z (N, m) with a model, and returns the states (N, n).
     label : str
-        Its name in the table; that of the package by default.
+        Name in the table; by default that of the package.
     needs : str
-        Another package that this way of calling it needs.
+        Another package that `means` needs.
     """
 
     package: str
@@ -51,13 +51,13 @@ class Peer:
 
     @property
     def name(self) -> str:
-        """Its name in the table."""
+        """Return the name in the table."""
         return self.label or self.package
 
 
 @cache
 def installed(package: str) -> str:
-    """Return the version of a package, "" if it is absent."""
+    """Return the version of a package; "" if it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -72,7 +72,7 @@ def start(model: Model) -> tuple[Floats, Floats]:
 
 
 def before(model: Model) -> tuple[Floats, Floats]:
-    """Step x0 and P0 back, so that one prediction gives them."""
+    """Return the mean and covariance one step earlier, from which one prediction gives x0 and P0."""
     x0, P0 = start(model)
     back = np.linalg.inv(model.F)
     return back @ x0, back @ (P0 - model.process_covariance) @ back.T
@@ -81,9 +81,8 @@ def before(model: Model) -> tuple[Floats, Floats]:
 def in_noise_units(model: Model, z: Floats) -> tuple[Model, Floats, float]:
     """Return model and readings in units of the first channel's noise, and that unit.
 
-    Two libraries hold absolute numbers against variances, whatever their unit: statsmodels takes a
-    gain as settled once P changes by less than 1e-19, squared (SETTLED here), and dynamax adds
-    1e-9 to S.
+    Two libraries have absolute constants, whatever the unit of the readings: statsmodels treats a gain as settled if
+    the squared change of P is less than 1e-19 (here SETTLED), and dynamax adds 1e-9 to S.
     """
     unit = float(np.sqrt(model.R[0, 0]))
     x0, P0 = start(model)
@@ -92,7 +91,7 @@ def in_noise_units(model: Model, z: Floats) -> tuple[Model, Floats, float]:
 
 
 def statsmodels_filter(model: Model, z: Floats, keep: Sequence[str] = ()) -> Any:
-    """Set up its compiled filter, to store only what `keep` says."""
+    """Return a compiled filter of statsmodels that stores only the results in `keep`."""
     module = import_module("statsmodels.tsa.statespace.kalman_filter")
     conserve = module.MEMORY_CONSERVE
     for name in keep:
@@ -121,21 +120,21 @@ def statsmodels_means(model: Model, z: Floats) -> Floats:
 
 
 def statsmodels_log_likelihood(model: Model, z: Floats) -> float:
-    """Score with statsmodels, storing nothing; the change of unit is taken back."""
+    """Return the log-likelihood by statsmodels in the original unit; the filter stores no results."""
     scaled, numbers, unit = in_noise_units(model, z)
     return float(statsmodels_filter(scaled, numbers).loglike()) - z.size * float(np.log(unit))
 
 
 @cache
 def dynamax() -> Any:
-    """Load it with 64-bit numbers, which JAX wants to be told first."""
+    """Import dynamax with 64-bit numbers, which JAX needs as a setting before."""
     import_module("jax").config.update("jax_enable_x64", True)
     return import_module("dynamax.linear_gaussian_ssm.inference")
 
 
 @cache
 def dynamax_compiled(result: str, batch: bool) -> Any:
-    """Compile its filter for one result, so that no other is stored; with `batch`, over a leading axis."""
+    """Compile the filter of dynamax to store only one result; with `batch`, for readings with a leading axis."""
     jax, inference = import_module("jax"), dynamax()
 
     def one(params: Any, z: Any) -> Any:
@@ -145,7 +144,7 @@ def dynamax_compiled(result: str, batch: bool) -> Any:
 
 
 def dynamax_params(model: Model) -> Any:
-    """Lay a model out for it."""
+    """Return a model as parameters of dynamax."""
     x0, P0 = start(model)
     return dynamax().make_lgssm_params(x0, P0, model.F, model.process_covariance, model.H, model.R)
 
@@ -157,14 +156,14 @@ def dynamax_means(model: Model, z: Floats) -> Floats:
 
 
 def dynamax_log_likelihood(model: Model, z: Floats) -> float:
-    """Score with dynamax, compiled; the change of unit is taken back."""
+    """Return the log-likelihood by dynamax, compiled, in the original unit."""
     scaled, numbers, unit = in_noise_units(model, z)
     found = dynamax_compiled("marginal_loglik", False)(dynamax_params(scaled), numbers)
     return float(found) - z.size * float(np.log(unit))
 
 
 def kalman_py_means(model: Model, z: Floats) -> Floats:
-    """Filter with kalman-py on JAX, compiled; it predicts first."""
+    """Filter with kalman-py on JAX, compiled, which predicts before the first reading."""
     import_module("jax").config.update("jax_enable_x64", True)
     x, P = before(model)
     one = import_module("kalman_py").KalmanFilter(model.F, model.H, model.process_covariance, model.R, x, P)
@@ -172,14 +171,14 @@ def kalman_py_means(model: Model, z: Floats) -> Floats:
 
 
 def kalman_py_numpy_means(model: Model, z: Floats) -> Floats:
-    """Filter with kalman-py on NumPy; it predicts first."""
+    """Filter with kalman-py on NumPy, which predicts before the first reading."""
     x, P = before(model)
     one = import_module("kalman_py").KalmanFilter(model.F, model.H, model.process_covariance, model.R, x, P)
     return np.asarray(one.filter(z).means)
 
 
 def fast_kalman_filter(model: Model) -> Any:
-    """Set up fast-kalman; it wants flat lists."""
+    """Return a filter of fast-kalman, which needs flat lists."""
     x0, P0 = start(model)
     one = import_module("kalman").LinearKalmanFilter(model.states, model.channels)
     one.x, one.P, one.F, one.Q = (a.ravel().tolist() for a in (x0, P0, model.F, model.process_covariance))
@@ -188,7 +187,7 @@ def fast_kalman_filter(model: Model) -> Any:
 
 
 def fast_kalman_means(model: Model, z: Floats) -> Floats:
-    """Filter with fast-kalman, a call a reading: its `update_many` tells the last state only."""
+    """Filter with fast-kalman, one call per reading: its `update_many` returns only the last state."""
     one = fast_kalman_filter(model)
     means = np.empty((len(z), model.states))
     rows = z.tolist()
@@ -201,7 +200,7 @@ def fast_kalman_means(model: Model, z: Floats) -> Floats:
 
 
 def filterpy_filter(model: Model) -> Any:
-    """Set up filterpy."""
+    """Return a filter of filterpy."""
     one = import_module("filterpy.kalman").KalmanFilter(dim_x=model.states, dim_z=model.channels)
     one.x, one.P = (np.array(a) for a in start(model))
     one.F, one.Q = np.array(model.F), np.array(model.process_covariance)
@@ -210,7 +209,7 @@ def filterpy_filter(model: Model) -> Any:
 
 
 def filterpy_means(model: Model, z: Floats) -> Floats:
-    """Filter with filterpy, reading first."""
+    """Filter with filterpy, which updates with the first reading before it predicts."""
     means, *_ = filterpy_filter(model).batch_filter(z, update_first=True)
     return np.asarray(means)
 
@@ -240,7 +239,7 @@ def simdkalman_means(model: Model, z: Floats) -> Floats:
 
 
 def torch_kf_means(model: Model, z: Floats) -> Floats:
-    """Filter with torch-kf, reading first: z (N, m) or (B, N, m)."""
+    """Filter with torch-kf, which updates before it predicts: z (N, m) or (B, N, m)."""
     torch, torch_kf = import_module("torch"), import_module("torch_kf")
     torch.set_num_threads(1)
     x0, P0 = (torch.from_numpy(np.array(a)) for a in start(model))
@@ -273,5 +272,5 @@ BATCH_PEERS = (
 
 
 def present(peers: Sequence[Peer]) -> list[Peer]:
-    """Return the peers that can be called here."""
+    """Return the peers that are installed."""
     return [peer for peer in peers if installed(peer.package) and installed(peer.needs)]

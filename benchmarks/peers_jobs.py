@@ -1,4 +1,4 @@
-"""The jobs that are timed: models, readings and, beside becalm, who else does them."""
+"""The timed jobs, each with its model, its readings, and becalm and its rivals."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from peers_adapters import (
 from peers_models import car, gyroscope, readings, strain
 from peers_timing import Asked, Rival, Row, at_most, faster, race, within
 
-CUTOFF = 0.01  # of half the rate, for Butterworth order 4: its time does not depend on it
+CUTOFF = 0.01  # cut-off of Butterworth filters as a share of half the rate; their time does not depend on it
 BLOCK = 100
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How large the jobs are."""
+    """The sizes of the jobs."""
 
-    samples: int  # of one record
-    batch: tuple[int, int]  # records, and samples each
-    million: int  # samples of the likelihood, of tuning and of blocks
-    calls: int  # of one sample
-    peers: int  # most samples of a peer's record
-    growth: tuple[int, ...]
-    widths: tuple[int, ...]  # channels
-    repeats: int
+    samples: int  # samples of one record
+    batch: tuple[int, int]  # number of records, and samples of each
+    million: int  # samples for the likelihood, for tuning and for blocks
+    calls: int  # number of calls with one sample
+    peers: int  # largest number of samples of a peer's record
+    growth: tuple[int, ...]  # samples of the records of different length
+    widths: tuple[int, ...]  # numbers of channels
+    repeats: int  # number of turns
 
 
 FULL = Scale(
@@ -71,17 +71,17 @@ def gap(found: Floats, wanted: Floats) -> float:
 
 
 def copies(z: Floats, count: int) -> list[Floats]:
-    """Copy one channel (N,) or one batch into as many fresh arrays as the results are."""
+    """Copy one channel (N,) or one batch into `count` new arrays, as many as a filter returns."""
     return [z.copy() for _ in range(count)]
 
 
 def same_states(model: becalm.Model, z: Floats) -> Callable[[Any], float]:
-    """Compare a rival's states with becalm's."""
+    """Return a function that compares a rival's states with becalm's."""
     return lambda found: gap(found, states(model, z))
 
 
 def rivals_of(peers: Iterable[Peer], model: becalm.Model, z: Floats, most: int, asked: Asked | None) -> list[Rival]:
-    """Race libraries on the first rows of z (N, m) or (B, N, m)."""
+    """Return libraries as rivals on the first rows of z (N, m) or (B, N, m)."""
     rivals = []
     for peer in peers:
         part = np.ascontiguousarray(z[..., : min(peer.count, most), :])
@@ -91,7 +91,7 @@ def rivals_of(peers: Iterable[Peer], model: becalm.Model, z: Floats, most: int, 
 
 
 def classic(model: becalm.Model, z: Floats, asked: Asked | None) -> list[Rival]:
-    """Race scipy on one channel z (N,): the settled filter for one state, and Butterworth."""
+    """Return rivals by SciPy on one channel z (N,): `lfilter` with the settled gain for one state, and Butterworth."""
     loop = steady(model)
     A, K, C = loop.closed_loop, loop.gain, model.H
     b, a = signal.ss2tf(A, K, C @ A, C @ K)
@@ -103,7 +103,7 @@ def classic(model: becalm.Model, z: Floats, asked: Asked | None) -> list[Rival]:
 
 
 def one_record(name: str, model: becalm.Model, scale: Scale, copying: float, all_asked: bool) -> list[Row]:
-    """Filter one record: the signal and all states into fresh arrays."""
+    """Time filtering of one record: the signal and all states into new arrays."""
     z, arrays = readings(model, scale.samples), model.channels + model.states
     column = np.ascontiguousarray(z[:, 0])
     rivals = [
@@ -119,7 +119,7 @@ def one_record(name: str, model: becalm.Model, scale: Scale, copying: float, all
 
 
 def many_records(scale: Scale) -> list[Row]:
-    """Filter a batch of records of one model."""
+    """Time filtering of a batch of records of one model."""
     model, (records, count) = gyroscope(), scale.batch
     z = readings(model, records * count).reshape(records, count, 1)
     arrays = 1 + model.states
@@ -132,7 +132,7 @@ def many_records(scale: Scale) -> list[Row]:
 
 
 def smoothing(scale: Scale) -> list[Row]:
-    """Smooth one record, without and with sigma."""
+    """Time smoothing of one record, without and with sigma."""
     model = gyroscope()
     z = readings(model, scale.samples)
     column, sections = np.ascontiguousarray(z[:, 0]), signal.butter(4, CUTOFF, output="sos")
@@ -147,7 +147,7 @@ def smoothing(scale: Scale) -> list[Row]:
 
 
 def likelihood(scale: Scale) -> list[Row]:
-    """Score one record."""
+    """Time the log-likelihood of one record."""
     model = gyroscope()
     z = readings(model, scale.million)
     wanted: float = log_likelihood(model, z)
@@ -165,7 +165,7 @@ def likelihood(scale: Scale) -> list[Row]:
 
 
 def step_by_step(model: becalm.Model, values: list[float]) -> float:
-    """Feed becalm one reading a call; return the last signal."""
+    """Filter with becalm, one reading per call; return the last signal."""
     step = becalm.Online(model).step
     for value in values:
         last = step(value)
@@ -173,7 +173,7 @@ def step_by_step(model: becalm.Model, values: list[float]) -> float:
 
 
 def block_by_block(model: becalm.Model, blocks: list[Floats]) -> float:
-    """Feed becalm one block a call; return the last signal."""
+    """Filter with becalm, one block per call; return the last signal."""
     run = becalm.Online(model).run
     for block in blocks:
         last = run(block)
@@ -181,7 +181,7 @@ def block_by_block(model: becalm.Model, blocks: list[Floats]) -> float:
 
 
 def filterpy_steps(model: becalm.Model, values: list[float]) -> float:
-    """Feed filterpy one reading at a time; return the last signal."""
+    """Filter with filterpy, one reading at a time; return the last signal."""
     one = filterpy_filter(model)
     one.update(values[0])
     for value in values[1:]:
@@ -191,7 +191,7 @@ def filterpy_steps(model: becalm.Model, values: list[float]) -> float:
 
 
 def fast_kalman_steps(model: becalm.Model, values: list[float]) -> float:
-    """Feed fast-kalman one reading a call, and take the state each time; return the last signal."""
+    """Filter with fast-kalman, one reading per call, and read the state each time; return the last signal."""
     one = fast_kalman_filter(model)
     one.correct([values[0]])
     for value in values[1:]:
@@ -201,7 +201,7 @@ def fast_kalman_steps(model: becalm.Model, values: list[float]) -> float:
 
 
 def online(scale: Scale) -> list[Row]:
-    """Take readings as they come: one a call, and a block a call."""
+    """Time a stream: one reading per call, and one block per call."""
     model = gyroscope()
     z = readings(model, scale.million)
     values = z[: scale.calls, 0].tolist()
@@ -227,7 +227,7 @@ def online(scale: Scale) -> list[Row]:
 
 
 def growing(scale: Scale) -> list[Row]:
-    """Filter longer records, and more of them; the ratio is to the smallest."""
+    """Time longer and more records; the ratio is that to the smallest one."""
     model = gyroscope()
     rivals = []
     z = readings(model, max(scale.growth))
@@ -245,13 +245,13 @@ def growing(scale: Scale) -> list[Row]:
 
 
 def repeat(model: becalm.Model, z: Floats, times: int) -> None:
-    """Filter the same readings several times, so that short ones can be timed."""
+    """Filter the same readings several times, so that short records can be timed."""
     for _ in range(times):
         states(model, z)
 
 
 def tuning(scale: Scale) -> list[Row]:
-    """Choose among three orders."""
+    """Time the tuning of one channel, which compares three orders."""
     count = scale.million
     recording = becalm.Recording(readings(gyroscope(), count), rate_hz=10_000.0)
     asked = Asked("<= 2000 ns (2 s a million)", most_ns=2000)

@@ -1,4 +1,4 @@
-"""The three papers' models, with x0 and P0, and readings for them."""
+"""The models of the three papers, with x0 and P0, and readings for them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SEED = 20260101
 
 
 def gyroscope() -> becalm.Model:
-    """Two states, one channel at 10 kHz: the IMU paper's gyroscope with its best tuning (Table 2)."""
+    """Return the IMU paper's gyroscope with its best tuning (table 2): two states, one channel at 10 kHz."""
     T = 1e-4
     F = np.array([[1, T], [0, 1]])
     Q, R = 1.9674e-7 * np.eye(2), 1.9148e-10
@@ -19,7 +19,7 @@ def gyroscope() -> becalm.Model:
 
 
 def strain() -> becalm.Model:
-    """Three states, one channel at 10 Hz: the strain paper's, noise 0.05."""
+    """Return the strain paper's model with noise 0.05: three states, one channel at 10 Hz."""
     T = 0.1
     F = np.array([[1, T, T**2 / 2], [0, 1, T], [0, 0, 1]])
     G = np.array([[T**3 / 6], [T**2 / 2], [T]])
@@ -27,7 +27,7 @@ def strain() -> becalm.Model:
 
 
 def car() -> becalm.Model:
-    """Three states, three channels at 500 Hz: the car paper's."""
+    """Return the car paper's model: three states, three channels at 500 Hz."""
     T = 1 / 500
     F = np.array([[1, T, 0], [0, 1, 0], [0, 0, 1]])
     G = np.array([[T**2 / 2, 0], [T, 0], [0, T]])
@@ -36,7 +36,7 @@ def car() -> becalm.Model:
 
 
 def readings(model: becalm.Model, count: int) -> Floats:
-    """Make (count, m) readings: a slow sine of thirty times the noise, and the noise."""
+    """Return (count, m) readings: noise, and a slow sine of thirty times its standard deviation."""
     noise = np.sqrt(np.diag(model.R))
     slow = 30 * np.sin(np.linspace(0, 1e-4 * count, count))[:, np.newaxis]
     return (slow + np.random.default_rng(SEED).normal(size=(count, model.channels))) * noise

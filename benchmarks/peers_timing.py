@@ -1,4 +1,4 @@
-"""Rivals timed in turn: wall and CPU nanoseconds a sample, and whether what was asked is reached."""
+"""Time rivals in turn, in wall-clock and CPU nanoseconds a sample, and check the requirements."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 AGREEMENT = 1e-6
-"""Largest difference to becalm, over the largest value, at which a rival counts as doing the same."""
+"""Largest difference from becalm, relative to the largest value, at which a rival counts as doing the same job."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked of one row: at least a ratio to becalm, or at most some nanoseconds."""
+    """The requirement of one row: a least ratio to becalm, or a largest time in nanoseconds."""
 
     text: str
     least_ratio: float = 0.0
@@ -25,17 +25,17 @@ class Asked:
 
 
 def at_most(times: float) -> Asked:
-    """Ask that becalm takes at most `times` as long as this rival."""
+    """Require that becalm takes at most `times` as long as this rival."""
     return Asked(f"becalm <= {times:g} x this", least_ratio=1 / times)
 
 
 def faster(times: float) -> Asked:
-    """Ask that becalm is at least `times` as fast as this rival."""
+    """Require that becalm is at least `times` as fast as this rival."""
     return Asked(f"becalm >= {times:g} x faster", least_ratio=times)
 
 
 def within(nanoseconds: float) -> Asked:
-    """Ask that this row takes at most so long a sample."""
+    """Require that this row takes at most this time for a sample."""
     return Asked(f"<= {nanoseconds:g} ns", most_ns=nanoseconds)
 
 
@@ -46,15 +46,15 @@ class Rival:
     Attributes
     ----------
     name : str
-        As in the table.
+        Name in the table.
     count : int
-        Samples that one call treats.
+        Number of samples that one call processes.
     run : callable
-        Does the job once and returns its results.
+        Function that does the job once, and returns its results.
     asked : Asked or None
-        What is asked of becalm beside it.
+        Requirement for becalm relative to this rival.
     difference : callable or None
-        Tells from the results how far they are from becalm's, over the largest value.
+        Function that returns the difference of the results from becalm's, relative to the largest value.
     """
 
     name: str
@@ -64,13 +64,13 @@ class Rival:
     difference: Callable[[Any], float] | None = None
 
 
-_LARGE = 1_000_000  # samples
-_TOUCHED = 640 << 20  # bytes; more than any result
+_LARGE = 1_000_000  # number of samples from which memory is touched before a run
+_TOUCHED = 640 << 20  # bytes that are touched; more than any result has
 
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table; nanoseconds are medians a sample, the ratio is of wall times to the job's first row."""
+    """A row of the table: median nanoseconds per sample, and the ratio of wall-clock times to the job's first row."""
 
     job: str
     rival: str
@@ -83,18 +83,18 @@ class Row:
 
     @property
     def agrees(self) -> bool:
-        """Whether the results are becalm's, or nobody compared them; NaN is no agreement."""
+        """Return whether the results agree with becalm's or are not compared; NaN does not agree."""
         return self.difference is None or self.difference <= AGREEMENT
 
     @property
     def reached(self) -> str:
-        """Whether what was asked is reached: "yes", "no", or nothing where nothing was asked."""
+        """Return whether the requirement is reached, "yes" or "no"; "" without a requirement."""
         if self.asked is None:
             return ""
         return "yes" if self.ratio >= self.asked.least_ratio and self.wall_ns <= self.asked.most_ns else "**no**"
 
     def as_markdown(self) -> str:
-        """Write one line of the table."""
+        """Return one line of the table."""
         same = (
             "" if self.difference is None else f"{self.difference:.0e}" if self.agrees else f"**{self.difference:.0e}**"
         )
@@ -113,15 +113,15 @@ class Row:
 
 
 def _written(number: float) -> str:
-    """Write three digits, or all before the point, in groups."""
+    """Return a number with three digits, or rounded to an integer with grouped digits."""
     return f"{number:,.0f}".replace(",", " ") if number >= 100 else f"{number:.3g}"
 
 
 def race(job: str, rivals: Sequence[Rival], repeats: int) -> list[Row]:
     """Time each rival `repeats` times, in turn; the first one is becalm.
 
-    The ratio is the median of the ratios of the rounds, so that a machine that becomes slower on
-    the way slows both. Freeing the results is not counted, making room for them is.
+    The ratio is the median of the ratios in each turn, so that a machine that becomes slower affects both times. The
+    times include allocating the results, but not freeing them.
     """
     differences = [_warm_up(rival) for rival in rivals]
     wall, cpu = np.empty((repeats, len(rivals))), np.empty((repeats, len(rivals)))
@@ -138,7 +138,7 @@ def race(job: str, rivals: Sequence[Rival], repeats: int) -> list[Row]:
 
 
 def _warm_up(rival: Rival) -> float | None:
-    """Run once, so that all is compiled and loaded; return how far the results are from becalm's."""
+    """Run once, to compile and load everything; return the difference of the results from becalm's."""
     results = rival.run()
     return None if rival.difference is None else rival.difference(results)
 
@@ -158,8 +158,8 @@ def _timed(rival: Rival) -> tuple[float, float]:
 
 
 def _touch_memory() -> None:
-    """Use some memory and free it: a virtual machine may have given free memory away, and takes long to get it back.
+    """Use some memory and free it: a virtual machine may have returned free memory to its host, and regains it slowly.
 
-    Every rival then gets fresh pages that the machine has at hand, whoever ran before it.
+    Every rival then gets pages that the machine has already, whatever ran before.
     """
     np.ones(_TOUCHED // 8)

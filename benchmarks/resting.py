@@ -1,9 +1,9 @@
-"""Real recordings of a sensor that rests between motions: the filter that switches beside the fixed one.
+"""Real recordings of a sensor that rests between motions: a filter with modes compared with a fixed filter.
 
-The fixed filter is the motion of order 1 to 3 that is likeliest for the whole recording. Rest noise: the median of
-the standard deviations in windows of a second that the recording's own mask calls rest, a second away from motion;
-of both causal filters. Motion: where the mask says so, the rms difference of each causal filter from the fixed
-filter's smoother. Both as ratios, switching over fixed.
+The fixed filter has the kinematic model of order 1 to 3 that is likeliest for the whole recording. Rest noise is the
+median of the standard deviations of a causal filter's output in windows of one second that the recording's mask calls
+rest, at least one second away from motion. Motion is the rms difference of a causal filter from the fixed filter's
+smoother where the mask says that the sensor moves. Both are also given as ratios, switching filter over fixed filter.
 
 Run: python benchmarks/resting.py [-o docs/resting.md]   (the recordings lie in ../shared/data/broad)
 """
@@ -31,7 +31,7 @@ RATE_HZ = 2000 / 7
 
 
 class Trial(NamedTuple):
-    """One recording."""
+    """A recording of a gyroscope, with a mask of its motion."""
 
     name: str
     gyroscope: Floats  # (N, 3) rad/s
@@ -39,13 +39,13 @@ class Trial(NamedTuple):
 
 
 class Row(NamedTuple):
-    """What is told of one channel."""
+    """The results for one channel; noise and differences in rad/s."""
 
-    rest_raw: float
-    rest_fixed: float
-    rest_ratio: float
-    motion_fixed: float
-    motion_ratio: float
+    rest_raw: float  # noise of the readings at rest
+    rest_fixed: float  # noise of the fixed filter at rest
+    rest_ratio: float  # switching filter over fixed filter
+    motion_fixed: float  # difference of the fixed filter from its smoother in motion
+    motion_ratio: float  # switching filter over fixed filter
     modes: str
 
 
@@ -53,8 +53,8 @@ def trials() -> Iterator[Trial]:
     """Read the recordings."""
     for path in sorted(DATA.glob("*.hdf5")) + sorted(DATA.glob("*.mat")):
         if path.suffix == ".mat":
-            told = loadmat(path)
-            yield Trial(path.stem, np.asarray(told["imu_gyr"], float), np.ravel(told["movement"]).astype(bool))
+            arrays = loadmat(path)
+            yield Trial(path.stem, np.asarray(arrays["imu_gyr"], float), np.ravel(arrays["movement"]).astype(bool))
         else:
             with h5py.File(path) as file:
                 moves = np.ravel(np.array(file["movement"])).astype(bool)
@@ -86,7 +86,7 @@ def _motion_error(moves: NDArray[np.bool_], smooth: Floats) -> Callable[[Floats]
 
 
 def as_markdown() -> str:
-    """Write the table."""
+    """Return the table."""
     lines = [
         "| trial | axis | rest: raw, rad/s | fixed | switching over fixed (<= 0.2) | motion: fixed off its smoother |"
         " switching over fixed (<= 1) | modes |",

@@ -1,11 +1,11 @@
-"""Whether an output is ever farther from the truth than the readings around it, whatever befalls a record.
+"""Whether an output is ever farther from the truth than the range of the readings around it, whatever damages a record.
 
-14 kinds of signal (8000 rows at 200 Hz, white noise of 5 % of their spread; two are motions of real recordings) meet
-21 insults, and are cleaned three ways: smoothed, causal, and with a lag of 20 rows. *file* is `becalm.clean` with
-nothing chosen; *live* is the stream that `becalm live` runs, and *C* what `becalm export` writes as float64, both
-with a recipe that was tuned on the undamaged record, and without the insults that come from the sensor itself.
-A sensor so slow that it does not see its signal, which moves beyond half the rate of its readings by more than twice
-the noise, is left out: nothing can tell.
+14 kinds of signal (8000 rows at 200 Hz, white noise of 5 % of their standard deviation; two are from real recordings)
+are damaged by 21 insults, and cleaned in three ways: smoothed, causal, and with a lag of 20 rows. *file* is
+`becalm.clean` without options; *live* is the stream that `becalm live` runs, and *C* is the float64 code of
+`becalm export`; both use a recipe that was tuned on the undamaged record, and leave out insults of the sensor itself.
+Cases in which the signal has more than twice the noise beyond half the rate of the readings are left out, because such
+slow readings cannot show the signal.
 
 Run: python benchmarks/safe.py [-o docs/safe.md] [--jobs N] [--quick] [--only SIGNAL,INSULT] [--path file|live|C]
 [--estimate smoothed|causal|lag] [--all] [--keep FILE]; `--only ,INSULT` takes all signals. With `--fuzz N` random
@@ -49,7 +49,7 @@ _SEED = 20261101
 
 
 class Task(NamedTuple):
-    """A signal, in one way through becalm, and the insults that it meets."""
+    """A signal, a path through becalm, a kind of estimate, and the insults to apply."""
 
     signal: str
     path: str
@@ -58,7 +58,7 @@ class Task(NamedTuple):
 
 
 def tasks(signals: Sequence[str], insults: Sequence[str], paths: Sequence[str]) -> list[Task]:
-    """Return all that is to be run, what takes longest first."""
+    """Return all tasks, the slowest path first."""
     found = []
     for path in paths:
         fitting = tuple(one for one in insults if path == "file" or not one.startswith(OF_THE_SENSOR))
@@ -68,12 +68,12 @@ def tasks(signals: Sequence[str], insults: Sequence[str], paths: Sequence[str]) 
 
 
 def generator(*names: str) -> np.random.Generator:
-    """Return a generator that depends on names alone."""
+    """Return a random generator whose seed depends only on the names."""
     return np.random.default_rng([_SEED, *(zlib.crc32(name.encode()) for name in names)])
 
 
 def run(task: Task) -> list[Result]:
-    """Run a signal through all of its insults; nothing where its recording is absent."""
+    """Run a task; return its results, none if the signal's recording is absent."""
     record = undamaged(SIGNALS[task.signal], generator(task.signal))
     if record is None:
         return []
@@ -90,7 +90,7 @@ def run(task: Task) -> list[Result]:
 
 
 def _path(task: Task, record: Record, stack: contextlib.ExitStack) -> Path_:
-    """Return what cleans readings."""
+    """Return the function that cleans readings in a task."""
     if task.path == "C":
         return stack.enter_context(Exported(record.sound))
     if task.path == "live":
@@ -99,7 +99,7 @@ def _path(task: Task, record: Record, stack: contextlib.ExitStack) -> Path_:
 
 
 def _result(task: Task, insult: str, record: Record, undamaged_: tuple[Path_, Floats]) -> list[Result]:
-    """Damage a record, clean it, and measure; nothing where a sensor is too slow to see its signal."""
+    """Damage a record, clean it, and return its measures; none if the readings are too slow for the signal."""
     path, sound = undamaged_
     damaged = INSULTS[insult](record, generator(task.signal, insult))
     if not is_seen(damaged):
@@ -115,14 +115,14 @@ def _result(task: Task, insult: str, record: Record, undamaged_: tuple[Path_, Fl
 
 
 def is_seen(record: Record) -> bool:
-    """Return whether new readings come often enough: beyond half their rate is less than twice the noise."""
+    """Return whether new readings are frequent enough: the signal beyond half their rate is at most twice the noise."""
     frequency, power = periodogram(record.truth, window="hann")
     beyond = frequency > 0.5 / record.every
     return float(power[beyond].sum() * frequency[1]) <= 4 * record.noise_std**2
 
 
 def _slower(record: Record, every: int, estimate: str) -> Floats:
-    """Return the error (N,) on the undamaged record of a slower sensor, in its rows; NaN in the others."""
+    """Return the error (N,) on the undamaged record of a slower sensor; NaN in rows without a reading of it."""
     error = np.full(len(record.truth), np.nan)
     out = by_file(np.ascontiguousarray(record.sound[::every]), estimate, RATE_HZ / every)
     error[::every] = out.signal - record.truth[::every]
@@ -131,12 +131,12 @@ def _slower(record: Record, every: int, estimate: str) -> Floats:
 
 def _raised(task: Task, insult: str, error: Exception) -> Result:
     """Return the result of a case that ended with an exception."""
-    said = traceback.format_exception_only(error)[-1].strip()[:200]
-    return Result(task.signal, insult, task.estimate, task.path, {"raised": 1.0}, said)
+    message = traceback.format_exception_only(error)[-1].strip()[:200]
+    return Result(task.signal, insult, task.estimate, task.path, {"raised": 1.0}, message)
 
 
 def run_all(todo: Sequence[Task], jobs: int) -> Iterator[list[Result]]:
-    """Run tasks in so many processes."""
+    """Run tasks in `jobs` processes."""
     if jobs == 1:
         yield from map(run, todo)
         return
@@ -145,9 +145,9 @@ def run_all(todo: Sequence[Task], jobs: int) -> Iterator[list[Result]]:
 
 
 def kept(todo: Sequence[Task], jobs: int, keep: Path | None) -> list[Result]:
-    """Run tasks, and return their results in the order of the tasks, whichever process ends first.
+    """Run tasks, and return their results in the order of the tasks.
 
-    With a file to keep results in, tasks whose results are in it are not run again.
+    With a file `keep`, results are appended to it, and tasks whose results it contains are not run again.
     """
     place = {task[:3]: number for number, task in enumerate(todo)}
 
@@ -167,18 +167,18 @@ def kept(todo: Sequence[Task], jobs: int, keep: Path | None) -> list[Result]:
     return sorted(found, key=of_task)
 
 
-def chosen(words: argparse.Namespace) -> list[Task]:
-    """Return the tasks that a command line asks for."""
-    signals, insults = QUICK if words.quick else (tuple(SIGNALS), tuple(INSULTS))
-    signal, _, insult = words.only.partition(",")
+def chosen(arguments: argparse.Namespace) -> list[Task]:
+    """Return the tasks for the arguments of the command line."""
+    signals, insults = QUICK if arguments.quick else (tuple(SIGNALS), tuple(INSULTS))
+    signal, _, insult = arguments.only.partition(",")
     signals = tuple(one for one in SIGNALS if one == signal) if signal else signals
     insults = tuple(one for one in INSULTS if one.startswith(insult)) if insult else insults
     if not signals or not insults:
-        raise SystemExit(f"--only {words.only!r}: signals are {', '.join(SIGNALS)}; insults {', '.join(INSULTS)}.")
-    todo = tasks(signals, insults, [words.path] if words.path else list(ESTIMATES))
-    if words.estimate:
-        return [one for one in todo if one.estimate == words.estimate]
-    return [one for one in todo if not (words.quick and one.estimate == "lag")]
+        raise SystemExit(f"--only {arguments.only!r}: signals are {', '.join(SIGNALS)}; insults {', '.join(INSULTS)}.")
+    todo = tasks(signals, insults, [arguments.path] if arguments.path else list(ESTIMATES))
+    if arguments.estimate:
+        return [one for one in todo if one.estimate == arguments.estimate]
+    return [one for one in todo if not (arguments.quick and one.estimate == "lag")]
 
 
 def main() -> None:
@@ -194,14 +194,19 @@ def main() -> None:
     parser.add_argument("--fuzz", type=int, default=0, help="so many random records instead")
     parser.add_argument("--fuzz-from", type=int, default=0, help="the first seed of them")
     parser.add_argument("--fuzz-seed", type=int, help="one random record, and what befell it")
-    words = parser.parse_args()
+    arguments = parser.parse_args()
     about = f"{__doc__}\n{safe_bounds.__doc__}"
-    if words.fuzz or words.fuzz_seed is not None:
-        first = words.fuzz_from if words.fuzz_seed is None else words.fuzz_seed
-        text = fuzz_page(range(first, first + max(words.fuzz, 1)), words.jobs)
-        publish("Safe on any record: random records", about, text, words.output)
+    if arguments.fuzz or arguments.fuzz_seed is not None:
+        first = arguments.fuzz_from if arguments.fuzz_seed is None else arguments.fuzz_seed
+        text = fuzz_page(range(first, first + max(arguments.fuzz, 1)), arguments.jobs)
+        publish("Safe on any record: random records", about, text, arguments.output)
         return
-    publish("Safe on any record", about, page(kept(chosen(words), words.jobs, words.keep), words.all), words.output)
+    publish(
+        "Safe on any record",
+        about,
+        page(kept(chosen(arguments), arguments.jobs, arguments.keep), arguments.all),
+        arguments.output,
+    )
 
 
 if __name__ == "__main__":

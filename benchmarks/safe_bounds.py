@@ -1,21 +1,24 @@
-"""What an estimate of a damaged record is held against, and by how much it fails.
+"""The measures of an estimate of a damaged record, and their bounds.
 
-- *largest error*: in any row, in parts of the range of undamaged readings within 100 rows (in a hole of n rows,
-  within 100 + n); a converter's step is added to the range. At most 1.
-- *away*: rms error farther than 200 rows from the insult, over that of the undamaged record in the same rows (where an
-  insult is everywhere, 20 rows, or all rows that it left alone). At most 1.1 in 95 % of the cases, and never above 1.5.
-  A record whose readings come k times, or every k rows, is held against the undamaged record at that slower rate, in
-  the rows that have a new reading; a converter of a step d may add d^2/12 to the mean square.
-- *inside*: rms error in hidden rows over the better of two: a line across the hole (causal: the level before it is
-  held; lagged: until the rows behind the hole are seen) and the record's mean. A line joins the means of 1, 4, 16 or 64
-  undamaged readings on either side. Which of these is best is found on the undamaged record, in holes of the same
-  length all over it, with the truth; its error counts as no less than there, for one hole may flatter it. At most 1.1.
-  Estimates may be NaN there: such rows are counted and left out. Fewer than eight rows say nothing.
-- *lost*: rows that are NaN though their reading is sound, and were not NaN before the damage. None may be.
-- *near*, *elsewhere*: share of rows whose truth is within one sigma, within 100 rows of the insult and farther. 55 to
-  80 %, beyond twice the standard error of as many independent rows as the error has runs of one sign.
-- *cut off*: readings of a shock or a step that a smoother calls spikes. None may be.
-- *raised*: an exception. None may be.
+- *largest error*: the largest error in any row, relative to the range of undamaged readings within 100 rows (in a hole
+  of n rows, within 100 + n); a converter's step is added to the range. At most 1.
+- *away*: the rms error farther than 200 rows from the insult, relative to that of the undamaged record in the same rows
+  (if an insult is everywhere, farther than 20 rows, or in all rows that it did not touch). At most 1.1 in 95 % of the
+  cases, and never above 1.5. A record in which each reading occurs k times, or only every k-th row has a reading, is
+  compared with the undamaged record at that slower rate, in the rows with a new reading; a converter with step d may
+  add d^2/12 to the mean square.
+- *inside*: the rms error in hidden rows, relative to the better of two rivals, the record's mean and a line across the
+  hole. A causal line is the level before the hole; a lagged line is that level until rows after the hole are known.
+  A line joins the means of 1, 4, 16 or 64 undamaged readings on either side. The best rival is chosen with the
+  truth on the undamaged record, in holes of the same length all over it, and its error counts as no less than there,
+  because it may be small in one hole by chance. At most 1.1. Rows whose estimate is NaN are counted and left out. With
+  fewer than eight rows there is no result.
+- *lost*: the number of rows that are NaN although their reading is good, and that were not NaN before the damage. 0.
+- *near*, *elsewhere*: the share of rows whose truth is within one sigma, within 100 rows of the insult or farther. It
+  must be 55 to 80 %, give or take two standard errors of that share; the number of independent rows is taken as the
+  number of runs of one sign of the error.
+- *cut off*: the number of readings of a shock or a step that a smoother rejects as spikes. 0.
+- *raised*: the number of exceptions. 0.
 """
 
 from __future__ import annotations
@@ -31,9 +34,9 @@ from safe_signals import Flags, Floats, Record
 AROUND, AWAY, CLOSE = 100, 200, 20
 MEANS = (1, 4, 16, 64)
 _TRIALS = 60  # holes on an undamaged record
-_FEW = 8  # hidden rows whose error says something
-_FEWEST = 40  # rows whose coverage says something
-_BEHIND = {"smoothed": None, "causal": 0, "lag": 20}
+_FEW = 8  # smallest number of hidden rows for *inside*
+_FEWEST = 40  # smallest number of rows for *near* and *elsewhere*
+_BEHIND = {"smoothed": None, "causal": 0, "lag": 20}  # later rows that an estimate knows; None for all
 
 LIMITS = {
     "largest error": 1.0,
@@ -45,14 +48,14 @@ LIMITS = {
     "cut off": 0.0,
     "raised": 0.0,
 }
-"""The most that each measure may be. Of `near` and `elsewhere`: how far coverage is outside 55 to 80 %."""
+"""Upper bound of each measure; the measures `near` and `elsewhere` are the excess of coverage beyond 55 to 80 %."""
 
 OFTEN = 1.1
-"""What *away* may be in 95 % of the cases."""
+"""Upper bound of *away* in 95 % of the cases."""
 
 
 class Estimate(NamedTuple):
-    """What a filter made of a record: signal and sigma (N,), and whether each reading was called a spike (N,)."""
+    """The output of a filter: signal and sigma (N,), and whether each reading was rejected as a spike (N,)."""
 
     signal: Floats
     sigma: Floats
@@ -66,7 +69,7 @@ def runs_of(flags: Flags) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def within(flags: Flags, rows: int) -> Flags:
-    """Return which rows are at most so many rows from a flag."""
+    """Return flags of the rows that are at most `rows` rows from a flag."""
     return np.asarray(binary_dilation(flags, np.ones(2 * rows + 1, bool))) if flags.any() else flags.copy()
 
 
@@ -85,15 +88,15 @@ def ranges(record: Record) -> Floats:
 
 
 def largest_error(signal: Floats, record: Record) -> float:
-    """Return the largest error in parts of the range of the readings around; inf for an infinite estimate."""
+    """Return the largest error, relative to the range of the readings around it; inf for an infinite estimate."""
     if np.isinf(signal).any():
         return np.inf
-    told = np.isfinite(signal)
-    return float((np.abs(signal - record.truth) / ranges(record))[told].max(initial=0.0))
+    known = np.isfinite(signal)
+    return float((np.abs(signal - record.truth) / ranges(record))[known].max(initial=0.0))
 
 
 def away_rows(record: Record) -> Flags:
-    """Return which rows are away from an insult."""
+    """Return flags of the rows that are away from an insult."""
     if record.every > 1:
         return np.asarray(~record.hidden & (np.arange(len(record.truth)) % record.every == 0))
     for margin in (AWAY, CLOSE):
@@ -104,18 +107,18 @@ def away_rows(record: Record) -> Flags:
 
 
 def away(estimate: Floats, sound: Floats, record: Record, rows: Flags) -> float:
-    """Return the rms error in some rows over that of the undamaged record.
+    """Return the rms error in some rows, relative to that of the undamaged record.
 
     Parameters
     ----------
     estimate : (N,) float array
-        Of the damaged record.
+        Estimate of the damaged record.
     sound : (N,) float array
         Error of the estimate of the undamaged record.
     record : Record
         The damaged record.
     rows : (N,) bool array
-        Which rows to compare.
+        Flags of the rows to compare.
     """
     rows = rows & np.isfinite(estimate) & np.isfinite(sound)
     if not rows.any():
@@ -125,23 +128,23 @@ def away(estimate: Floats, sound: Floats, record: Record, rows: Flags) -> float:
 
 
 def bridge(record: Record, hidden: Flags, count: int, ahead: int | None) -> Floats:
-    """Return what a line makes of hidden rows: it joins the means of so many sound readings on either side.
+    """Return a line across hidden rows, which joins the means of undamaged readings on either side.
 
     Parameters
     ----------
     record : Record
-        The record; its undamaged readings are taken.
+        Record, whose undamaged readings are used.
     hidden : (N,) bool array
-        Rows to bridge.
+        Flags of the rows to bridge.
     count : int
-        How many readings make a mean.
+        Number of readings in a mean.
     ahead : int or None
-        How many later rows are known in each row; None for all.
+        Number of later rows that are known in each row; None for all.
 
     Returns
     -------
     (N,) float array
-        NaN in rows that are not hidden, and where nothing is known.
+        The line; NaN in rows that are not hidden, and where no reading is known.
     """
     rows, good, bad = len(hidden), np.flatnonzero(~hidden), np.flatnonzero(hidden)
     found = np.full(rows, np.nan)
@@ -165,7 +168,7 @@ def bridge(record: Record, hidden: Flags, count: int, ahead: int | None) -> Floa
 
 
 def rival(record: Record, ahead: int | None) -> tuple[Floats, float]:
-    """Return the better of lines and the record's mean in hidden rows (N,), and its rms error in holes all over."""
+    """Return the better of line and mean in the hidden rows (N,), and its rms error in holes all over the record."""
     starts, stops = runs_of(record.hidden)
     rows, length = len(record.truth), int(np.median(stops - starts))
     trial = np.zeros(rows, bool)
@@ -190,7 +193,7 @@ def _error(signal: Floats, truth: Floats, rows: Flags) -> float:
 
 
 def inside(signal: Floats, record: Record, estimate: str) -> float:
-    """Return the rms error in hidden rows over that of the better of a line and the mean."""
+    """Return the rms error in hidden rows, relative to that of the better of a line and the mean."""
     rows = record.hidden & np.isfinite(signal)
     if rows.sum() < _FEW:
         return np.nan
@@ -199,7 +202,7 @@ def inside(signal: Floats, record: Record, estimate: str) -> float:
 
 
 def coverage_excess(estimate: Estimate, truth: Floats, rows: Flags) -> float:
-    """Return how far the share of rows within one sigma is outside 55 to 80 %, beyond twice its standard error."""
+    """Return by how much the share of rows within one sigma is outside 55 to 80 %, less two standard errors."""
     rows = rows & np.isfinite(estimate.signal) & np.isfinite(estimate.sigma)
     if rows.sum() < _FEWEST:
         return np.nan
@@ -211,18 +214,18 @@ def coverage_excess(estimate: Estimate, truth: Floats, rows: Flags) -> float:
 
 
 def measures(estimate: Estimate, sound: Floats, record: Record, kind: str) -> dict[str, float]:
-    """Return all measures of an estimate; NaN where one says nothing.
+    """Return all measures of an estimate; NaN for measures without a result.
 
     Parameters
     ----------
     estimate : Estimate
-        Of the damaged record.
+        Estimate of the damaged record.
     sound : (N,) float array
         Error of the estimate of the undamaged record.
     record : Record
         The damaged record.
     kind : {"smoothed", "causal", "lag"}
-        What the estimate knows of later readings.
+        Kind of the estimate.
     """
     hit = record.touched | record.hidden
     near, missing = within(hit, AROUND), np.isnan(estimate.signal)

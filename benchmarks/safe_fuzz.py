@@ -1,4 +1,4 @@
-"""Random records that meet random insults: no error beyond the range of the readings around, and no exception."""
+"""Clean random records with random insults; no error may exceed the range of the readings around it."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ SHORTEST, LONGEST = 300, 5000
 
 
 class Found(NamedTuple):
-    """What came of one random record.
+    """The result for one random record.
 
     Attributes
     ----------
     seed : int
-        Which record.
+        Seed of the record.
     what : str
-        Its signal, length, noise and insults.
+        Signal, length, noise and insults of the record.
     estimate : str
-        Smoothed or causal.
+        "smoothed" or "causal".
     error : float
-        The largest error in parts of the range of the readings around; inf for an exception.
+        Largest error, relative to the range of the readings around it; inf for an exception.
     says : str
-        The exception.
+        Message of the exception, or "".
     """
 
     seed: int
@@ -44,7 +44,7 @@ class Found(NamedTuple):
 
 
 def drawn(seed: int) -> tuple[Record, str]:
-    """Return a random record, and what befell it."""
+    """Return a random damaged record, and its description."""
     rng = np.random.default_rng([20261102, seed])
     names = [name for name in SIGNALS if not name.startswith("real")]
     name, rows = str(rng.choice(names)), int(np.exp(rng.uniform(np.log(SHORTEST), np.log(LONGEST))))
@@ -55,9 +55,9 @@ def drawn(seed: int) -> tuple[Record, str]:
     what = [name, f"{rows} rows", f"noise {noise:.1%}"]
     picked = set(rng.choice(len(ORDER), int(rng.integers(1, 4)), replace=False).tolist())
     for k in sorted(picked):
-        insult, said = _varied(ORDER[k], rng)
+        insult, name = _varied(ORDER[k], rng)
         record = insult(record, rng)
-        what.append(said)
+        what.append(name)
     return record, ", ".join(what)
 
 
@@ -92,14 +92,14 @@ def found(seed: int) -> list[Found]:
 
 
 def fuzz_page(seeds: Sequence[int], jobs: int) -> str:
-    """Return what came of random records, the worst first.
+    """Return the page on random records, the worst first.
 
     Parameters
     ----------
     seeds : sequence of int
-        Which records.
+        Seeds of the records.
     jobs : int
-        Processes.
+        Number of processes.
     """
     with get_context("spawn").Pool(jobs) as pool:
         every = [one for results in pool.imap_unordered(found, seeds, 4) for one in results]

@@ -1,4 +1,4 @@
-"""The ways that a record takes through becalm: a file, a live stream, exported C."""
+"""Clean a record on three paths through becalm: as a file, as a live stream, with exported C."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from becalm.cleaning.stream import StreamCleaner, Streamed
 from becalm.core.reading_verdicts import LOST, Verdict
 from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.proof.compiling import build
-from becalm.export.proof.verifying import streamed, unpacked
+from becalm.export.proof.verifying import run_in_c, write_bundle
 from becalm.export.vectors import STARTING
 from safe_bounds import Estimate
 from safe_signals import RATE_HZ, Floats
 
 LAG_ROWS = 20
-_BLOCK = 50  # rows that come together
+_BLOCK = 50  # rows of a block
 _SPIKES = [Verdict.SPIKE, Verdict.OUTLIER]
-_TELLS_NOTHING = [Verdict.HOLE, Verdict.RUNAWAY]  # statuses of C with which a number is told that is no estimate
+_NO_ESTIMATE = [Verdict.HOLE, Verdict.RUNAWAY]  # with these statuses the number that C returns is no estimate
 
 Path_ = Callable[[Floats], Estimate]
-"""Takes readings (N,), and returns an estimate of them."""
+"""Function that gets readings (N,), and returns their estimate."""
 
 
 def _recording(z: Floats, rate_hz: float = RATE_HZ) -> becalm.Recording:
@@ -35,7 +35,7 @@ def _recording(z: Floats, rate_hz: float = RATE_HZ) -> becalm.Recording:
 
 
 def by_file(z: Floats, estimate: str, rate_hz: float = RATE_HZ) -> Estimate:
-    """Clean a record with nothing chosen; `estimate` is smoothed, causal or lag."""
+    """Clean a record without options; `estimate` is "smoothed", "causal" or "lag"."""
     lag_s = LAG_ROWS / rate_hz if estimate == "lag" else None
     out = becalm.clean(_recording(z, rate_hz), causal=estimate == "causal", lag_s=lag_s)
     spikes = np.isin(out.verdicts["z"], _SPIKES)
@@ -49,7 +49,7 @@ def _recipe(z: Floats, estimate: str) -> becalm.Recipe:
 
 
 def by_stream(sound: Floats, estimate: str) -> Path_:
-    """Return a live stream, block by block, whose recipe was tuned on an undamaged record."""
+    """Return a function that runs readings through a live stream; its recipe is tuned on an undamaged record."""
     recipe = _recipe(sound, estimate)
 
     def path(z: Floats) -> Estimate:
@@ -72,21 +72,21 @@ _FIELDS = ("signal", "sigma", "verdicts")
 
 
 class Exported(AbstractContextManager["Exported"]):
-    """A filter in C (float64), tuned on an undamaged record, exported and compiled; its sigma is not asked for."""
+    """A causal filter in C (float64), tuned on an undamaged record, exported and compiled; it returns no sigma."""
 
     def __init__(self, sound: Floats) -> None:
         self._stack = ExitStack()
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
         bundle = bundle_of(_recipe(sound, "causal"), "safe", ExportOptions(precision="float64"))
-        self._program = build(unpacked(bundle, folder), bundle.stem, "cc", ("-O2",))
+        self._program = build(write_bundle(bundle, folder), bundle.stem, "cc", ("-O2",))
         (self._channel,) = bundle.channels
 
     def __call__(self, z: Floats) -> Estimate:
         """Run readings (N,) through the program."""
         one = self._channel
-        out, codes = streamed(self._program, one, one.kind.raw(z, one.written))
-        told = np.cumsum(~LOST[np.where(codes == STARTING, Verdict.USED, codes)]) > 0  # from the first reading used
-        signal = np.where(told & ~np.isin(codes, _TELLS_NOTHING), one.kind.in_unit(out, one.written), np.nan)
+        out, codes = run_in_c(self._program, one, one.kind.raw(z, one.written))
+        started = np.cumsum(~LOST[np.where(codes == STARTING, Verdict.USED, codes)]) > 0  # after the first used reading
+        signal = np.where(started & ~np.isin(codes, _NO_ESTIMATE), one.kind.in_unit(out, one.written), np.nan)
         return Estimate(signal, np.full(len(z), np.nan), np.isin(codes, _SPIKES))
 
     def __enter__(self) -> Self:
@@ -96,5 +96,5 @@ class Exported(AbstractContextManager["Exported"]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Remove what was compiled."""
+        """Remove the compiled program."""
         self._stack.close()

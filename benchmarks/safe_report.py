@@ -1,4 +1,4 @@
-"""The tables of the benchmark of safety: totals of each bound, its violations, and the largest errors of all cases."""
+"""Make the tables of `safe.py`: totals for each bound, violations, and the largest errors of all cases."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SHOWN = 25
 
 
 class Result(NamedTuple):
-    """What was measured of one case; `says` tells of an exception."""
+    """The measures of one case; `says` is the message of an exception, or ""."""
 
     signal: str
     insult: str
@@ -24,19 +24,19 @@ class Result(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return the case in words."""
+        """Return the description of the case."""
         return f"{self.signal}, {self.insult}, {self.estimate}, {self.path}"
 
 
 def measured(results: Sequence[Result], bound: str) -> list[tuple[float, Result]]:
-    """Return what a measure is in each case that has it, the worst first."""
+    """Return the values of a measure with their cases, the largest first; cases without this measure are left out."""
     default = 0.0 if bound == "raised" else np.nan
     found = [(one.measured.get(bound, default), one) for one in results]
     return sorted((pair for pair in found if not np.isnan(pair[0])), key=lambda pair: -pair[0])
 
 
 def totals(results: Sequence[Result]) -> list[str]:
-    """Return a table of how many cases are beyond each bound."""
+    """Return a table of the number of cases beyond each bound."""
     lines = ["| bound | at most | cases | beyond | share | median | worst |", "|---|---|---|---|---|---|---|"]
     for bound, limit in LIMITS.items():
         lines.append(_total(bound, limit, measured(results, bound)))
@@ -58,7 +58,7 @@ def _total(bound: str, limit: float, found: Sequence[tuple[float, Result]]) -> s
 
 
 def by_insult(results: Sequence[Result]) -> list[str]:
-    """Return a table of how many cases of each insult are beyond each bound."""
+    """Return a table of the number of cases beyond each bound, by insult."""
     insults = list(dict.fromkeys(one.insult for one in results))
     lines = [f"| insult | cases | {' | '.join(LIMITS)} |", "|---|---" + "|---" * len(LIMITS) + "|"]
     for insult in insults:
@@ -95,7 +95,7 @@ def grid(results: Sequence[Result], bound: str) -> list[str]:
 
 
 def _cell(value: float, limit: float) -> str:
-    """Return a number, bold where it is beyond its bound; nothing where there is none."""
+    """Return a number, bold if it is beyond its bound; "" for NaN."""
     if np.isnan(value):
         return ""
     return f"**{value:.2g}**" if value > limit else f"{value:.2g}"
@@ -107,7 +107,7 @@ def page(results: Sequence[Result], every: bool) -> str:
     Parameters
     ----------
     results : sequence of Result
-        All cases.
+        Results of all cases.
     every : bool
         Whether to list every violation.
     """

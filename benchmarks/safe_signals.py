@@ -1,7 +1,8 @@
-"""Signals whose truth is known, with white noise of known size, as the benchmark of safety damages them.
+"""Make signals with known truth and known white noise, which `safe.py` damages.
 
-Every signal has a standard deviation of 1 about a level of 5, so that a reading of 0 is wrong. The two real ones are
-motions of real records, freed from their own noise by a low-pass without lag, and then given white noise like all.
+Every signal has a standard deviation of 1 about a level of 5, so that a reading of 0 is wrong. The two real signals are
+real records without their noise, which a low-pass filter without lag removes; then they get white noise like all
+signals.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class Signal(NamedTuple):
     Attributes
     ----------
     make : callable
-        Takes a number of rows and a generator; returns the truth (N,), at any level and scale.
+        Function that gets a number of rows and a random generator, and returns the truth (N,), at any level and scale.
     tails : float
         Degrees of freedom of the noise's Student t; inf for Gaussian noise.
     """
@@ -48,7 +49,7 @@ def walk(rows: int, rng: np.random.Generator) -> Floats:
 
 
 def damped(rows: int, rng: np.random.Generator, order: int) -> Floats:
-    """Return white noise integrated `order` times; each integrator leaks, within 2/order seconds."""
+    """Return white noise integrated `order` times; each integrator leaks with a time constant of 2/order seconds."""
     pole = np.exp(-order / (2.0 * RATE_HZ))
     x = rng.normal(size=rows + 4000)
     for _ in range(order):
@@ -72,7 +73,7 @@ def tones(rows: int, rng: np.random.Generator) -> Floats:
 
 
 def stairs(rows: int, rng: np.random.Generator) -> Floats:
-    """Return levels that last 100 to 700 rows, two at least."""
+    """Return at least two levels, which last 100 to 700 rows each."""
     lengths = rng.integers(100, min(700, rows // 2 + 1), rows // 100 + 1)
     return np.repeat(rng.normal(size=len(lengths)), lengths)[:rows]
 
@@ -83,9 +84,9 @@ def saw(rows: int, rng: np.random.Generator) -> Floats:
 
 
 def impacts(rows: int, rng: np.random.Generator) -> Floats:
-    """Return blows about once a second; each rings at 12 Hz and dies within 0.1 s."""
+    """Return impacts about once a second; each rings at 12 Hz and decays with a time constant of 0.1 s."""
     blows = np.where(rng.uniform(size=rows) < 1 / RATE_HZ, rng.normal(size=rows), 0.0)
-    blows[rows // 2] = 1.0  # a record without any would have no spread
+    blows[rows // 2] = 1.0  # without any impact the standard deviation would be 0
     t = np.arange(200) / RATE_HZ
     return np.convolve(blows, np.exp(-t / 0.1) * np.sin(2 * np.pi * 12 * t))[:rows]
 
@@ -98,7 +99,7 @@ def drift(rows: int, rng: np.random.Generator) -> Floats:
 
 @cache
 def _recorded(file: str, channel: int, highest_share: float) -> Floats | None:
-    """Return a channel of a real record below a share of half its rate; None where the record is absent."""
+    """Return a channel of a real record below a cut-off, as a share of half its rate; None if the record is absent."""
     if not (DATA / file).exists():
         return None
     samples = becalm.read(DATA / file).samples
@@ -117,7 +118,7 @@ def real_strain(rows: int, rng: np.random.Generator) -> Floats:
 
 
 def _part_of(record: Floats | None, rows: int, rng: np.random.Generator) -> Floats:
-    """Return some rows of a record, fewer where it is shorter; none where it is absent."""
+    """Return some rows of a record, or all if it is shorter; an empty array if it is absent."""
     if record is None:
         return np.empty(0)
     start = int(rng.integers(max(len(record) - rows, 0) + 1))
@@ -140,30 +141,30 @@ SIGNALS: dict[str, Signal] = {
     "real IMU": Signal(real_imu),
     "real strain": Signal(real_strain),
 }
-"""All kinds by their name."""
+"""All kinds of signals by name."""
 
 
 class Record(NamedTuple):
-    """A record, its truth, and what is known of its damage.
+    """A record, its truth and its damage.
 
     Attributes
     ----------
     truth : (N,) float array
-        What the sensor sees.
+        True signal.
     sound : (N,) float array
-        What an undamaged sensor reads: truth and noise.
+        Readings of an undamaged sensor: truth and noise.
     readings : (N,) float array
-        What this one reads; NaN where missing.
+        Readings of this sensor; NaN where missing.
     hidden : (N,) bool array
-        Rows whose reading tells nothing of the truth in that row.
+        Flags of rows whose reading does not depend on the truth in that row.
     touched : (N,) bool array
-        Rows that an insult concerns, hidden ones or others.
+        Flags of all rows that an insult changes, hidden or not.
     noise_std : float
         Standard deviation of the white noise.
     resolution : float
         Step of the converter; 0 for none.
     every : int
-        Rows from one reading that is new to the next.
+        Number of rows from one new reading to the next.
     """
 
     truth: Floats
@@ -177,7 +178,7 @@ class Record(NamedTuple):
 
 
 def undamaged(signal: Signal, rng: np.random.Generator, rows: int = ROWS, noise: float = NOISE) -> Record | None:
-    """Return a record of a signal with white noise, a share `noise` of its spread; None where its file is absent."""
+    """Return a record of a signal with white noise, a share of its standard deviation; None if its file is absent."""
     made = signal.make(rows, rng)
     if not len(made):
         return None

@@ -1,11 +1,11 @@
-"""The same filter, the same bits: exported C beside becalm's stream, and whatever compiled it.
+"""Exported C, becalm's stream and a causal clean give bitwise the same signal, with every compiler.
 
-*Recordings*: every channel of every recording is tuned as a causal filter (on its first 20 000 rows), exported whole as
-float64, compiled by `cc -O2`, and run over the record beside becalm's own stream, which goes in blocks of 50 rows, and
-over a causal `clean` of it; bytes are compared, where the stream tells a signal.
-*Compilers*: one export of many filters (orders 1 to 5 with a gate, a tone, coloured noise, modes that switch) is
-compiled in each way that this machine can, and run over 20 000 readings with spikes, steps and holes. zig is that of
-the package ziglang; what it makes for aarch64 runs under qemu-aarch64.
+*Recordings*: every channel of every recording is tuned as a causal filter (on its first 20 000 rows), exported with its
+full covariance as float64, compiled by `cc -O2`, and run over the record, as are becalm's own stream in blocks of 50
+rows and a causal `clean`; signals are compared bitwise in the rows in which the stream has a signal. *Compilers*: one
+export of many filters (orders 1 to 5 with a gate, a tone, coloured noise, several modes) is compiled in each way that
+this machine offers, and run over 20 000 readings with spikes, steps and holes. zig is the one in the package ziglang;
+its programs for aarch64 run under qemu-aarch64.
 
 Run: python benchmarks/same_bits.py [-o docs/same-bits.md] [NAME ...]; needs `pip install 'becalm[formats]'`.
 The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
@@ -33,7 +33,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import BecalmError
 from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.proof.compiling import STRICT, build
-from becalm.export.proof.verifying import streamed, unpacked
+from becalm.export.proof.verifying import run_in_c, write_bundle
 from export_records import recordings, tuned
 from pages import page_parser, publish
 
@@ -44,7 +44,7 @@ _AARCH64 = ("-target", "aarch64-linux-musl", "-static")
 
 
 class Way(NamedTuple):
-    """A way to compile, and to run what was compiled."""
+    """A command to compile a program, and a command that runs it."""
 
     name: str
     compiler: tuple[str, ...]
@@ -52,7 +52,7 @@ class Way(NamedTuple):
 
 
 def ways() -> list[Way]:
-    """Return those that this machine can."""
+    """Return the compilers on this machine."""
     found = [Way(f"{name} {how}", (name, how)) for name in ("gcc", "clang") if shutil.which(name) for how in _OPTIMISED]
     if find_spec("ziglang"):
         zig = (sys.executable, "-m", "ziglang", "cc")
@@ -78,8 +78,8 @@ def many_filters() -> Recipe:
 
 def _channel(name: str, order: int, cutoff: float, **more: object) -> ChannelRecipe:
     density = cutoff ** (2 * order) * _RATE_HZ ** (2 * order - 1)
-    told = {"name": name, "model": "motion", "order": order, "process_noise_density": density, "noise_std": 1.0, **more}
-    return ChannelRecipe.model_validate(told)
+    own = {"name": name, "model": "motion", "order": order, "process_noise_density": density, "noise_std": 1.0, **more}
+    return ChannelRecipe.model_validate(own)
 
 
 def rough() -> Floats:
@@ -100,7 +100,7 @@ def by_compilers() -> str:
     bundle = bundle_of(recipe, "many", ExportOptions(precision="float64", gain="full"))
     own = hashlib.sha256()
     for channel in recipe.channel:
-        own.update(_told(_stream(channel, _RATE_HZ, readings)))
+        own.update(_known_bytes(_stream(channel, _RATE_HZ, readings)))
     lines = ["| compiled by | SHA-256 of all signals |", "|---|---|", f"| becalm's stream | `{own.hexdigest()[:16]}` |"]
     for way in ways():
         print(way.name, file=sys.stderr)
@@ -109,70 +109,70 @@ def by_compilers() -> str:
 
 
 def _by(way: Way, bundle: Bundle, recipe: Recipe, readings: Floats) -> str:
-    """Compile and run all filters; return the hash of what they tell where becalm's stream does."""
+    """Compile and run all filters; return the hash of their signals, in the rows in which becalm's stream has one."""
     found = hashlib.sha256()
     with tempfile.TemporaryDirectory() as place:
-        folder = unpacked(bundle, Path(place))
+        folder = write_bundle(bundle, Path(place))
         texts = [path for path in bundle.files if path.endswith(".c") and path.count("/") == path.startswith("native/")]
         words = [*way.compiler, *STRICT[:1], STRICT[-1], *texts, "-o", "check", "-lm"]
         subprocess.run(words, cwd=folder, check=True, capture_output=True)
         (folder / "in").write_bytes(readings.tobytes())
         for one, channel in zip(bundle.channels, recipe.channel, strict=True):
             subprocess.run([*way.runs, "./check", one.prefix, "in", "out", "status"], cwd=folder, check=True)
-            told = np.frombuffer((folder / "out").read_bytes(), np.float64)
-            found.update(_told(np.where(np.isnan(_stream(channel, _RATE_HZ, readings)), np.nan, told)))
+            signal = np.frombuffer((folder / "out").read_bytes(), np.float64)
+            found.update(_known_bytes(np.where(np.isnan(_stream(channel, _RATE_HZ, readings)), np.nan, signal)))
     return found.hexdigest()
 
 
-def _told(signal: Floats) -> bytes:
+def _known_bytes(signal: Floats) -> bytes:
     return signal[~np.isnan(signal)].tobytes()
 
 
 def _stream(channel: ChannelRecipe, rate_hz: float, readings: Floats) -> Floats:
-    """Return what becalm's stream tells of readings that come in blocks."""
-    alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
-    stream = StreamCleaner(alone, 1 / rate_hz)
-    told = [
+    """Return the signal of becalm's stream for readings in blocks."""
+    recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
+    stream = StreamCleaner(recipe, 1 / rate_hz)
+    parts = [
         stream.push(np.ascontiguousarray(readings[k : k + _BLOCK, np.newaxis]), np.ones(len(readings[k : k + _BLOCK])))
         for k in range(0, len(readings), _BLOCK)
     ]
-    return np.concatenate([part.signal[:, 0] for part in told])
+    return np.concatenate([part.signal[:, 0] for part in parts])
 
 
 class Compared(NamedTuple):
-    """What was found of one recording."""
+    """The comparison of one recording."""
 
     record: str
     channels: int
     rows: int
-    beside_stream: int  # signals of C that differ from the stream's
-    beside_clean: int  # signals of the stream that differ from those of `clean`
-    refused: int
+    stream_differences: int  # number of samples of C that differ from the stream's
+    clean_differences: int  # number of samples of the stream that differ from those of `clean`
+    refused: int  # number of channels that are not exported
 
 
 def _compared(title: str, recording: becalm.Recording) -> Compared:
-    rate_hz, counted, beside_stream, beside_clean, refused = recording.timebase.rate_hz, 0, 0, 0, 0
+    rate_hz, counted, from_stream, from_clean, refused = recording.timebase.rate_hz, 0, 0, 0, 0
     for channel in tuned(recording):
         if channel.motion is None:
             continue
         readings = np.ascontiguousarray(recording.samples[:, recording.names.index(channel.name)])
-        alone = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
+        recipe = Recipe(mode="causal", tuned_on=Origin(rate_hz=rate_hz), channel=(channel,))
         try:
-            bundle = bundle_of(alone, "record", ExportOptions(precision="float64", gain="full"))
+            bundle = bundle_of(recipe, "record", ExportOptions(precision="float64", gain="full"))
         except BecalmError:
             refused += 1
             continue
         with tempfile.TemporaryDirectory() as place:
-            program = build(unpacked(bundle, Path(place)), bundle.stem, "cc", ("-O2",))
+            program = build(write_bundle(bundle, Path(place)), bundle.stem, "cc", ("-O2",))
             (one,) = bundle.channels
-            signal, _ = streamed(program, one, one.kind.raw(readings, one.written))
+            signal, _ = run_in_c(program, one, one.kind.raw(readings, one.written))
         even = becalm.Recording(readings, names=[channel.name], units=[channel.unit], rate_hz=rate_hz)
-        cleaned = becalm.clean(even, alone).signal.samples[:, 0]
-        told = _stream(channel, rate_hz, readings)
+        cleaned = becalm.clean(even, recipe).signal.samples[:, 0]
+        streaming = _stream(channel, rate_hz, readings)
         counted += 1
-        beside_stream += int(np.count_nonzero((signal != told) & ~np.isnan(told)))
-        beside_clean += int(np.count_nonzero((cleaned != told) & ~(np.isnan(told) & np.isnan(cleaned))))
-    return Compared(title, counted, len(recording), beside_stream, beside_clean, refused)
+        from_stream += int(np.count_nonzero((signal != streaming) & ~np.isnan(streaming)))
+        from_clean += int(np.count_nonzero((cleaned != streaming) & ~(np.isnan(streaming) & np.isnan(cleaned))))
+    return Compared(title, counted, len(recording), from_stream, from_clean, refused)
 
 
 def page(names: Sequence[str]) -> str:
@@ -193,8 +193,8 @@ def main() -> None:
     """Print the tables; with -o, write them as a page."""
     parser = page_parser(__doc__)
     parser.add_argument("names", nargs="*")
-    words = parser.parse_args()
-    publish("The same bits", __doc__, page(words.names), words.output)
+    arguments = parser.parse_args()
+    publish("The same bits", __doc__, page(arguments.names), arguments.output)
 
 
 if __name__ == "__main__":

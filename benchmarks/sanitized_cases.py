@@ -1,4 +1,4 @@
-"""Cases for the filter in C that is watched by sanitizers; `sanitized.py` runs this by itself, with that filter."""
+"""Run random cases on the filter in C that is compiled with sanitizers; `sanitized.py` starts this program."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ magnitudes = st.floats(-9, 9).map(lambda power: 10.0**power)
 
 
 class Rows(NamedTuple):
-    """What a channel is given, and where it is cut."""
+    """The input of a channel."""
 
-    z: Floats
-    elapsed: Floats
-    cuts: list[int]
+    z: Floats  # readings
+    elapsed: Floats  # steps before each reading
+    cuts: list[int]  # first rows of the blocks after the first one
 
 
 @st.composite
 def rows(draw: st.DrawFn, unit: float = 1.0) -> Rows:
-    """Draw readings of a channel that wanders and jumps, with holes and nonsense, and the steps before them."""
+    """Draw readings of a channel that drifts and jumps, with holes and invalid values, and the steps before them."""
     count, rng = draw(st.integers(1, MOST_ROWS)), np.random.default_rng(draw(st.integers(0, 1 << 30)))
     z = np.cumsum(rng.normal(0, draw(st.sampled_from([0.0, 0.05, 0.5])), count)) + rng.normal(size=count)
     z = unit * (z + draw(st.sampled_from([0.0, 30.0, 1e6])))
@@ -79,7 +79,7 @@ def rows(draw: st.DrawFn, unit: float = 1.0) -> Rows:
 
 @st.composite
 def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
-    """Draw a channel of any kind, and its step in seconds."""
+    """Draw a recipe of any kind, and its sampling interval in seconds."""
     rate_hz, noise = 10.0 ** draw(st.floats(-1, 4)), draw(magnitudes)
 
     def density(order: int) -> float:
@@ -157,18 +157,18 @@ def recipes(draw: st.DrawFn) -> tuple[ChannelRecipe, float]:
     return made_of, 1 / rate_hz
 
 
-def pushed(channel: ChannelCleaner, given_it: Rows, cuts: list[int]) -> EstimatedRows:
-    """Return all that a channel tells of rows that come in blocks."""
+def estimated(channel: ChannelCleaner, given_it: Rows, cuts: list[int]) -> EstimatedRows:
+    """Return all estimates of a channel for rows in blocks."""
     ends = [*cuts, len(given_it.z)]
-    told = [EstimatedRows.nothing()]
+    parts = [EstimatedRows.empty()]
     for begin, end in zip([0, *ends], ends, strict=False):
-        told += channel.push(given_it.z[begin:end], given_it.elapsed[begin:end])
-    told += channel.finish()
-    return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*told, strict=True)))
+        parts += channel.push(given_it.z[begin:end], given_it.elapsed[begin:end])
+    parts += channel.finish()
+    return EstimatedRows(*(np.concatenate(arrays, axis=-1) for arrays in zip(*parts, strict=True)))
 
 
 def damaged(arrays: Any, places: list[tuple[int, int]]) -> Any:
-    """Return a filter's state with some bytes changed, of those that C takes."""
+    """Return a filter's saved state with some bytes changed in the parts that C reads."""
     if isinstance(arrays, dict):
         return {
             name: damaged(value, places) if name.endswith(("state", "modes")) else value
@@ -183,13 +183,13 @@ def damaged(arrays: Any, places: list[tuple[int, int]]) -> Any:
 
 
 def channel(draw: st.DataObject) -> None:
-    """Run a channel of a recipe, in one block and in several; then a damaged state of it."""
+    """Run a channel of a recipe in one block and in several blocks, and then from a damaged state."""
     recipe, step_s = draw.draw(recipes())
     lag = draw.draw(st.sampled_from([0, 0, None, None, 1, 6, 40]))
     given_it = draw.draw(rows(recipe.noise_std or 1.0))
     watch(recipe.model_dump_json(), step_s, lag, given_it)
     try:
-        whole, cut = (pushed(open_channel(recipe, step_s, lag), given_it, cuts) for cuts in ([], given_it.cuts))
+        whole, cut = (estimated(open_channel(recipe, step_s, lag), given_it, cuts) for cuts in ([], given_it.cuts))
     except BecalmError:
         COUNTED["channel, refused"] += 1
         return
@@ -204,7 +204,7 @@ def channel(draw: st.DataObject) -> None:
     places = draw.draw(st.lists(st.tuples(st.integers(0, 1 << 14), st.integers(0, 255)), max_size=3))
     if held is None:
         return
-    second.restore(held)  # what was not damaged is taken
+    second.restore(held)  # an undamaged state must be accepted
     try:
         second.restore(damaged(held, places))
         second.push(given_it.z, given_it.elapsed)
@@ -214,7 +214,7 @@ def channel(draw: st.DataObject) -> None:
 
 
 def model(draw: st.DataObject) -> None:
-    """Run a model of some channels: live, filtered, smoothed; and a damaged snapshot of it."""
+    """Run a model of some channels: live, filtered, smoothed, and resumed from a damaged snapshot."""
     n, m = draw.draw(st.integers(1, 10)), draw.draw(st.sampled_from([1, 1, 2, 3, 4]))
     rng = np.random.default_rng(draw.draw(st.integers(0, 1 << 30)))
     root = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-6, 2, n)[:, np.newaxis]
@@ -247,7 +247,7 @@ def model(draw: st.DataObject) -> None:
         COUNTED["model, refused"] += 1
         return
     COUNTED[f"model of {'one channel' if m == 1 else 'several channels'}"] += 1
-    becalm.Online.resume(online.snapshot())  # what was not damaged is taken
+    becalm.Online.resume(online.snapshot())  # an undamaged snapshot must be accepted
     blob = bytearray(online.snapshot())
     for at, value in draw.draw(st.lists(st.tuples(st.integers(0, 1 << 14), st.integers(0, 255)), max_size=3)):
         blob[at % len(blob)] = value
@@ -259,9 +259,9 @@ def model(draw: st.DataObject) -> None:
 
 
 def clock(draw: st.DataObject) -> None:
-    """Run a stream's clock."""
+    """Run the clock of a stream."""
     step_s = draw.draw(magnitudes)
-    told = LiveClock(step_s, draw.draw(st.sampled_from([0.0, 0.01, 0.3, 1.0, 5.0])) * step_s)
+    live_clock = LiveClock(step_s, draw.draw(st.sampled_from([0.0, 0.01, 0.3, 1.0, 5.0])) * step_s)
     count = draw.draw(st.integers(1, 500))
     stamps = step_s * np.arange(count, dtype=float)
     places = st.integers(0, count - 1)
@@ -269,7 +269,7 @@ def clock(draw: st.DataObject) -> None:
     for at, jump in draw.draw(st.lists(st.tuples(places, jumps), max_size=6)):
         stamps[at : at + int(draw.draw(st.sampled_from([1, 9, count])))] += step_s * jump
     watch("clock", step_s, stamps.tolist())
-    told.passed(stamps)
+    live_clock.process_stamps(stamps)
     COUNTED["clock"] += 1
 
 
@@ -288,17 +288,17 @@ def tuned(draw: st.DataObject) -> None:
 
 
 def watch(*what: object) -> None:
-    """Write the next case down, and end the program if it takes too long: a sanitizer ends it, too."""
+    """Write the next case to a file, for the report of a finding; end the program if the case takes too long."""
     faulthandler.dump_traceback_later(LONGEST_S, exit=True)
     Path(sys.argv[2]).write_text(repr(what), encoding="utf-8")
 
 
 def main() -> None:
-    """Run cases until it is time, each kind in its turn."""
+    """Run cases of each kind in turn until the time is over."""
     begin, until = int(sys.argv[3]), float(sys.argv[4])
     warnings.simplefilter("ignore")
     np.seterr(all="ignore")
-    np.set_printoptions(threshold=sys.maxsize)  # so that a case can be run again
+    np.set_printoptions(threshold=sys.maxsize)  # prints whole arrays, so that a case can be run again
     unhurried = settings(
         max_examples=EXAMPLES,
         deadline=None,

@@ -1,7 +1,7 @@
-"""Faults of a sensor: found within the delay that is stated, and no alarm in hours of healthy readings.
+"""Faults of a sensor: whether they are detected within the stated delay, and false alarms in hours of healthy readings.
 
-Limits are found from the first minute (or from 30 000 readings) of each record, and the record is then watched as
-it would come. Readings are in sigma of their white noise; LSB is the step of the converter.
+Limits are identified from the first minute (or from 30 000 readings) of each record, and the record is then checked
+in blocks, like a stream. Readings are in sigma of their white noise; LSB is the step of the converter.
 
 Run: python benchmarks/sensor_faults.py [-o docs/sensor-faults.md] [--seeds N]
 """
@@ -21,7 +21,7 @@ from sensor_faults_records import ALARMS_PER_HOUR, DATA, RATES_HZ, REAL, SIGNALS
 
 
 def real() -> list[str]:
-    """Return a row for each channel of the real recordings that are there."""
+    """Return a row for each channel of the real recordings that exist on this machine."""
     rows = []
     for file, rate_hz in REAL.items():
         if not (DATA / file).exists():
@@ -52,7 +52,7 @@ ALARMS = (
 
 
 def faults(seeds: int) -> str:
-    """Write the table of faults that were made."""
+    """Return the table of simulated faults."""
     lines = list(FOUND)
     for lsb in STEPS:
         step = f"{lsb:g} sigma"
@@ -63,13 +63,13 @@ def faults(seeds: int) -> str:
             dead(lsb, seeds).row("dead, behind a filter", "random walk", step),
         ]
         lines += [clipped(name, lsb, seeds).row("clipped", name, step) for name in SIGNALS]
-        told = [clipped(name, lsb, seeds, told=True) for name in SIGNALS]
-        lines.append(Score.of_all(told).row("clipped, range given", "all", step))
+        given = [clipped(name, lsb, seeds, given=True) for name in SIGNALS]
+        lines.append(Score.of_all(given).row("clipped, range given", "all", step))
     return "\n".join(lines)
 
 
 def healthy(seeds: int) -> str:
-    """Write the table of readings that were called faulty in healthy hours."""
+    """Return the table of readings that were called faulty in healthy hours."""
     lines = ["| rate | LSB | " + " | ".join(SIGNALS) + " |", "|---|---|" + "---|" * len(SIGNALS)]
     for rate_hz in RATES_HZ:
         hours = seeds if rate_hz <= 500 else 1
@@ -83,7 +83,7 @@ def healthy(seeds: int) -> str:
 
 
 def innovations_page(seeds: int) -> str:
-    """Write the tables of drift, and of false alarms of innovations."""
+    """Return the tables of drift, and of false alarms from innovations."""
     alarms = list(ALARMS)
     for rate_hz, hours, per_hour in ((500, seeds, 1.0), (500, seeds, 100.0), (10_000, 1, 1.0), (10_000, 1, 100.0)):
         got = monitor_alarms(rate_hz, hours, per_hour)
@@ -94,7 +94,7 @@ def innovations_page(seeds: int) -> str:
 
 
 def page(seeds: int) -> str:
-    """Write all tables, and what they say."""
+    """Return the page with all tables and their explanations."""
     real_rows = real()
     head = ["| recording | channel | LSB | rails | longest run | stuck from | found |", "|---|---|---|---|---|---|---|"]
     table = "\n".join([*head, *real_rows]) if real_rows else "The recordings are not beside the project."
@@ -131,8 +131,8 @@ def main() -> None:
     """Print the tables; with -o, write them as a page."""
     parser = page_parser(__doc__)
     parser.add_argument("--seeds", type=int, default=20, help="records of each kind, and hours at 500 Hz")
-    words = parser.parse_args()
-    publish("Faults of a sensor", __doc__, page(words.seeds), words.output)
+    arguments = parser.parse_args()
+    publish("Faults of a sensor", __doc__, page(arguments.seeds), arguments.output)
 
 
 if __name__ == "__main__":

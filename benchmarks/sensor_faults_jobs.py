@@ -1,4 +1,4 @@
-"""What the benchmark of sensor faults does: breaks healthy records, and asks when it is told."""
+"""Put faults into healthy records, and measure when they are detected, for `sensor_faults.py`."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sensor_faults_records import ALARMS_PER_HOUR, LEARNT, SIGNALS, Floats, digi
 
 
 def learnt(z: Floats, elapsed: Floats, rate_hz: float) -> Limits:
-    """Find the limits from the start of a record."""
+    """Identify the limits from the start of a record."""
     count = max(LEARNT, int(60 * rate_hz))
     return find_limits(z[:count], elapsed[:count], ALARMS_PER_HOUR, 1 / rate_hz)
 
 
 def watched(z: Floats, elapsed: Floats, limits: Limits) -> Faults:
-    """Push a record in blocks."""
+    """Check a record in blocks; return the faults."""
     faults = Faults(limits)
     for start in range(0, len(z), 1 << 16):
         faults.push(z[start : start + (1 << 16)], elapsed[start : start + (1 << 16)])
@@ -29,7 +29,7 @@ def watched(z: Floats, elapsed: Floats, limits: Limits) -> Faults:
 
 
 def false_alarms(rate_hz: int, lsb: float, seed: int) -> dict[str, int]:
-    """Return how many readings of an hour of each healthy signal were called faulty."""
+    """Return the number of readings called faulty in an hour of each healthy signal."""
     out = {}
     for name in SIGNALS:
         z, elapsed = record(name, 3600 * rate_hz, rate_hz, lsb, seed)
@@ -39,31 +39,31 @@ def false_alarms(rate_hz: int, lsb: float, seed: int) -> dict[str, int]:
 
 
 class Score(NamedTuple):
-    """How a fault was found over signals and seeds."""
+    """The detection of a fault, over signals and seeds."""
 
-    records: int  # in which the limits tell of such a fault
-    untold: int  # in which they do not
-    found: int  # within the stated delay
-    stated: int  # the longest stated delay, in readings
-    worst: int  # the longest real one, of those that were found
-    wrong: int  # records with an alarm before the fault, or on readings that have none
+    records: int  # number of records whose limits can detect such a fault
+    untold: int  # number of records whose limits cannot
+    found: int  # number of faults that were detected within the stated delay
+    stated: int  # longest stated delay, in readings
+    worst: int  # longest delay of a detected fault, in readings
+    wrong: int  # number of records with an alarm before the fault, or on readings without a fault
 
     @classmethod
     def of_all(cls, scores: list[Score]) -> Score:
-        """Put scores together."""
+        """Return the total of some scores."""
         records, untold, found, stated, worst, wrong = zip(*scores, strict=True)
         return cls(sum(records), sum(untold), sum(found), max(stated), max(worst), sum(wrong))
 
     def row(self, *names: str) -> str:
-        """Write a row of the table."""
-        told = f"{self.found} of {self.records}"
-        return f"| {' | '.join(names)} | {self.stated} | {self.worst} | {told} | {self.untold} | {self.wrong} |"
+        """Return a row of the table."""
+        found = f"{self.found} of {self.records}"
+        return f"| {' | '.join(names)} | {self.stated} | {self.worst} | {found} | {self.untold} | {self.wrong} |"
 
 
 RATE_HZ = 500
-COUNT, FAULT_AT, TAUGHT_AT, HELD = 90_000, 60_000, 10_000, 10_000  # rows; of a stuck stretch among those learnt
-SETTLING = 50  # readings: five time constants of a level filter of gain 0.1
-SHOWN = 1 / 500  # share of the readings learnt: of a rail that holds less the record shows next to nothing
+COUNT, FAULT_AT, TAUGHT_AT, HELD = 90_000, 60_000, 10_000, 10_000  # rows; a stuck stretch in the learnt part
+SETTLING = 50  # readings: five time constants of a level filter with gain 0.1
+SHOWN = 1 / 500  # smallest share of the learnt readings at a rail; with less, the record hardly shows the rail
 CLIPS = {  # half of the range that clips a signal, in sigma
     "white": 2.0,
     "random walk": 15.0,
@@ -75,26 +75,26 @@ CLIPS = {  # half of the range that clips a signal, in sigma
 
 
 def _score(found: list[tuple[int | None, int | None, bool]]) -> Score:
-    """Put together stated delays, real ones (None where there is none) and whether an alarm came before."""
-    told = [(stated, delay) for stated, delay, _ in found if stated is not None]
-    within = [delay for stated, delay in told if delay is not None and delay <= stated]
+    """Return the score of records, each with its stated and its real delay, or None, and whether an alarm was early."""
+    detectable = [(stated, delay) for stated, delay, _ in found if stated is not None]
+    within = [delay for stated, delay in detectable if delay is not None and delay <= stated]
     return Score(
-        len(told),
-        len(found) - len(told),
+        len(detectable),
+        len(found) - len(detectable),
         len(within),
-        max((stated for stated, _ in told), default=0),
-        max((delay for _, delay in told if delay is not None), default=0),
+        max((stated for stated, _ in detectable), default=0),
+        max((delay for _, delay in detectable if delay is not None), default=0),
         sum(early for _, _, early in found),
     )
 
 
 def _delay(faults: Faults, verdict: Verdict, at: int) -> int | None:
-    """Return how many readings a fault that began in row `at` had lasted when it was told; None if it was not."""
+    """Return the number of readings from a fault in row `at` to its detection; None if it was not detected."""
     return faults.found[verdict].first_row - at + 1 if verdict in faults.found else None
 
 
 def stuck(lsb: float, seeds: int, taught: bool = False) -> Score:
-    """Hold a reading for good; `taught`: for 20 s, within the record that the limits are found in."""
+    """Hold a reading until the end; with `taught`, for 20 s while limits are identified."""
     found = []
     for name in SIGNALS:
         for seed in range(seeds):
@@ -103,13 +103,13 @@ def stuck(lsb: float, seeds: int, taught: bool = False) -> Score:
             z[at : at + HELD if taught else None] = z[at]
             limits = learnt(z, elapsed, RATE_HZ)
             delay, stated = _delay(watched(z, elapsed, limits), Verdict.STUCK, at), limits.stuck_readings
-            told = None if stated is None or stated > HELD else stated
-            found.append((told, delay, delay is not None and delay < 1))
+            usable = None if stated is None or stated > HELD else stated
+            found.append((usable, delay, delay is not None and delay < 1))
     return _score(found)
 
 
-def clipped(name: str, lsb: float, seeds: int, told: bool = False) -> Score:
-    """Clip a signal all along, and ask for each rail; they are found from the record, or told."""
+def clipped(name: str, lsb: float, seeds: int, given: bool = False) -> Score:
+    """Clip a signal, and check each saturation limit; limits are identified from the record, or `given`."""
     found: list[tuple[int | None, int | None, bool]] = []
     for seed in range(seeds):
         z, elapsed = record(name, COUNT, RATE_HZ, lsb, seed)
@@ -117,7 +117,7 @@ def clipped(name: str, lsb: float, seeds: int, told: bool = False) -> Score:
         rails = digitised(np.array([middle - CLIPS[name], middle + CLIPS[name]]), lsb)
         z = np.clip(z, *rails)
         limits = find_limits(
-            z[:LEARNT], elapsed[:LEARNT], ALARMS_PER_HOUR, 1 / RATE_HZ, (rails[0], rails[1]) if told else None
+            z[:LEARNT], elapsed[:LEARNT], ALARMS_PER_HOUR, 1 / RATE_HZ, (rails[0], rails[1]) if given else None
         )
         codes = Faults(limits).push(z, elapsed)
         wrong = bool((codes == Verdict.CLIPPED)[(z != rails[0]) & (z != rails[1])].any())
@@ -144,14 +144,14 @@ def dropout(lsb: float, seeds: int) -> Score:
 
 
 def innovations(z: Floats, ratio: float) -> Floats:
-    """Return normalised innovations (N,) of a level filter for noise of variance 1 and a walk of Q/R = `ratio`."""
+    """Return the normalised innovations (N,) of a random-walk filter with R = 1 and Q/R = `ratio`."""
     one = np.ones((1, 1))
     estimate = kalman_filter(Model(F=one, H=one, Q=ratio * one, R=one, x0=z[:1], P0=one), z)
     return np.asarray((estimate.innovations / estimate.innovation_sigma)[:, 0])
 
 
 def dead(lsb: float, seeds: int) -> Score:
-    """Let a sensor give a level with a hundredth of its noise, seen by a filter of a gain of 0.1."""
+    """Let a sensor return a constant with a hundredth of its noise, and monitor a filter with a gain of 0.1."""
     alarms = find_alarms(ALARMS_PER_HOUR, 1 / RATE_HZ)
     found: list[tuple[int | None, int | None, bool]] = []
     for seed in range(seeds):
@@ -167,22 +167,22 @@ def dead(lsb: float, seeds: int) -> Score:
 
 
 def drift(seeds: int) -> list[str]:
-    """Return rows of the drift table: what is pushed, what is stated, what came."""
+    """Return the rows of the drift table: kind of drift, stated delay, real delay, number of detections."""
     alarms = find_alarms(ALARMS_PER_HOUR, 1 / RATE_HZ)
     rows = []
     for what, shift in (("shift of 1 sigma", 1.0), ("shift of -1 sigma", -1.0), ("shift of 2 sigma", 2.0)):
         stated = cusum_delay(alarms.drift_threshold, abs(shift))
         delays = [_drift_delay(alarms, np.full(2000, shift), seed) for seed in range(20 * seeds)]
-        told = [delay for delay in delays if delay is not None]
+        real = [delay for delay in delays if delay is not None]
         rows.append(
-            f"| {what} of white innovations | {stated:.1f} | {np.mean(told):.1f} | {len(told)} of {len(delays)} |"
+            f"| {what} of white innovations | {stated:.1f} | {np.mean(real):.1f} | {len(real)} of {len(delays)} |"
         )
     ramp = np.arange(60.0 * RATE_HZ) / RATE_HZ * 0.1  # 0.1 sigma a second, for a minute
     for what, ratio in (("a filter of gain 0.1, that follows it", 0.01), ("a level known at rest", 0.0)):
         delays = [_ramp_delay(alarms, ramp, ratio, seed) for seed in range(seeds)]
-        told = [delay for delay in delays if delay is not None]
-        mean = f"{np.mean(told) / RATE_HZ:.1f} s" if told else "-"
-        rows.append(f"| drift of 0.1 sigma a second, against {what} | - | {mean} | {len(told)} of {len(delays)} |")
+        real = [delay for delay in delays if delay is not None]
+        mean = f"{np.mean(real) / RATE_HZ:.1f} s" if real else "-"
+        rows.append(f"| drift of 0.1 sigma a second, against {what} | - | {mean} | {len(real)} of {len(delays)} |")
     return rows
 
 
@@ -202,7 +202,7 @@ def _ramp_delay(alarms: Alarms, ramp: Floats, ratio: float, seed: int) -> int | 
 
 
 def monitor_alarms(rate_hz: int, hours: int, per_hour: float) -> dict[str, float]:
-    """Return how often white innovations were called a drift, or dead, per hour."""
+    """Return the number of false alarms per hour on white innovations, of drift and of a dead sensor."""
     monitor, counts = InnovationMonitor(find_alarms(per_hour, 1 / rate_hz)), {"drift": 0, "dead": 0}
     rng = np.random.default_rng(rate_hz)
     for _ in range(hours * 36):

@@ -1,6 +1,6 @@
-"""Healthy records, by seed: signals of many kinds in white noise of one sigma, read by a converter of any step.
+"""Make healthy records: signals of many kinds in white noise of one sigma, rounded to the step of a converter.
 
-And the real ones, which lie beside the project.
+The module also lists real recordings, which are in a folder next to the project.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ Floats = NDArray[np.float64]
 
 RATES_HZ = (500, 10_000)
 STEPS = (0.0, 0.2, 1.0, 3.0)
-"""Of the converter, in sigma; 0 is none."""
+"""Steps of the converter in sigma; 0 means no rounding."""
 
 LEARNT = 30_000
-"""Readings that limits are found from: a minute at 500 Hz."""
+"""Number of readings from which limits are identified, a minute at 500 Hz."""
 
 ALARMS_PER_HOUR = 1.0
 
@@ -34,10 +34,10 @@ REAL: dict[str, float | None] = {
     "imu_tk/xsens_acc.mat.txt.gz": None,
     "imu_tk/xsens_gyro.mat.txt.gz": None,
 }
-"""Recordings of healthy sensors, and the rate, in Hz, of those that only count their rows."""
+"""Recordings of healthy sensors; the rate in Hz is for files with row numbers instead of times."""
 
 Signal = Callable[[Floats, np.random.Generator], Floats]
-"""Takes times (N,), in seconds; returns a signal (N,), in sigma of the noise."""
+"""Function that gets times (N,) in seconds and a random generator, and returns a signal (N,) in sigma of the noise."""
 
 
 def _ramp_and_hold(t: Floats, _: np.random.Generator) -> Floats:
@@ -56,12 +56,12 @@ SIGNALS: dict[str, Signal] = {
 
 
 def digitised(z: Floats, lsb: float) -> Floats:
-    """Return readings (N,) rounded to the steps of a converter; as they are with none."""
+    """Return readings (N,) rounded to the steps of a converter; without a converter, return them unchanged."""
     return np.round(z / lsb) * lsb if lsb else z
 
 
 def record(name: str, count: int, rate_hz: float, lsb: float, seed: int) -> tuple[Floats, Floats]:
-    """Return a healthy record: readings (N,), in sigma, at an offset of its own, and the steps before them."""
+    """Return a healthy record: readings (N,) in sigma, with a random offset, and the steps before them."""
     rng = np.random.default_rng(seed)
     t = np.arange(count) / rate_hz
     elapsed = np.ones(count)

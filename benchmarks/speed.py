@@ -1,11 +1,11 @@
-"""How long the command line takes: --help, the first clean of a fresh copy, and the next ones.
+"""How long the command line takes: --help, the first clean of a new copy, and later ones.
 
-A CSV of 100 000 rows x 6 channels at 100 Hz is cleaned, smoothed, nothing chosen. Wall-clock seconds of
-whole processes; the first run is that of a copy of becalm that never ran. Beside it, in
-the same run: reading the CSV and writing a CSV of the output's size with pyarrow alone.
+A CSV of 100 000 rows x 6 channels at 100 Hz is smoothed without options. Times are wall-clock seconds of
+whole processes; the first run is that of a copy of becalm that never ran before. For comparison, pyarrow alone
+reads the CSV and writes a CSV of the output's size.
 
-Then choosing the filter of one channel of a million samples, every order and tone tried, in a running process: a
-random walk in white noise, and the same with five tones in it.
+The last rows are the times to choose the filter of one channel of a million samples, with all orders and tones, in a
+running process: for a random walk in white noise, and for the same with five tones.
 
 Run: python benchmarks/speed.py [-o docs/speed.md]
 """
@@ -35,7 +35,7 @@ TONES = (0.01, 0.023, 0.11, 0.2, 0.31)  # cycles a sample
 
 
 def make(path: Path) -> None:
-    """Write the recording: random walks of several roughness, in white noise."""
+    """Write the recording: random walks of different step sizes in white noise."""
     rng = np.random.default_rng(3)
     columns = {"time_s": np.arange(ROWS) / 100}
     for i in range(CHANNELS):
@@ -45,7 +45,7 @@ def make(path: Path) -> None:
 
 
 def seconds(words: list[str], site: Path) -> float:
-    """Run a command of the becalm in a folder, and return its wall-clock seconds."""
+    """Run a command with the copy of becalm in a folder; return its wall-clock time in seconds."""
     environment = {**os.environ, "PYTHONPATH": str(site)}
     start = time.perf_counter()
     ran = subprocess.run([sys.executable, "-m", "becalm", *words], capture_output=True, env=environment, check=False)
@@ -65,7 +65,7 @@ def copying(source: Path, target: Path) -> float:
 
 
 def choosing() -> list[str]:
-    """Measure what choosing takes, and write its rows."""
+    """Measure the choice of a filter; return the rows of the table."""
     rng, k = np.random.default_rng(3), np.arange(SAMPLES)
     walk = np.cumsum(rng.normal(0, 0.05, SAMPLES)) + rng.normal(size=SAMPLES)
     tones = sum((np.sin(2 * np.pi * cycles * k) for cycles in TONES), walk)
@@ -74,14 +74,14 @@ def choosing() -> list[str]:
         for what, z in (("walk", walk), ("walk and five tones", tones)):
             start = time.perf_counter()
             found = choose(z, np.ones(SAMPLES), causal).tuning
-            took, heard = time.perf_counter() - start, len(found.tones) if found else 0
+            took, count = time.perf_counter() - start, len(found.tones) if found else 0
             mode = "causal" if causal else "smoothed"
-            rows.append(f"| choosing, 1 000 000 samples, {what}, {mode}: {heard} tones found | under 10 | {took:.1f} |")
+            rows.append(f"| choosing, 1 000 000 samples, {what}, {mode}: {count} tones found | under 10 | {took:.1f} |")
     return rows
 
 
 def table() -> str:
-    """Measure, and write the rows."""
+    """Measure, and return the table."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         source, site = folder / "in.csv", folder / "site"
@@ -92,7 +92,7 @@ def table() -> str:
         first = seconds(words, site)
         again = median(seconds(words, site) for _ in range(REPEATS))
         recipe = [*words, "--recipe", str(folder / "out.csv.recipe.toml")]
-        told = median(seconds(recipe, site) for _ in range(REPEATS))
+        with_recipe = median(seconds(recipe, site) for _ in range(REPEATS))
         help_page = median(seconds(["--help"], site) for _ in range(REPEATS))
         copied = median(copying(source, folder / "copy.csv") for _ in range(REPEATS))
     return "\n".join(
@@ -102,7 +102,7 @@ def table() -> str:
             f"| `becalm --help` | under 0.4 | {help_page:.2f} |",
             f"| clean 100 000 x 6 CSV, first run of a copy | under 3 | {first:.2f} |",
             f"| the same again | under 3 | {again:.2f} |",
-            f"| the same, with its recipe | | {told:.2f} |",
+            f"| the same, with its recipe | | {with_recipe:.2f} |",
             f"| reading it and writing as many columns with pyarrow, in a running process | | {copied:.2f} |",
             *choosing(),
             "",

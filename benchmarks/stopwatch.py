@@ -1,4 +1,4 @@
-"""The processor's time of one row, for the benchmarks that compare filters of this project with each other."""
+"""Measure the processor time of one row, for benchmarks that compare filters of this project."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RUNS = 5
 
 
 def nanoseconds(use: Callable[[], object], rows: int) -> float:
-    """Return the processor's time of one row, the shortest of several runs after one that compiles."""
+    """Return the processor time of one row in nanoseconds, the shortest of several runs after a first one."""
     use()
     took = []
     for _ in range(RUNS):
@@ -22,6 +22,6 @@ def nanoseconds(use: Callable[[], object], rows: int) -> float:
 
 
 def step_through(online: becalm.Online, z: list[float]) -> None:
-    """Take readings one by one."""
+    """Filter readings one by one."""
     for reading in z:
         online.step(reading)

@@ -1,9 +1,9 @@
-"""Still when it is still, quick when it moves: a filter that switches against the fixed gain of the IMU paper.
+"""A filter with modes, quiet at rest and fast in motion, compared with the fixed gain of the IMU paper.
 
-White noise with the variances of the paper's table 1 at 10 kHz: 30 s of rest, then a step; the steps are of the same
-size in standard deviations for both sensors. becalm finds the modes in each record by itself and filters it causally.
+White noise with the variances of the paper's table 1 at 10 kHz: 30 s of rest, then a step; the steps have the same
+size in standard deviations for both sensors. becalm identifies the modes in each record and filters it causally.
 Rest noise is the rms error over the last 15 s before the step; t90 is the time from the step until the output first
-passes nine tenths of it. Medians over 20 seeds; beside them the same for a random walk of the paper's ratio, Q/R.
+exceeds nine tenths of it. The tables show medians over 20 seeds, also for a random walk with the paper's ratio Q/R.
 
 Run: python benchmarks/switching.py [-o docs/switching.md] [--figure docs/switching.svg] [--seeds 20]
 """
@@ -30,10 +30,10 @@ REST, SETTLED, AFTER = 300_000, 150_000, 20_000  # rows
 
 
 class Sensor(NamedTuple):
-    """A sensor of table 1 and the paper's optimum for it, with what is asked of its rest noise."""
+    """A sensor of table 1, the paper's optimum for it, and the required rest noise."""
 
     variance: float  # unit^2
-    ratio: float  # Q/R of table 2, of a covariance T^2 Q a step
+    ratio: float  # Q/R of table 2, for a covariance of T^2 Q in each step
     rest_noise: float  # unit
 
 
@@ -41,11 +41,11 @@ ACCELEROMETER = Sensor(1.8472e-4, 22.95, 6e-5)
 SCALE = float(np.sqrt(1.3872e-6 / ACCELEROMETER.variance))
 SENSORS = {"accelerometer": ACCELEROMETER, "gyroscope": Sensor(1.3872e-6, 1027.5, SCALE * ACCELEROMETER.rest_noise)}
 LOOKS: tuple[Look, ...] = ("line", "dashed", "dotted")
-STEPS = {0.2: 0.2, 0.05: 0.2, 0.02: 2.0, 0.005: 15.0}  # of the accelerometer: size, and the ms asked
+STEPS = {0.2: 0.2, 0.05: 0.2, 0.02: 2.0, 0.005: 15.0}  # of the accelerometer: size, and the required t90 in ms
 
 
 class Found(NamedTuple):
-    """What one record shows of one filter."""
+    """The results of one filter on one record."""
 
     rest_noise: float
     t90_ms: float
@@ -60,19 +60,19 @@ def record(sensor: Sensor, size: float, seed: int) -> Floats:
 
 
 def measured(signal: Floats, size: float) -> Found:
-    """Measure a filter's output over such a record."""
+    """Measure rest noise and t90 in a filter's output for a record with a step."""
     reached = np.flatnonzero(signal[REST:] > 0.9 * size)
     rest = float(np.sqrt(np.mean(signal[SETTLED:REST] ** 2)))
     return Found(rest, 1e3 * reached[0] / RATE_HZ if len(reached) else np.inf)
 
 
 def switching(z: Floats) -> Floats:
-    """Clean a record, causally, nothing chosen."""
+    """Clean a record causally, without options."""
     return becalm.clean(becalm.Recording(z, rate_hz=RATE_HZ), causal=True).signal.samples[:, 0]
 
 
 def fixed(sensor: Sensor, z: Floats) -> Floats:
-    """Filter a record with the paper's ratio."""
+    """Filter a record with the paper's ratio Q/R."""
     walk = motion(1, sensor.ratio * sensor.variance / RATE_HZ)
     return becalm.kalman_filter(walk.to_model(1 / RATE_HZ, sensor.variance), z).signal[:, 0]
 
@@ -106,7 +106,7 @@ def _times(found: dict[float, list[Found]]) -> dict[float, float]:
 
 
 def table(sensor: Sensor, got: Measured) -> str:
-    """Write the table of one sensor, a row a step."""
+    """Return the table of one sensor, with a row for each step."""
     scale = np.sqrt(sensor.variance / ACCELEROMETER.variance)
     lines = ["| step | in std | t90 asked | got | paper's optimum |", "|---|---|---|---|---|"]
     lines += [
@@ -123,11 +123,11 @@ def table(sensor: Sensor, got: Measured) -> str:
 
 
 def figure(got: dict[str, Measured]) -> Figure:
-    """Say what the figure shows: fixed gains, the paper's, and the filter that switches."""
+    """Return the figure: the trade-off curve of fixed gains, the paper's optima, and the filter with modes."""
     layers, std = list[Layer](), float(np.sqrt(ACCELEROMETER.variance))
-    front = trade_off_curve(ACCELEROMETER.variance, 1 / RATE_HZ).points
+    curve = trade_off_curve(ACCELEROMETER.variance, 1 / RATE_HZ).points
     for order, look in zip((1, 2, 3), LOOKS, strict=True):
-        points = np.array([(1e3 * one.step_90_s, one.noise_std / std) for one in front if one.order == order])
+        points = np.array([(1e3 * one.step_90_s, one.noise_std / std) for one in curve if one.order == order])
         layers.append(Curve(f"fixed gain, order {order}", points[:, 0], points[:, 1], "other", look))
     for name, found in got.items():
         std = float(np.sqrt(SENSORS[name].variance))
@@ -148,17 +148,17 @@ def main() -> None:
     parser = page_parser(__doc__)
     parser.add_argument("--figure", type=Path, help="picture to draw: SVG, PNG or PDF")
     parser.add_argument("--seeds", type=int, default=20, help="records of each step")
-    asked = parser.parse_args()
-    if asked.figure:
+    arguments = parser.parse_args()
+    if arguments.figure:
         refuse_unprintable()
-        if asked.figure.suffix[1:] not in get_args(Kind):
-            parser.error(f"--figure {asked.figure} ends in none of {', '.join(get_args(Kind))}")
-    got = {name: measure(sensor, asked.seeds) for name, sensor in SENSORS.items()}
+        if arguments.figure.suffix[1:] not in get_args(Kind):
+            parser.error(f"--figure {arguments.figure} ends in none of {', '.join(get_args(Kind))}")
+    got = {name: measure(sensor, arguments.seeds) for name, sensor in SENSORS.items()}
     text = "\n".join(f"## {name.capitalize()}\n\n{table(SENSORS[name], one)}" for name, one in got.items())
-    if asked.figure:
-        asked.figure.write_bytes(printed([figure(got)], asked.figure.suffix[1:]))
-        text += f"\n![Noise at rest over the time to nine tenths of a step]({asked.figure.name})\n"
-    publish("Switching", __doc__, text, asked.output)
+    if arguments.figure:
+        arguments.figure.write_bytes(printed([figure(got)], arguments.figure.suffix[1:]))
+        text += f"\n![Noise at rest over the time to nine tenths of a step]({arguments.figure.name})\n"
+    publish("Switching", __doc__, text, arguments.output)
 
 
 if __name__ == "__main__":

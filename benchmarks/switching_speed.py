@@ -1,6 +1,6 @@
-"""What a bank that switches costs: a reading, filtered and smoothed, by modes and states, beside a fixed filter.
+"""What a filter with several modes costs per reading, filtered and smoothed, compared with a fixed filter.
 
-By the processor's time, the shortest of several runs; 200 000 readings that rest and move by turns.
+Processor time, the shortest of several runs; 200 000 readings of a signal that rests and moves in turn.
 
 Run: python benchmarks/switching_speed.py [-o docs/switching-speed.md]
 """
@@ -29,25 +29,25 @@ DENSITIES, NAMES = (1e-6, 1e-3, 1e-1, 1e1), ("still", "gentle", "quick", "abrupt
 
 
 def bank(states: int, modes: int) -> InteractingModels:
-    """Return modes of one order, from still to abrupt."""
+    """Return interacting models of one order, from still to abrupt."""
     return InteractingModels(tuple(Mode(NAMES[j], motion(states, DENSITIES[j]), 1.0, 100.0) for j in range(modes)))
 
 
 def readings() -> Floats:
-    """Return readings of a signal that rests and moves by turns."""
+    """Return readings of a signal that rests and moves in turn."""
     rng, moves = np.random.default_rng(1), np.sin(np.arange(ROWS) / 200) > 0
     z: Floats = np.cumsum(np.where(moves, 0.5, 0.001) * rng.normal(size=ROWS)) + rng.normal(size=ROWS)
     return z
 
 
 def flow(switching: InteractingModels, z: Floats, *, causal: bool) -> object:
-    """Run over a whole record."""
+    """Filter or smooth a whole record."""
     made = ImmFlow(switching, causal=causal)
     return made.push(z, np.ones(len(z))), made.finish()
 
 
 def row(states: int, modes: int, z: Floats) -> str:
-    """Write one size's times, and their ratios to the fixed filter's and smoother's."""
+    """Return the times of one size, and their ratios to those of the fixed filter and smoother."""
     switching, model = bank(states, modes), motion(states, 0.1).to_model(1.0, 1.0)
     fixed = [nanoseconds(partial(run, model, z), ROWS) for run in (kalman_filter, kalman_smoother)]
     own = [nanoseconds(partial(flow, switching, z, causal=causal), ROWS) for causal in (True, False)]

@@ -1,9 +1,9 @@
-"""The code blocks of the pages: run, with what they print written into the text block that follows.
+"""Run the code blocks of the pages, and write their output into the text blocks that follow them.
 
-    python docs/blocks.py    # write anew
+    python docs/blocks.py    # update the pages
 
-The blocks of a page share their names, and a folder. Of shell blocks those are run that hold nothing but becalm's
-commands. The tests run all pages, and fail where one would be written differently.
+All blocks of a page run in the same namespace and folder. A shell block runs only if all its lines are commands of
+becalm. The tests run all pages, and fail if an output differs from the page.
 """
 
 from __future__ import annotations
@@ -24,40 +24,40 @@ ROOT = DOCS.parent
 PAGES = (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))
 
 _BLOCK = re.compile(
-    r"^```(?P<kind>python|sh)\n(?P<code>.*?)^```\n(?P<told>\n```text\n(?P<text>.*?)^```\n)?", re.M | re.S
+    r"^```(?P<kind>python|sh)\n(?P<code>.*?)^```\n(?P<output>\n```text\n(?P<text>.*?)^```\n)?", re.M | re.S
 )
 _COLUMNS = "110"
 
 
 def has_blocks(page: Path) -> bool:
-    """Whether there is something to run on a page."""
+    """Return whether a page has a block to run."""
     return any(_runs(block) for block in _BLOCK.finditer(page.read_text(encoding="utf-8")))
 
 
 def rewritten(page: Path, folder: Path) -> str:
-    """Run the blocks of a page in a folder; return the page with what they print.
+    """Run the blocks of a page in a folder; return the page with their output.
 
     Raises
     ------
     RuntimeError
-        If a command fails; what a Python block raises goes on.
+        If a command fails; an exception of a Python block is raised unchanged.
     """
     names: dict[str, Any] = {"__name__": "__main__"}
 
-    def told(block: re.Match[str]) -> str:
+    def with_output(block: re.Match[str]) -> str:
         if not _runs(block):
             return block[0]
         printed = _python(block["code"], names, page) if block["kind"] == "python" else _commands(block["code"])
-        if block["told"] is None:
+        if block["output"] is None:
             return block[0]
         return f"```{block['kind']}\n{block['code']}```\n\n```text\n{printed.rstrip()}\n```\n"
 
     with chdir(folder):
-        return _BLOCK.sub(told, page.read_text(encoding="utf-8"))
+        return _BLOCK.sub(with_output, page.read_text(encoding="utf-8"))
 
 
 def _runs(block: re.Match[str]) -> bool:
-    """Python always; commands where all are becalm's. Where a page names files that it does not make, it has `bash`."""
+    """Return whether a block runs: Python, or becalm's commands; commands that need a reader's files are in `bash`."""
     return block["kind"] == "python" or all(line.startswith("becalm ") for line in block["code"].splitlines())
 
 

@@ -1,6 +1,6 @@
-"""The page of all commands, as the command line has them.
+"""Write the page of all commands from the help texts of the command line.
 
-python docs/commands.py    # write docs/commands.md anew
+python docs/commands.py    # update docs/commands.md
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ PAGE = Path(__file__).parent / "commands.md"
 
 
 def written() -> str:
-    """Return the page as it should be."""
+    """Return the up-to-date text of the page."""
     typer = [sys.executable, "-m", "typer", "becalm.cli.main", "utils", "docs"]
     command = [*typer, "--name", "becalm", "--title", "Commands"]
     ran = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=True)

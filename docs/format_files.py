@@ -1,4 +1,4 @@
-"""What `becalm inspect` and `becalm clean` make of every real file: its times, channels, units, and the verdicts."""
+"""The section on real files: times, channels and units by `becalm inspect`, and verdicts by `becalm clean`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from becalm.errors import InputError
 
 
 def files_table(words: Sequence[str]) -> str:
-    """Tell of all files, or of those whose paths hold one of the words, and then of each."""
+    """Return a table and a section for each file, or for each file whose path contains one of the words."""
     names = [path.relative_to(DATA) for path in files()]
     rows, sections = zip(*(_file(name) for name in names if not words or _has_any(name, words)), strict=True)
     heads = ["file", "format", "times", "channels", "rate (Hz)", "asked", "verdicts", "exit code"]
@@ -30,7 +30,7 @@ def becalm(*words: object) -> subprocess.CompletedProcess[str]:
 
 
 def _file(name: Path) -> tuple[list[str], str]:
-    """Tell what one file is understood as, and what cleaning it gave; a row of the summary, and a section."""
+    """Inspect and clean one file; return its row of the table, and its section."""
     print(name, file=sys.stderr)
     asked = ["--rate", f"{COUNTED_HZ[name.name]:g}"] if name.name in COUNTED_HZ else []
     seen = json.loads(becalm("inspect", name, *asked, "--json").stdout)
@@ -90,6 +90,6 @@ def _named(names: Sequence[str]) -> str:
 
 
 def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Write a table."""
+    """Return a table in Markdown."""
     lines = [" | ".join(heads), "|".join(["---"] * len(heads)), *(" | ".join(row) for row in rows)]
     return "".join(f"| {line} |\n" for line in lines)

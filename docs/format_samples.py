@@ -1,6 +1,7 @@
-"""The same recording in every format that becalm reads: four noisy channels in m/s^2, 1000 rows a second.
+"""Write the same recording in every format that becalm reads: four noisy channels in m/s^2, 1000 rows a second.
 
-becalm writes what it can write, the field's own libraries the rest. There is no writer of IDE; its sample is real.
+becalm writes the formats that it can write; the libraries of the field write the others. No library writes IDE files,
+so `formats.py` uses a real one.
 """
 
 from __future__ import annotations
@@ -25,18 +26,19 @@ _STEP_NS = round(1e9 / RATE_HZ)
 
 
 class Sample(NamedTuple):
-    """One format.
+    """A format, and a function that writes a file of it.
 
     Attributes
     ----------
     name : str
-        What people call it.
-    endings : str
-        Of the names of such files; the first is that of the sample. None is needed: the content decides.
+        Usual name of the format.
+    endings : tuple of str
+        Usual endings of file names; the sample has the first one. becalm does not need them: the content decides.
     make : callable
-        Writes a file with so many rows; returns the file that holds them, which may lie within a folder.
+        Function that writes a file with a number of rows at a path; returns the path of the file, which may be in a
+        folder.
     many : int
-        Rows of a file that is large enough to see what memory it takes.
+        Number of rows of a file that is large enough to measure the memory that it takes.
     """
 
     name: str
@@ -52,7 +54,7 @@ def signal(rows: int) -> NDArray[np.float64]:
 
 
 def _own(path: Path, rows: int) -> Path:
-    """Write with becalm, by the ending of the name."""
+    """Write a file with becalm, in the format of its ending."""
     names = [f"{name} ({UNIT})" for name in NAMES] if ".csv" in path.name else NAMES
     becalm.write(path, becalm.Recording(signal(rows), names=names, units=[UNIT] * len(NAMES), rate_hz=RATE_HZ))
     return path
@@ -75,10 +77,10 @@ def _mat73(path: Path, rows: int) -> Path:
 def _tdms(path: Path, rows: int) -> Path:
     from nptdms import ChannelObject, TdmsWriter
 
-    told = {"wf_increment": 1 / RATE_HZ, "wf_samples": 1, "unit_string": UNIT}
+    properties = {"wf_increment": 1 / RATE_HZ, "wf_samples": 1, "unit_string": UNIT}
     with TdmsWriter(str(path)) as writer:
-        for values in np.array_split(signal(rows), 20):  # as a logger writes: a segment from time to time
-            writer.write_segment([ChannelObject("run", *one, told) for one in zip(NAMES, values.T, strict=True)])
+        for values in np.array_split(signal(rows), 20):  # a logger also writes several segments
+            writer.write_segment([ChannelObject("run", *one, properties) for one in zip(NAMES, values.T, strict=True)])
     return path
 
 
@@ -86,7 +88,7 @@ def _uff(path: Path, rows: int) -> Path:
     from pyuff import UFF, prepare_58
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)  # a library leaves its file to the collector
+        warnings.simplefilter("ignore", ResourceWarning)  # the library does not close its file
         for name, values in zip(NAMES, signal(rows).T, strict=True):
             one = prepare_58(
                 **{"binary": 1, "func_type": 1, "rsp_node": 1, "rsp_dir": 1, "ref_node": 0, "ref_dir": 0},

@@ -1,4 +1,4 @@
-"""Which units becalm understands: headers as loggers write them, through the doors that files go through."""
+"""The section on units: how becalm parses and converts headers that loggers write, by the functions for files."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ HEADERS = (
     ("noise [ug/sqrt(Hz)]", "m/s^2/sqrt(Hz)"),
     ("raw (LSB)", "V"),
 )
-"""What stands over a column, and the unit to have it in."""
+"""Headers of columns, each with a unit to convert the column to."""
 
 
 def units_table() -> str:
-    """Make the tables: headers and what becomes of them, and the kinds of units."""
+    """Return the table of headers with their conversions, and the list of the kinds of units."""
     lines = ["| header | name | unit | asked for | becomes |", "|---|---|---|---|---|", *map(_row, HEADERS)]
     kinds = [f"{kind} (`{unit.replace('g_n', 'g')}`)" for kind, unit in QUANTITIES.items()]
     return "\n".join([*lines, "", f"It can convert units of {', '.join(kinds)}, and products and ratios of these.", ""])
@@ -41,7 +41,7 @@ def _row(asked: tuple[str, str]) -> str:
     name, unit = parse_header(header)
     try:
         factor, offset = conversion(unit, wanted)
-        told = f"{factor:.9g} x" + (f" {'-' if offset < 0 else '+'} {abs(offset):.9g}" if offset else "")
+        result = f"{factor:.9g} x" + (f" {'-' if offset < 0 else '+'} {abs(offset):.9g}" if offset else "")
     except UsageError as refusal:
-        told = f"refused: {refusal}"
-    return f"| `{header}` | {name} | {unit} | {wanted} | {told} |"
+        result = f"refused: {refusal}"
+    return f"| `{header}` | {name} | {unit} | {wanted} | {result} |"

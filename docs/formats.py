@@ -1,7 +1,7 @@
 """What becalm reads and writes: every format, every real file, and the units that it understands.
 
 Run: python docs/formats.py [-o docs/formats.md] [FILE ...]   (needs Linux, and `pip install 'becalm[formats]'`)
-The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
+The recordings are in ../shared/data; with arguments, only files whose path contains one of them are processed.
 """
 
 from __future__ import annotations
@@ -36,39 +36,39 @@ from becalm.files.time_bases import open_file
 
 IDE = "endaq/test1.IDE"
 
-_FEW = 20_000  # rows
-_VALUE = 8  # bytes
-_KEPT = 0.4  # of the bytes of a file that is cut off
+_FEW = 20_000  # rows of a small file
+_VALUE = 8  # bytes of a value in float64
+_KEPT = 0.4  # share of the bytes that remain of a truncated file
 
 
-class Reading(NamedTuple):
-    """What a file of some format gave."""
+class ReadResult(NamedTuple):
+    """The result of reading a file: number of values, first unit, kind of time, notes, and the libraries used."""
 
     values: int
     unit: str
     time: str
-    said: tuple[str, ...]
+    notes: tuple[str, ...]
     libraries: tuple[str, ...]
 
 
-def read(path: Path) -> Reading:
-    """Understand a file, and see which libraries becalm loads for it."""
-    with _libraries() as loaded, open_file(path) as opened:
+def read(path: Path) -> ReadResult:
+    """Open a file, and record which libraries becalm loads for it."""
+    with _recorded_libraries() as loaded, open_file(path) as opened:
         sources = opened.sources
-        said = dict.fromkeys(note for source in sources for note in source.notes)
+        notes = dict.fromkeys(note for source in sources for note in source.notes)
         kind = sources[0].layout.as_dict()["time_kind"]
-        return Reading(
+        return ReadResult(
             sum(source.rows * len(source.names) for source in sources),
             sources[0].units[0],
             "its own rate" if kind == "rate in the file" else "stamps",
-            tuple(said),
+            tuple(notes),
             tuple(dict.fromkeys(loaded)),
         )
 
 
 @contextmanager
-def _libraries() -> Iterator[list[str]]:
-    """Note which libraries are asked for."""
+def _recorded_libraries() -> Iterator[list[str]]:
+    """Record the names of the libraries that becalm loads."""
     loaded: list[str] = []
     theirs = LibraryFile.library
 
@@ -82,18 +82,18 @@ def _libraries() -> Iterator[list[str]]:
 
 @contextmanager
 def _in_this_process() -> Iterator[None]:
-    """Read formats of other libraries in this process, so that it can be seen what they load and hold."""
+    """Read formats of other libraries in this process, to measure its memory and to record the libraries."""
 
     def read_here(module: str, path: Path) -> tuple[RawTable, ...]:
         tables: tuple[RawTable, ...] = import_module(module).read(path)
         return tables
 
-    with patch.object(library_process, "read_apart", read_here):
+    with patch.object(library_process, "read_in_subprocess", read_here):
         yield
 
 
 def held_bytes(small: Path, large: Path) -> int:
-    """Return by how many bytes memory grows when a large file is opened; a small one comes first, for the libraries."""
+    """Return by how many bytes memory grows when a large file is opened; reading a small file first loads libraries."""
     read(small)
     before = _memory_bytes()
     with _in_this_process(), open_file(large):
@@ -101,7 +101,7 @@ def held_bytes(small: Path, large: Path) -> int:
 
 
 def _memory_bytes() -> int:
-    """Return what the process holds, without what it may give back, and the pages of files, which it may drop."""
+    """Return the anonymous memory of the process in bytes, after it has released memory that it does not use."""
     gc.collect()
     pa.default_memory_pool().release_unused()
     ctypes.CDLL(None).malloc_trim(0)
@@ -110,14 +110,14 @@ def _memory_bytes() -> int:
 
 
 def format_row(sample: Sample) -> list[str]:
-    """Measure one format."""
+    """Return the row of the table for one format."""
     print(sample.name, file=sys.stderr)
     with TemporaryDirectory() as folder:
         small = sample.make(Path(folder) / f"small{sample.endings[0]}", _FEW)
         found = read(small)
         large = sample.make(Path(folder) / f"large{sample.endings[0]}", sample.many)
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as apart:
-            share = apart.submit(held_bytes, small, large).result() / (_VALUE * 4 * sample.many)
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
+            share = executor.submit(held_bytes, small, large).result() / (_VALUE * 4 * sample.many)
         cut = _cut(small, found)
     return [
         sample.name,
@@ -132,23 +132,23 @@ def format_row(sample: Sample) -> list[str]:
 
 
 def _written(sample: Sample) -> str:
-    """Say whether becalm writes the format, and several times in one file."""
+    """Return whether becalm writes the format, and several sampling rates in one file."""
     form = registry.ENDINGS.get(sample.endings[0])
     if form is None or sample.name == "MAT 7.3":
         return "no"
-    return "yes, several rates" if registry.holds_times(form) else "yes"
+    return "yes, several rates" if registry.stores_several_times(form) else "yes"
 
 
-def _cut(path: Path, before: Reading) -> str:
-    """Say what is read of a file that was cut off."""
+def _cut(path: Path, before: ReadResult) -> str:
+    """Truncate a file, and return a sentence on what is read of it."""
     whole = path.read_bytes()
     path.write_bytes(whole[: int(_KEPT * len(whole))])
     try:
         found = read(path)
     except BecalmError as refusal:
         return f"refused: {_plain(str(refusal), path)}"
-    said = [text for text in found.said if text not in before.said]
-    return f"{found.values / before.values:.0%} of the values: {_plain(said[0], path) if said else 'nothing said'}"
+    notes = [text for text in found.notes if text not in before.notes]
+    return f"{found.values / before.values:.0%} of the values: {_plain(notes[0], path) if notes else 'nothing said'}"
 
 
 def _plain(text: str, path: Path) -> str:
@@ -156,7 +156,7 @@ def _plain(text: str, path: Path) -> str:
 
 
 def formats() -> str:
-    """Make the table of formats."""
+    """Return the table of formats."""
     rows = [format_row(sample) for sample in SAMPLES]
     with TemporaryDirectory() as folder:
         real = Path(folder) / "real.ide"
@@ -170,7 +170,7 @@ def formats() -> str:
 
 
 def page(words: list[str]) -> str:
-    """Write the whole page."""
+    """Return the whole page."""
     measured = formats()
     texts = [_FORMATS, measured, _UNITS, units_table(), _FILES, files_table(words)]
     return "\n".join(text.rstrip() + "\n" for text in texts)
@@ -181,9 +181,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("-o", "--output", type=Path, help="page to write")
     parser.add_argument("words", nargs="*", help="part of a path; all files by default")
-    asked = parser.parse_args()
-    output: Path | None = asked.output
-    text = page(asked.words)
+    arguments = parser.parse_args()
+    output: Path | None = arguments.output
+    text = page(arguments.words)
     print(text)
     if output:
         output.write_text(text, encoding="utf-8")
@@ -191,31 +191,31 @@ def main() -> None:
 
 _FORMATS = f"""# Formats and units
 
-Written by `docs/formats.py`. What a file is, its first bytes say, whatever its name. CSV, Parquet, MAT (but 7.3), NPZ
-and WAV need nothing else; the others need `pip install 'becalm[formats]'`. Channels of one file that have times of
-their own stay apart: `becalm clean` cleans all of them into one `.h5`, `.mat`, `.mf4`, `.npz` or `.tdms`, and
-`--group NAME` chooses one of them for a `.csv` or `.parquet`. A folder of Parquet files is one recording, in the order
-of time ([over a fleet](fleet.md#the-lake) has the rules).
+Written by `docs/formats.py`. The first bytes of a file decide its format, whatever its name. CSV, Parquet, MAT (except
+7.3), NPZ and WAV need no further library; the other formats need `pip install 'becalm[formats]'`. Channels with
+different times form groups: `becalm clean` cleans all groups of a file into one `.h5`, `.mat`, `.mf4`, `.npz` or
+`.tdms`, and `--group NAME` chooses one group for a `.csv` or `.parquet`. A folder of Parquet files is one recording, in
+the order of time ([over a fleet](fleet.md#the-lake) has the rules).
 
 Each format holds the same recording here: four channels in {UNIT} at 1000 Hz. *libraries* are those that becalm
-loaded to read it, beside NumPy and pyarrow; *time* is a rate that the format itself tells, or stamps; *unit*, whether
-the unit came with it. *held* is by how much the process had grown once a large file was open, beside the size of its
-values in float64: a format is read in blocks where that is under half, for then its values stay in the file until
-they are asked for. *cut off* is what is read of the first {_KEPT:.0%} of the file's bytes, and said first.
+loaded to read it, besides NumPy and pyarrow; *time* is a sampling rate in the file, or stamps; *unit* is whether the
+file contains the unit. *held* is the growth of memory when a large file is opened, as a share of the size of its
+values in float64: if the share is below one half, the format is read in blocks, and values stay in the file until
+they are needed. *cut off* is what becalm reads of the first {_KEPT:.0%} of the file's bytes, and its first note.
 """
 
 _UNITS = """## Units
 
-The unit of a channel is told by its header, a row under it, or the file's own record; `--unit NAME=UNIT` has the
-channel in another, or tells it where the file does not. `--sensors S.toml` makes units of volts, with the
-calibration's uncertainty ([conventions](conventions.md)).
+The unit of a channel comes from its header, from a row below the header, or from the metadata of the file;
+`--unit NAME=UNIT` converts the channel to another unit, or gives the unit if the file does not. `--sensors S.toml`
+converts volts to units, with the calibration's uncertainty ([conventions](conventions.md)).
 """
 
 _FILES = """## Real files
 
-Real recordings, understood by `becalm inspect` and cleaned by `becalm clean FILE -o out.h5`, with nothing said
-but what stands under *asked*. *verdicts* are those on the channels; where one does not fit, the exit code is 4, and the
-output is written all the same.
+Real recordings, inspected by `becalm inspect` and cleaned by `becalm clean FILE -o out.h5`, with no other options than
+those in the column *asked*. *verdicts* counts the verdicts on the channels; if the model of one does not fit, the exit
+code is 4, but the output is written.
 """
 
 

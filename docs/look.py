@@ -1,4 +1,4 @@
-"""How the pictures of the gallery look: small SVG files whose text is text."""
+"""The style of the gallery's pictures, which are small SVG files with text as text, and the order of its pages."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ ORDER = (
 )
 
 
-class Shown:
-    """In which order the gallery shows its pages."""
+class PageOrder:
+    """The key by which sphinx-gallery sorts the pages: their order in `ORDER`."""
 
     def __init__(self, folder: str) -> None:
         self.folder = folder
 
     def __call__(self, name: str) -> int:
-        """Return the place of a script; raise a ValueError if it has none."""
+        """Return the position of a script; raise a ValueError if it is not in `ORDER`."""
         return ORDER.index(name.removesuffix(".py"))
 
 
 def as_svg(*args: Any, **options: Any) -> str:
-    """Keep the figures of a gallery page as SVG."""
+    """Save the figures of a gallery page as SVG."""
     return str(matplotlib_scraper(*args, format="svg", metadata={"Date": None}, **options))
 
 
 def same_look(*_: Any) -> None:
-    """Begin each gallery page with the same look, whatever the one before did."""
+    """Reset the style before each gallery page, because the page before may have changed it."""
     mpl.rcdefaults()
     mpl.rcParams.update(LOOK)

@@ -1,6 +1,6 @@
-"""The picture of README: two seconds of the demonstration's drive, as it was measured and as it is clean.
+"""Draw the picture of README: two seconds of the simulated drive, measured and cleaned.
 
-python docs/picture.py    # write docs/picture-light.svg and docs/picture-dark.svg anew
+python docs/picture.py    # update docs/picture-light.svg and docs/picture-dark.svg
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def draw(colours: dict[str, str], file: Path) -> None:
     signal, sigma = (one.channel(CHANNEL)[shown] for one in (out.signal, out.sigma))
     style = LOOK | {
         "figure.figsize": (8, 3),
-        "svg.fonttype": "path",  # fonts of a README's reader are not ours
+        "svg.fonttype": "path",  # the reader of README may not have the font
         "axes.spines.top": False,
         "axes.spines.right": False,
         **dict.fromkeys(INKED, colours["ink"]),

@@ -1,7 +1,7 @@
-"""A verdict for every channel of every real recording, smoothed and causal, with nothing said.
+"""Clean every channel of every real recording without options, smoothed and causal, and list the verdicts.
 
 Run: python docs/real_channels.py [-o docs/real-channels.md] [FILE ...]   (needs `pip install 'becalm[formats]'`)
-The recordings lie in ../shared/data; with names, only files whose path holds one of them are taken.
+The recordings are in ../shared/data; with arguments, only files whose path contains one of them are processed.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ MODES = (("smoothed", False), ("causal", True))
 FAILED = "failed"
 
 
-class Told(NamedTuple):
-    """What one part gave: its section of the page, and its verdicts by mode."""
+class PartResult(NamedTuple):
+    """The section of the page on one part, and the counts of its verdicts by mode."""
 
     text: str
     kinds: dict[str, Counter[str]]
 
 
-def told(part: Part) -> Told:
-    """Clean one part in both ways; a refusal is a verdict on all of its channels."""
+def clean_part(part: Part) -> PartResult:
+    """Clean one part in both modes; a refusal counts as the verdict of each of its channels."""
     recording = part.recording
     if recording is None:
         kinds = {mode: Counter({"refused": len(part.names)}) for mode, _ in MODES}
-        return Told(f"{len(part.names)} channels refused: {_names(part.names)}.\n\n> {part.refusal}\n", kinds)
+        return PartResult(f"{len(part.names)} channels refused: {_names(part.names)}.\n\n> {part.refusal}\n", kinds)
     began = time.perf_counter()
     reports = {mode: _reports(recording, causal) for mode, causal in MODES}
     taken_s = time.perf_counter() - began
@@ -47,11 +47,11 @@ def told(part: Part) -> Told:
         *(_row(*pair) for pair in zip(*reports.values(), strict=True)),
     ]
     kinds = {mode: Counter(_kind(report) for report in reports[mode]) for mode, _ in MODES}
-    return Told("\n".join(lines) + "\n", kinds)
+    return PartResult("\n".join(lines) + "\n", kinds)
 
 
 def _reports(recording: becalm.Recording, causal: bool) -> list[ChannelReport]:
-    """Clean a recording; where that fails, channel by channel, so that the others get their verdict."""
+    """Clean a recording; if that fails, clean each channel alone, so that the other channels get their verdict."""
     try:
         return list(becalm.clean(recording, causal=causal).reports)
     except Exception:
@@ -59,7 +59,7 @@ def _reports(recording: becalm.Recording, causal: bool) -> list[ChannelReport]:
 
 
 def _report(recording: becalm.Recording, name: str, causal: bool) -> ChannelReport:
-    """Clean one channel; a failure is its verdict, for all to see."""
+    """Clean one channel; a failure is shown as its verdict."""
     try:
         return becalm.clean(recording, channels=[name], causal=causal).reports[0]
     except Exception as failure:
@@ -68,11 +68,11 @@ def _report(recording: becalm.Recording, name: str, causal: bool) -> ChannelRepo
         return ChannelReport(name=name, unit=unit, model=FAILED, says=says)
 
 
-def sections(path: Path) -> Iterator[tuple[str, Told]]:
-    """Tell what each part of a file gave, with its heading."""
+def sections(path: Path) -> Iterator[tuple[str, PartResult]]:
+    """Yield the heading and the result of each part of a file."""
     for part in parts(path):
         name = str(path.relative_to(DATA))
-        yield f"{name}: {part.title}" if part.title else name, told(part)
+        yield f"{name}: {part.title}" if part.title else name, clean_part(part)
 
 
 def _names(names: tuple[str, ...]) -> str:
@@ -99,21 +99,21 @@ def _cell(text: str) -> str:
 
 
 def _model(report: ChannelReport) -> str:
-    """Name the order of a motion and the tones beside it."""
+    """Return the order of the kinematic model and the frequencies of the tones."""
     if report.order is None:
         return report.model
     return ", ".join([f"motion {report.order}", *(f"{tone:.4g} Hz" for tone in report.tones_hz)])
 
 
 def _noise(report: ChannelReport) -> str:
-    """Tell the noise; the report says where it is a guess."""
+    """Return the noise standard deviation; mark it if the report calls it a guess."""
     if report.noise_std is None:
         return ""
     return f"{report.noise_std:.3g}{' (a guess)' if 'is a guess' in report.says else ''}"
 
 
 def _verdict(report: ChannelReport) -> str:
-    """Name the verdict, and what is much: what is still predictable and costs, and how uneven it is."""
+    """Return the verdict, with the shares of predictable power and of wrong sigma if they exceed 10 %."""
     if report.order is None:
         return _kind(report) if report.model != FAILED else _cell(report.says)
     claim = f"{report.verdict} {report.loudest_hz:.3g} Hz" if report.verdict == "fits except" else report.verdict
@@ -126,12 +126,12 @@ def _verdict(report: ChannelReport) -> str:
 
 
 def _kind(report: ChannelReport) -> str:
-    """Sort a verdict."""
+    """Return the verdict for counting; a failure of becalm counts as one kind."""
     return FAILED if report.model == FAILED else report.verdict
 
 
-def _summary(found: dict[str, list[Told]]) -> str:
-    """Count the verdicts of each file; columns are the kinds that came."""
+def _summary(found: dict[str, list[PartResult]]) -> str:
+    """Return tables with the counts of each file's verdicts; their columns are the verdicts that occur."""
     lines = []
     for mode, _ in MODES:
         counts = {name: sum((one.kinds[mode] for one in of), Counter()) for name, of in found.items()}
@@ -145,8 +145,8 @@ def _summary(found: dict[str, list[Told]]) -> str:
 
 
 def page(paths: list[Path]) -> str:
-    """Write the whole page."""
-    found: dict[str, list[Told]] = {}
+    """Return the whole page."""
+    found: dict[str, list[PartResult]] = {}
     text = []
     for path in paths:
         of = found.setdefault(str(path.relative_to(DATA)), [])
@@ -162,27 +162,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("files", nargs="*", help="part of a path; all files by default")
     parser.add_argument("-o", "--output", type=Path, help="page to write")
-    asked = parser.parse_args()
-    paths = [path for path in files() if not asked.files or any(word in str(path) for word in asked.files)]
+    arguments = parser.parse_args()
+    paths = [path for path in files() if not arguments.files or any(word in str(path) for word in arguments.files)]
     text = page(paths)
-    if asked.output:
-        asked.output.write_text(text, encoding="utf-8")
+    if arguments.output:
+        arguments.output.write_text(text, encoding="utf-8")
     else:
         print(text)
     if failures := text.count(f"| {FAILED} |  | "):
         sys.exit(f"{failures} verdicts are failures of becalm: look for 'Failed with' on the page.")
 
 
-_PREFACE = """All channels of the real recordings, in every format, cleaned by `becalm.clean` with nothing said: once as
-a smoother, once causally. Written by `docs/real_channels.py`. The files are taken whole, each of their rates for
-itself. Constant channels, flags and clocks that a logger wrote are here too; texts are not.
+_PREFACE = """All channels of the real recordings, in every format, cleaned by `becalm.clean` without options: once as a
+smoother, once causally. Written by `docs/real_channels.py`. Whole files are cleaned, each sampling rate of a file
+separately. Constant channels, flags and clocks that a logger wrote are included; texts are not.
 
-*motion n* is a motion of order n, tones beside it by their frequency; *constant* and *untold* (too few readings) pass
-unchanged. *noise* is the standard deviation of one reading's noise, in the channel's unit, and a guess where next to
-nothing was removed. *predictable* is the share of the innovation power that a linear predictor still foresees,
-*costs* by how much the rms error exceeds the least possible for that (a smoother's of its signal, a causal filter's of
-its prediction), *uneven* the share of the record in which sigma is wrong by more than a factor of two; they are told
-above 10 %. A smoother fits where what is predictable costs less than 10 %.
+*motion n* is a kinematic model of order n, followed by the frequencies of tones; *constant* and *untold* (too few
+readings) pass unchanged. *noise* is the standard deviation of the noise of a reading, in the channel's unit; it is a
+guess if next to nothing was removed. *predictable* is the share of the innovation power that a linear predictor can
+predict, *costs* is the resulting excess of the rms error over the least possible one (of the signal for a smoother, of
+the prediction for a causal filter), and *uneven* is the share of the record in which sigma is wrong by more than a
+factor of two; shares above 10 % are shown. A smoother fits if *costs* is below 10 %.
 """
 
 

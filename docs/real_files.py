@@ -1,6 +1,6 @@
-"""What `becalm inspect` and `becalm clean` make of every real CSV, with no option, and where refused, with the option.
+"""Inspect and clean every real CSV file without options, or with the option that a refusal asks for.
 
-Run: python docs/real_files.py [-o docs/real-files.md]   (the recordings lie in ../shared/data)
+Run: python docs/real_files.py [-o docs/real-files.md]   (the recordings are in ../shared/data)
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def becalm(*words: object) -> subprocess.CompletedProcess[str]:
 
 
 def section(path: Path, folder: Path) -> str:
-    """Tell what one file gave."""
+    """Return the section of the page on one file."""
     name = path.relative_to(DATA)
     lines = [f"## {name}", ""]
     options: list[str] = []
@@ -38,7 +38,7 @@ def section(path: Path, folder: Path) -> str:
         options = NEEDED.get(path.name, [])
         lines += [f"`becalm clean {name}` (exit code 3):", "", f"> {plain.stderr.strip()}", ""]
         plain = becalm("clean", name, "-o", folder / "out.csv", "--json", *options)
-    told = json.loads(plain.stdout)
+    summary = json.loads(plain.stdout)
     seen = json.loads(becalm("inspect", name, "--json", *options).stdout)
     facts = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in seen.items() if _is_fact(key, value))
     lines += [f"`{' '.join(['becalm clean', str(name), *options])}` (exit code {plain.returncode}): {facts}.", ""]
@@ -46,12 +46,12 @@ def section(path: Path, folder: Path) -> str:
         "| channel | unit | order, tones | noise | q/r | bandwidth (Hz) | predictable | costs | uneven | verdict |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
-    lines += [_row(channel) for channel in told["channels"]]
+    lines += [_row(channel) for channel in summary["channels"]]
     return "\n".join(lines) + "\n"
 
 
 def _tones(channel: dict[str, object]) -> str:
-    """Name the tones beside a motion."""
+    """Return the frequencies of the tones, to follow the order of the kinematic model."""
     tones = channel["tones_hz"]
     return "".join(f", {frequency:.4g} Hz" for frequency in tones) if isinstance(tones, list) else ""
 
@@ -86,9 +86,9 @@ def main() -> None:
 
 _PREFACE = """Every CSV of the real recordings, cleaned with no option, or refused and then cleaned with the
 option that the refusal names. Written by `docs/real_files.py`. *predictable* is the share of the innovation
-power that a linear predictor still foresees, *costs* by how much the rms error exceeds the least possible for that,
-*uneven* the share of the record in which sigma is wrong by more than a factor of two. Above 10 % uneven, or predictable
-where that costs more than 10 % too, the model does not fit, and the exit code is 4.
+power that a linear predictor can predict, *costs* is the resulting excess of the rms error over the least possible one,
+and *uneven* is the share of the record in which sigma is wrong by more than a factor of two. If *uneven*, or both
+*predictable* and *costs*, exceed 10 %, the model does not fit, and the exit code is 4.
 """
 
 

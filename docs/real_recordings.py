@@ -1,7 +1,7 @@
-"""The real recordings as channels: each file as becalm reads it, each of its rates a part of its own.
+"""Read the real recordings with becalm; each sampling rate of a file gives one part.
 
-Needs `pip install 'becalm[formats]'`. Nothing is resampled, and no channel is left out: constant ones and clocks are
-parts of what a logger wrote; so are flags (true and false), which `becalm clean` would let pass.
+Needs `pip install 'becalm[formats]'`. Nothing is resampled, and no channel is left out: the parts include constant
+channels, clocks, and flags (true and false), which `becalm clean` would pass through.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from becalm.files.time_bases import open_file
 DATA = Path(__file__).parents[2] / "shared" / "data"
 
 COUNTED_HZ = {"imu_sample.csv": 204.8, "mocap_sample.csv": 100.0}
-"""Rates of the tables that only count their rows."""
+"""Sampling rates of the tables that have row numbers instead of times."""
 
 _NO_RECORDINGS = (".dbc", ".json", ".md", ".note")
 
@@ -36,13 +36,13 @@ class Part(NamedTuple):
     Attributes
     ----------
     title : str
-        Which of the file's rates it is; "" where there is only one.
+        Name of the time base in the file; "" if the file has only one.
     names : tuple of str
-        The channels.
+        Names of the channels.
     recording : becalm.Recording or None
-        The channels, NaN where missing; None where their time cannot serve.
+        The channels, with NaN for missing samples; None if becalm refuses the part.
     refusal : str
-        Why there is none.
+        Reason of the refusal.
     """
 
     title: str
@@ -59,21 +59,21 @@ def files() -> list[Path]:
 
 
 def options(path: Path) -> ReadOptions:
-    """Return what must be said of a file."""
+    """Return the options that a file needs."""
     return ReadOptions(rate_hz=COUNTED_HZ.get(path.name))
 
 
 def parts(path: Path) -> Iterator[Part]:
-    """Read one file, a part for each of its rates."""
+    """Read one file, and yield a part for each of its sampling rates."""
     with open_file(path, options(path)) as opened:
         for source in opened.sources:
             yield _part(source)
-        for raw, why in opened.passed:
-            yield _insisted(path, raw, why)
+        for raw, why in opened.passed_through:
+            yield _part_of_flags(path, raw, why)
 
 
 def _part(source: OpenSource) -> Part:
-    """Take the channels, and flags as 0 and 1."""
+    """Return the channels as a part, with flags as 0 and 1."""
     chosen = [one for one in source.columns if one.role == CHANNEL or one.name in _flags(source.schema)]
     timebase, table = source.recording().timebase, source.table()
     samples = np.column_stack([values_of(table.column(one.name), ".") for one in chosen])
@@ -81,8 +81,8 @@ def _part(source: OpenSource) -> Part:
     return Part(source.group, names, becalm.Recording(samples, names=names, units=units, timebase=timebase))
 
 
-def _insisted(path: Path, raw: RawTable, why: str) -> Part:
-    """Take the flags of a table that holds nothing else."""
+def _part_of_flags(path: Path, raw: RawTable, why: str) -> Part:
+    """Return the flags of a table that has no other channels, or a refused part."""
     if flags := _flags(raw.rows.schema):
         with suppress(InputError):
             return _part(open_table(path, raw, ReadOptions(channels=flags)))

@@ -14,7 +14,7 @@ import numpy as np
 from becalm.identification.several.step_spectrum import StepTrial
 from becalm.identification.several.step_tuning import tune_by_step
 from becalm.studies.imu_records import PRINTED, RATE_HZ, white
-from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, NoiseSetting, answer
+from becalm.studies.imu_responses import FIGURE_STRIDE, STEP, STEP_AT_S, NoiseSetting, compute_response
 
 figure, all_axes = plt.subplots(1, 2, sharey=True)
 for axes, sensor in zip(all_axes, ("accelerometer", "gyroscope"), strict=True):
@@ -26,9 +26,9 @@ for axes, sensor in zip(all_axes, ("accelerometer", "gyroscope"), strict=True):
     )
     print(f"{sensor}: Q/R printed {printed.ratio:.4g}, found here {found.ratio:.4g}")
     for setting in settings:
-        told = answer(sensor, record, setting)
+        told = compute_response(sensor, record, setting)
         print(f"  {setting.name}: nine tenths after {told.reached_ms:.1f} ms, noise at rest {told.rest_noise:.2e}")
-        after_s = np.arange(len(told.output)) * EVERY / RATE_HZ - STEP_AT_S
+        after_s = np.arange(len(told.output)) * FIGURE_STRIDE / RATE_HZ - STEP_AT_S
         axes.plot(after_s, told.output / STEP, label=setting.name)
     axes.set(title=sensor, xlabel="time after the step (s)", xlim=(-0.2, 1.5))
     axes.legend(loc="lower right")

@@ -17,7 +17,7 @@ class UsageError(BecalmError):
 
 
 class ModelError(UsageError, ValueError):
-    """A matrix of a model has the wrong shape or values that it cannot have."""
+    """A matrix of a model has a wrong shape or invalid values."""
 
 
 class RecordingError(UsageError, ValueError):

@@ -10,7 +10,7 @@ from becalm.classic.register import CAUSAL, CLASSICS, HIGHEST, LOWEST, USUAL, ZE
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.metrics.truth import rms_error
 
-CALM = [classic for classic in CLASSICS.values() if classic.calms]
+CALM = [classic for classic in CLASSICS.values() if classic.reduces_noise]
 NAMES = [classic.name for classic in CALM]
 
 
@@ -45,7 +45,7 @@ def test_the_lag_of_averages_is_half_of_their_length() -> None:
     assert all(lag(classic, 0.01) == 0 for classic in ZERO_PHASE)
 
 
-@pytest.mark.parametrize("classic", [one for one in CAUSAL if one.calms], ids=lambda one: one.name)
+@pytest.mark.parametrize("classic", [one for one in CAUSAL if one.reduces_noise], ids=lambda one: one.name)
 def test_equal_lag_is_equal_as_far_as_the_dial_allows(classic: Classic) -> None:
     cutoff = equal_lag(classic, 20.0)
     assert lag(classic, cutoff * 1.01) <= 20.0 * (1 + 1e-3)
@@ -60,8 +60,8 @@ def test_best_with_truth_is_no_worse_than_what_is_near_it(classic: Classic) -> N
     best = best_with_truth(classic, z, truth)
     error = rms_error(classic.clean(z, best), truth)
     near = min(rms_error(classic.clean(z, best * by), truth) for by in (0.5, 0.8, 1.25, 2.0))
-    assert error <= near * (1 + (1e-9 if classic.calms else 0.01))  # of those that learn, few settings are looked at
-    if classic.calms:
+    assert error <= near * (1 + (1e-9 if classic.reduces_noise else 0.01))  # few settings are tried of an adaptive one
+    if classic.reduces_noise:
         assert error < 0.3 / 2
 
 

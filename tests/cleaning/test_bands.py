@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.cleaning.slopes import beyond_flat
+from becalm.cleaning.slopes import resonance_warning
 from becalm.sensors.resonance import Resonance
 
 SENSOR = Resonance(1000.0, 0.02)
@@ -22,13 +22,13 @@ SENSOR = Resonance(1000.0, 0.02)
     ],
 )
 def test_a_band_beyond_is_said(passed_hz: float | None, rate_hz: float, said: str) -> None:
-    found = beyond_flat("a", SENSOR, passed_hz, rate_hz)
+    found = resonance_warning("a", SENSOR, passed_hz, rate_hz)
     assert found.startswith(said)
     assert bool(found) == bool(said)
 
 
 def test_up_to_there_amplitudes_are_right() -> None:
-    found = beyond_flat("a", SENSOR, None, 1000.0)
+    found = resonance_warning("a", SENSOR, None, 1000.0)
     flat_hz = float(found.split("only up to ")[1].split(" Hz")[0])
     magnitude, _ = SENSOR.response(np.array([flat_hz]))
     assert magnitude[0] == pytest.approx(1.05, abs=1e-3)

@@ -34,7 +34,7 @@ def test_every_classic_filter_stands_beside_becalm(channel: ChannelComparison) -
     causal = channel.contenders[0].lag_s != 0
     expected = {classic.name for classic in (CAUSAL if causal else ZERO_PHASE)}
     assert {contender.name for contender in ruled(channel, "best with truth")} == expected
-    calm = {name for name in expected if CLASSICS[name].calms}
+    calm = {name for name in expected if CLASSICS[name].reduces_noise}
     assert {contender.name for contender in ruled(channel, "equal noise")} == calm
     assert bool(ruled(channel, "equal lag")) == causal
 
@@ -105,11 +105,11 @@ def test_where_the_truth_is_not_known_no_error_is_told(odd: float) -> None:
 
 
 def test_a_truth_known_only_late_in_a_long_record_finds_the_best_setting_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("becalm.cleaning.comparison._LOOKED_AT", 1000)
+    monkeypatch.setattr("becalm.cleaning.comparison._MOST_TRUTH_ROWS", 1000)
     late = np.where(np.arange(3000) < 1500, np.nan, TRUTH[:3000])
     (channel,) = compare(Recording(Z[:3000], rate_hz=RATE_HZ), truth=Recording(late, rate_hz=RATE_HZ)).channels
     told = ruled(channel, "best with truth")
-    assert all(one.rms_error is not None and one.rms_error < 1 for one in told if CLASSICS[one.name].calms)
+    assert all(one.rms_error is not None and one.rms_error < 1 for one in told if CLASSICS[one.name].reduces_noise)
     assert len(told) == len(ZERO_PHASE)
 
 

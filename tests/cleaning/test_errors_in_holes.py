@@ -37,7 +37,7 @@ def bridged(rows: EstimatedRows, cuts: list[int], shown: tuple[HoleRecipe, ...] 
     for start, stop in zip([0, *cuts], [*cuts, len(rows.signal)], strict=True):
         part = rows.rows(slice(start, stop))
         holes.push(np.ones(stop - start))
-        found += holes.bridged([part])
+        found += holes.corrected([part])
     found += holes.finish()
     return EstimatedRows(*(np.concatenate(field, axis=-1) for field in zip(*found, strict=True)))
 

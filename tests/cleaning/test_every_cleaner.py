@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from becalm.classic.bridging import held
+from becalm.classic.bridging import hold_last
 from becalm.classic.causal import notch
 from becalm.classic.register import CLASSICS
 from becalm.cleaning.pipeline import clean
@@ -30,7 +30,7 @@ def kalman(causal: bool) -> Cleaner:
 CLEANERS: dict[str, Cleaner] = {
     "Kalman causal": kalman(True),
     "Kalman smoothed": kalman(False),
-    "notch": lambda z: notch(held(z), CUTOFF),
+    "notch": lambda z: notch(hold_last(z), CUTOFF),
     **{name: partial(classic.clean, cutoff=CUTOFF) for name, classic in CLASSICS.items()},
 }
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.classic.causal import butterworth, moving_average
-from becalm.cleaning.channels import CausalMotion, MotionChannel
+from becalm.cleaning.channels import CausalChannelCleaner, MotionChannel
 from becalm.cleaning.pipeline import Cleaned, clean
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.tuning import tune
@@ -234,7 +234,7 @@ def test_progress_names_every_channel() -> None:
 
 @pytest.mark.parametrize("causal", MODES)
 def test_every_channel_is_finished_before_it_reports(causal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    kind: Any = CausalMotion if causal else MotionChannel
+    kind: Any = CausalChannelCleaner if causal else MotionChannel
     finished: list[Any] = []
     finish, report = kind.finish, kind.report
 

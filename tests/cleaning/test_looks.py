@@ -42,7 +42,8 @@ def recipes() -> dict[str, Recipe]:
 def looked_at(recipe: Recipe, z: Floats, elapsed: Floats, cut: int) -> Floats:
     """Return the normalised innovations that a look is given."""
     seen: list[Floats] = []
-    with Cleaner(recipe, STEP_S, looks=[lambda innovations, sigma: seen.append(innovations / sigma)]) as cleaner:
+    collect = [lambda innovations, sigma: seen.append(innovations / sigma)]
+    with Cleaner(recipe, STEP_S, innovation_callbacks=collect) as cleaner:
         for start in range(0, len(z), cut):
             cleaner.push([z[start : start + cut]], elapsed[start : start + cut])
         cleaner.finish()

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.faults import SensorWatch, find_healthy
-from becalm.cleaning.limits_entry import limits_of, rows_that_judge
+from becalm.cleaning.limits_entry import limits_of, outlier_test_rows
 from becalm.cleaning.pipeline import clean
 from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
@@ -181,7 +181,7 @@ def test_what_a_caller_writes_later_into_its_own_array_moves_no_time() -> None:
     watch.push(walk(13, 50), elapsed)
     elapsed[5] = 1.0
     watch.push(walk(14, 50), elapsed)
-    watch.look(nu, np.ones(100))
+    watch.add_innovations(nu, np.ones(100))
     drift = watch.findings.faults()[0]
     assert drift.what == "drift"
     assert drift.first_s == drift.first_row - 1 + 999
@@ -211,7 +211,7 @@ def test_a_smoother_without_a_distance_of_its_own_finds_no_outlier() -> None:
     """That of a causal filter, which a recipe may have beside it, is none of its."""
     z = np.random.default_rng(0).normal(size=400)
     z[200] = 1e3
-    watch = SensorWatch(LimitsRecipe(causal_outlier_distance=30.0), 0.01, ahead=rows_that_judge(None, None))
+    watch = SensorWatch(LimitsRecipe(causal_outlier_distance=30.0), 0.01, ahead=outlier_test_rows(None, None))
     assert watch.push(z, np.ones(400))[0] is z
 
 

@@ -104,7 +104,7 @@ def test_rows_that_are_told_later_meet_their_own_times(late: int) -> None:
     expected = np.sqrt(1 + (slopes * 0.01 / 0.1) ** 2)
     np.testing.assert_array_equal(np.concatenate(sigma), whole.widened(rows).sigma)
     np.testing.assert_allclose(np.concatenate(sigma)[1:], expected, rtol=1e-12)
-    assert cut.most == pytest.approx(expected.max() - 1)
+    assert cut.largest_share == pytest.approx(expected.max() - 1)
 
 
 def test_slopes_go_on_over_cuts_repeats_and_what_is_unknown() -> None:

@@ -180,5 +180,5 @@ def test_a_long_file_is_read_from_the_first_row_and_said(
 @pytest.mark.parametrize(("width", "rows"), [(1, 1 << 22), (64, 1 << 20), (1 << 20, 1 << 16)])
 def test_many_channels_still_fit_into_memory(width: int, rows: int) -> None:
     source: Any = SimpleNamespace(rows=1 << 30, names=range(width), stretches=lambda parts: parts)
-    read: Any = portions.beginning(source)
+    read: Any = portions.read_beginning(source)
     assert read == [(0, rows)]

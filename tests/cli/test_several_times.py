@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from becalm.files.registry import ENDINGS, holds_times, read_tables
+from becalm.files.registry import ENDINGS, read_tables, stores_several_times
 from becalm.files.writing import open_output
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
-SEVERAL = sorted({form: ending for ending, form in ENDINGS.items() if holds_times(form)}.values())
+SEVERAL = sorted({form: ending for ending, form in ENDINGS.items() if stores_several_times(form)}.values())
 RATES = {"imu/acc": 100.0, "temp (raw)": 10.0}
 ROWS = 300
 

@@ -7,7 +7,16 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.imm.modes import InteractingModels, Mode, numbered_steps
 from becalm.core.model.components import motion, oscillator
-from becalm.native.imm import Bank, Steps, Trace, blocks_before, filter_rows, new_state, nothing_later, smooth_rows
+from becalm.native.imm import (
+    ImmBuffers,
+    ModeMatrices,
+    Steps,
+    blocks_before,
+    filter_rows,
+    new_state,
+    nothing_later,
+    smooth_rows,
+)
 
 NONE: Floats = np.empty(0)
 
@@ -55,19 +64,19 @@ def record(rows: int, kind: str = "even") -> tuple[Floats, Floats]:
     return z, elapsed
 
 
-def laid_out(switching: InteractingModels, elapsed: Floats) -> tuple[Bank, Steps]:
+def laid_out(switching: InteractingModels, elapsed: Floats) -> tuple[ModeMatrices, Steps]:
     """Return the bank and the steps as they take them."""
     lengths, steps = numbered_steps(elapsed)
-    return switching.bank(lengths), steps
+    return switching.matrices(lengths), steps
 
 
-def new_trace(switching: InteractingModels, rows: int) -> Trace:
+def new_trace(switching: InteractingModels, rows: int) -> ImmBuffers:
     nan = [np.full(rows, np.nan) for _ in range(5)]
     modes = np.full((len(switching.modes), rows), np.nan)
-    return Trace(nan[0], nan[1], nan[2], nan[3], modes, nan[4], np.full((switching.states, rows), np.nan))
+    return ImmBuffers(nan[0], nan[1], nan[2], nan[3], modes, nan[4], np.full((switching.states, rows), np.nan))
 
 
-def kernels(switching: InteractingModels, z: Floats, elapsed: Floats) -> tuple[Trace, Trace, float]:
+def kernels(switching: InteractingModels, z: Floats, elapsed: Floats) -> tuple[ImmBuffers, ImmBuffers, float]:
     """Filter and smooth; return what is written of each, and the log-likelihood."""
     bank, steps = laid_out(switching, elapsed)
     state, before = new_state(bank, keeps_level=False), blocks_before(bank, len(z))

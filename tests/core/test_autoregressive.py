@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov, toeplitz
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.filtering import EVERYTHING
+from becalm.core.filter.filtering import DEFAULT_RESULTS
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.autoregressive import (
     ColouredNoise,
@@ -116,7 +116,7 @@ def test_a_walk_in_coloured_noise_is_smoothed_as_one_joint_gaussian() -> None:
     model = Model(F=plain.F, H=plain.H, Q=plain.Q, R=plain.R, x0=[7.0, 0, 0, 0], P0=P0)
     elapsed = np.diff(seen, prepend=0).astype(float)
     line = elapsed_timeline(component, 0.1, elapsed)
-    states = run_smoother(model, line, z[seen, np.newaxis], EVERYTHING._replace(states=True))
+    states = run_smoother(model, line, z[seen, np.newaxis], DEFAULT_RESULTS._replace(states=True))
     assert states.mean is not None
     np.testing.assert_allclose(states.mean[:, 0], expected[seen], rtol=1e-6)
     e = noise[np.ix_(seen, seen)] @ np.linalg.solve(S, z[seen] - start)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from banks import bank_of, laid_out, new_trace, record
 from becalm.native.imm import (
     BLOCK,
-    NOTHING_WANTED,
-    Trace,
+    NO_BUFFERS,
+    ImmBuffers,
     blocks_before,
     filter_rows,
     new_state,
@@ -30,8 +30,8 @@ BANK, STEPS = laid_out(SWITCHING, ELAPSED)
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
     state, before = new_state(BANK, keeps_level=False), blocks_before(BANK, ROWS)
-    short = NOTHING_WANTED._replace(signal=np.empty(ROWS - 1), sigma=np.empty(ROWS - 1))
-    alone = NOTHING_WANTED._replace(signal=np.empty(ROWS))
+    short = NO_BUFFERS._replace(signal=np.empty(ROWS - 1), sigma=np.empty(ROWS - 1))
+    alone = NO_BUFFERS._replace(signal=np.empty(ROWS))
     for refused in (
         lambda: filter_rows(BANK, state, Z[::2], STEPS),
         lambda: filter_rows(BANK, state, Z, STEPS.astype(np.int64)),
@@ -42,10 +42,10 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         lambda: filter_rows(BANK, state, Z, STEPS, before=before[1:]),
         lambda: filter_rows(BANK, state, Z, STEPS, notes=before),
         lambda: filter_rows(BANK._replace(F=BANK.F[1:]), state, Z, STEPS),
-        lambda: filter_rows(bank_of(1, 3).bank(np.ones(1)), state, Z, STEPS),
-        lambda: smooth_rows(BANK, state, Z, STEPS, before, np.zeros(3), NOTHING_WANTED),
-        lambda: smooth_late(BANK, state, STEPS, before, NOTHING_WANTED, turn=1, every=1, lag=1),
-        lambda: smooth_late(BANK, state, STEPS, before, NOTHING_WANTED, turn=1, every=0, lag=1),
+        lambda: filter_rows(bank_of(1, 3).matrices(np.ones(1)), state, Z, STEPS),
+        lambda: smooth_rows(BANK, state, Z, STEPS, before, np.zeros(3), NO_BUFFERS),
+        lambda: smooth_late(BANK, state, STEPS, before, NO_BUFFERS, turn=1, every=1, lag=1),
+        lambda: smooth_late(BANK, state, STEPS, before, NO_BUFFERS, turn=1, every=0, lag=1),
     ):
         with pytest.raises(ValueError, match=r"shape|steps go|written together|not one of|1 or more"):
             refused()
@@ -76,12 +76,12 @@ def test_states_that_cannot_be_are_refused() -> None:
 @given(at=st.lists(st.integers(0, ROWS), max_size=5).map(sorted))
 @settings(max_examples=30)
 def test_any_cut_gives_the_same_bits(at: list[int]) -> None:
-    whole, state, parts = new_trace(SWITCHING, ROWS), new_state(BANK, keeps_level=True), list[Trace]()
+    whole, state, parts = new_trace(SWITCHING, ROWS), new_state(BANK, keeps_level=True), list[ImmBuffers]()
     filter_rows(BANK, new_state(BANK, keeps_level=True), Z, STEPS, whole)
     for z, steps in zip(np.split(Z, at), np.split(STEPS, at), strict=True):
         parts.append(new_trace(SWITCHING, len(z)))
         filter_rows(BANK, state, z, steps, parts[-1])
-    for name in Trace._fields:
+    for name in ImmBuffers._fields:
         joined = np.concatenate([getattr(part, name) for part in parts], axis=-1)
         assert same_bits(joined, getattr(whole, name)), name
 

@@ -18,7 +18,7 @@ from becalm.core.model.components import motion
 from becalm.core.model.model import Model
 from becalm.core.model.step_matrices import elapsed_timeline
 from becalm.metrics.truth import coverage, rms_error
-from becalm.native.imm import Bank, Trace
+from becalm.native.imm import ImmBuffers, ModeMatrices
 
 
 def alike(switching: InteractingModels) -> InteractingModels:
@@ -61,7 +61,7 @@ class Exact(NamedTuple):
     probability: Floats  # (M, N)
 
 
-def one_sequence(bank: Bank, start: Floats, z: Floats, modes: tuple[int, ...]) -> tuple[float, Floats, Floats]:
+def one_sequence(bank: ModeMatrices, start: Floats, z: Floats, modes: tuple[int, ...]) -> tuple[float, Floats, Floats]:
     """Return log-probability, with all readings, and smoothed mean and covariance of all levels, as one Gaussian."""
     rows, n = len(z), bank.H.shape[1]
     mean, cov = np.zeros((rows, n)), np.zeros((rows, n, rows, n))
@@ -82,7 +82,7 @@ def one_sequence(bank: Bank, start: Floats, z: Floats, modes: tuple[int, ...]) -
     return float(fit), level + K @ nu, np.diag(spread - K @ spread[1:])
 
 
-def enumerated(bank: Bank, start: Floats, z: Floats) -> Exact:
+def enumerated(bank: ModeMatrices, start: Floats, z: Floats) -> Exact:
     """Smooth by all M^N sequences of modes."""
     sequences = np.array(list(product(range(len(bank.R)), repeat=len(z))))
     fits, levels, variances = zip(
@@ -96,7 +96,7 @@ def enumerated(bank: Bank, start: Floats, z: Floats) -> Exact:
     return Exact(signal, sigma, probability)
 
 
-def filtered_exactly(bank: Bank, start: Floats, z: Floats) -> Exact:
+def filtered_exactly(bank: ModeMatrices, start: Floats, z: Floats) -> Exact:
     """Return the last row of each record that ends earlier."""
     ends = [enumerated(bank, start, z[: k + 1]) for k in range(len(z))]
     return Exact(*(np.array([getattr(end, name)[..., -1] for end in ends]).T for name in Exact._fields))
@@ -130,7 +130,7 @@ def test_the_bank_is_near_all_sequences_of_modes(name: str) -> None:
     assert (np.mean(off, axis=0) < NEAR[name]).all(), np.mean(off, axis=0)
 
 
-def apart(got: Trace, exact: Exact) -> list[float]:
+def apart(got: ImmBuffers, exact: Exact) -> list[float]:
     """Return how far they are apart, as `NEAR` counts it."""
     rows = slice(len(exact.signal))
     signal = np.abs(got.signal[rows] - exact.signal) / exact.sigma

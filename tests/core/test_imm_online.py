@@ -145,9 +145,9 @@ def test_a_huge_reading_leaves_numbers(name: str, at: int, size: float, causal: 
 def test_steps_of_any_length_are_the_same_in_any_company(name: str) -> None:
     """So that a record of uneven steps may be cut anywhere."""
     lengths = np.unique(np.random.default_rng(1).exponential(size=40) * np.repeat([1.0, 30.0], 20))
-    modes, whole = len(BANKS[name].modes), BANKS[name].bank(lengths)
+    modes, whole = len(BANKS[name].modes), BANKS[name].matrices(lengths)
     for first in range(0, 40, 3):
-        some = BANKS[name].bank(lengths[first : first + 5])
+        some = BANKS[name].matrices(lengths[first : first + 5])
         count = len(some.T)
         assert same_bits(some.T, whole.T[first : first + count])
         assert same_bits(some.F, whole.F[first * modes : (first + count) * modes])

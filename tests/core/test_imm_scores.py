@@ -20,7 +20,7 @@ def test_a_normal_score_is_the_normal_quantile() -> None:
     for one in (motion(1, 1e-12), motion(2, 1e-12)):
         alike = [Mode(name, one, 1.0, 100.0) for name in ("one", "other")]
         for modes in (alike[:1], alike):
-            bank = InteractingModels(tuple(modes)).bank(np.ones(1))
+            bank = InteractingModels(tuple(modes)).matrices(np.ones(1))
             for score in [*scores, *-scores]:
                 trace = new_trace(InteractingModels(tuple(modes)), 2)
                 filter_rows(bank, new_state(bank, keeps_level=False), np.zeros(2), np.zeros(2, np.int32), trace)

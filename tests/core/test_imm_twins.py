@@ -10,7 +10,7 @@ from becalm.core.arrays import Floats
 from becalm.core.imm.modes import InteractingModels, Mode
 from becalm.core.model.components import motion
 from becalm.core.reference import imm as reference
-from becalm.native.imm import Bank, Trace
+from becalm.native.imm import ImmBuffers, ModeMatrices
 
 TWIN = 1e-10
 LONG = 1e-10
@@ -31,7 +31,7 @@ def told(switching: InteractingModels, beliefs: list[reference.ModeStates]) -> d
     }
 
 
-def assert_twin(trace: Trace, expected: dict[str, Floats], within: float) -> None:
+def assert_twin(trace: ImmBuffers, expected: dict[str, Floats], within: float) -> None:
     for name, values in expected.items():
         got = getattr(trace, name)
         size = np.nanmax(np.abs(values), axis=-1, initial=0.0, keepdims=True)
@@ -45,7 +45,7 @@ def check(switching: InteractingModels, kind: str, within: float = TWIN) -> None
     bank, steps = laid_out(switching, elapsed)
     forward, back, total = kernels(switching, z, elapsed)
     rows = reference.filter_readings(bank, switching.start, z, steps)
-    expected = told(switching, [row.beliefs for row in rows])
+    expected = told(switching, [row.posterior for row in rows])
     expected["innovation"] = np.array([row.innovation for row in rows])
     expected["innovation_sigma"] = np.array([row.innovation_sigma for row in rows])
     assert_twin(forward, expected, within)
@@ -74,7 +74,7 @@ def test_a_jump_that_one_mode_could_never_explain_is_the_reference() -> None:
     z[60:] += 60.0
     bank, steps = laid_out(switching, np.ones(ROWS))
     _, back, _ = kernels(switching, z, np.ones(ROWS))
-    long = Bank(*(np.asarray(array, np.longdouble) for array in bank))  # type: ignore[arg-type]
+    long = ModeMatrices(*(np.asarray(array, np.longdouble) for array in bank))  # type: ignore[arg-type]
     rows = reference.filter_readings(long, switching.start.astype(np.longdouble), z.astype(np.longdouble), steps)
     assert_twin(back, told(switching, reference.smooth(long, rows, np.append(steps, -1))), LONG)
     assert np.abs(back.signal[:60]).max() < 2.0
@@ -87,8 +87,8 @@ def test_many_states_are_the_reference_in_long_double(switching: InteractingMode
     z, elapsed = record(ROWS, kind)
     bank, steps = laid_out(switching, elapsed)
     forward, back, _ = kernels(switching, z, elapsed)
-    long = Bank(*(np.asarray(array, np.longdouble) for array in bank))  # type: ignore[arg-type]
+    long = ModeMatrices(*(np.asarray(array, np.longdouble) for array in bank))  # type: ignore[arg-type]
     rows = reference.filter_readings(long, switching.start.astype(np.longdouble), z.astype(np.longdouble), steps)
-    assert rows[-1].beliefs.P.dtype == np.longdouble
-    assert_twin(forward, told(switching, [row.beliefs for row in rows]), LONG)
+    assert rows[-1].posterior.P.dtype == np.longdouble
+    assert_twin(forward, told(switching, [row.posterior for row in rows]), LONG)
     assert_twin(back, told(switching, reference.smooth(long, rows, np.append(steps, -1))), LONG)

@@ -15,7 +15,7 @@ from becalm.errors import ModelError, TimeError
 
 
 def passed(stamps: ArrayLike, step_s: float = 0.01, resolution_s: float = 0.0) -> tuple[Floats, list[int]]:
-    told = LiveClock(step_s, resolution_s).passed(np.asarray(stamps, dtype=float))
+    told = LiveClock(step_s, resolution_s).process_stamps(np.asarray(stamps, dtype=float))
     return told.elapsed, told.codes.tolist()
 
 
@@ -67,7 +67,7 @@ def test_a_row_that_shares_a_coarse_stamp_is_no_repeat() -> None:
 
 def test_a_row_that_came_twice_is_a_repeat_however_coarse_stamps_are() -> None:
     clock = LiveClock(0.01, 0.01)
-    told = clock.passed(np.array([0.0, 0.01, 0.01, 0.02]), np.array([False, False, True, False]))
+    told = clock.process_stamps(np.array([0.0, 0.01, 0.01, 0.02]), np.array([False, False, True, False]))
     assert told.codes.tolist() == [TAKEN, TAKEN, REPEATED, TAKEN]
     assert told.elapsed.tolist() == [0.0, 1.0, 0.0, 1.0]
 
@@ -87,9 +87,9 @@ def test_one_wild_stamp_is_left_out_and_eight_are_believed() -> None:
 
 def test_after_opening_anew_a_stamp_may_be_days_later() -> None:
     clock = LiveClock(0.01)
-    clock.passed(np.array([0.0]))
-    clock.opened()
-    told = clock.passed(np.array([1e6]))
+    clock.process_stamps(np.array([0.0]))
+    clock.mark_interruption()
+    told = clock.process_stamps(np.array([1e6]))
     assert told.codes.tolist() == [TAKEN]
     np.testing.assert_allclose(told.elapsed, [1e8])
 
@@ -100,10 +100,10 @@ def test_after_opening_anew_a_stamp_may_be_days_later() -> None:
 )
 def test_no_cut_matters_and_a_pause_neither(stamps: list[float], cut: int) -> None:
     whole = LiveClock(0.01)
-    first = whole.passed(np.array(stamps))
+    first = whole.process_stamps(np.array(stamps))
     begun = LiveClock(0.01)
-    a = begun.passed(np.array(stamps[:cut]))
-    b = LiveClock.resumed(begun.state).passed(np.array(stamps[cut:]))
+    a = begun.process_stamps(np.array(stamps[:cut]))
+    b = LiveClock.from_state(begun.state).process_stamps(np.array(stamps[cut:]))
     np.testing.assert_array_equal(first.elapsed, np.concatenate([a.elapsed, b.elapsed]))
     np.testing.assert_array_equal(first.codes, np.concatenate([a.codes, b.codes]))
     assert (first.elapsed >= 0).all()
@@ -116,4 +116,4 @@ def test_what_is_no_clock_is_refused() -> None:
             LiveClock(step_s)
     for state in (np.zeros(11), np.zeros(3), np.full(11, np.nan)):
         with pytest.raises(ModelError, match="clock"):
-            LiveClock.resumed(state)
+            LiveClock.from_state(state)

@@ -191,7 +191,7 @@ def test_steps_of_several_lengths_and_blocks_within_them() -> None:
     component = motion(3, 1e-12)
     elapsed: Floats = np.concatenate([np.ones(600), np.full(900, 0.5), [40.0, 0.0, 3.0], np.ones(700)])
     model = moving(3, 1e-12, 1e-4)
-    timeline = elapsed_timeline(component, 1.0, elapsed, goes_on=True)
+    timeline = elapsed_timeline(component, 1.0, elapsed, continues=True)
     z = np.random.default_rng(5).normal(size=(len(elapsed), 1))
     z[1100], z[1791:1795] = np.nan, np.nan
     got, singly = (run_smoother(model, timeline, z, WantedResults(covariances=asked)) for asked in (False, True))

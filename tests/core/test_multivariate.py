@@ -51,7 +51,7 @@ def test_any_cut_gives_the_same_bits(size: tuple[int, int], start: str) -> None:
         for first in range(0, len(z), length):
             part = z[first : first + length]
             found = new_buffers(model, len(part), WANTED)
-            cut.filter(rows_of(even_timeline(model, len(part), goes_on=first > 0), part), found)
+            cut.filter(rows_of(even_timeline(model, len(part), continues=first > 0), part), found)
             for name, got in found._asdict().items():
                 expected = getattr(beliefs, name)[first : first + length]
                 assert np.array_equal(got, expected, equal_nan=True), name

@@ -50,7 +50,7 @@ def test_live_is_the_same_and_leaves_the_opening() -> None:
     model = track(1e4, 1e-6, q=1e-3)
     z = np.random.default_rng(2).normal(size=60)
     run = run_filter(model, even_timeline(model, 60), z[:, np.newaxis])
-    assert run.begun == 2
+    assert run.determined_row == 2
     whole, _ = Online(model).run(z)
     np.testing.assert_allclose(whole, run.estimate.signal, rtol=1e-12)
     for cut in (0, 1, 2, 30):

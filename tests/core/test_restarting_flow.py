@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.channel_settings import GapLimit, gap_limit_of, least_gap_limit, longest_gap
 from becalm.core.filter.fixed_lag_flow import FixedLagFlow
 from becalm.core.filter.gate import Gate
-from becalm.core.filter.restarting_flow import CausalFlow, Gaps, PartialFlow, RestartingFlow
+from becalm.core.filter.restarting_flow import CausalFlow, GapDetector, PartialFlow, RestartingFlow
 from becalm.core.filter.smoothed_flow import SmoothedFlow
 from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow
 from becalm.core.imm.flow import ImmFlow
@@ -204,7 +204,7 @@ def test_a_bank_bridges_what_all_modes_do() -> None:
 def test_a_gap_that_ends_a_push_is_one_for_the_next() -> None:
     """Rows without a reading, and then a usual one that comes alone: wherever rows are cut, it starts anew."""
     gap_limit, arrived = GapLimit(1024.0, 638.9, 3), np.array([True] * 6 + [False] * 3000 + [True])
-    whole, parts = Gaps(gap_limit), Gaps(gap_limit)
+    whole, parts = GapDetector(gap_limit), GapDetector(gap_limit)
     assert list(whole.starts(arrived, np.ones(len(arrived)))) == [3006]
     assert list(parts.starts(arrived[:-1], np.ones(3006))) == []
     assert list(parts.starts(arrived[-1:], np.ones(1))) == [0]

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
-from becalm.core.time.repair import COUNTERS, HOUR_S, Steps, one_clock, unwrapped
+from becalm.core.time.repair import COUNTERS, HOUR_S, StepStatistics, undo_clock_changes, unwrap
 
 SUNDAY_IN_MARCH = float(np.datetime64("2024-03-31T01:30:00", "s").astype(int))
 
 
-def steps_of(stamps: Floats, block: int = 97) -> Steps:
-    steps = Steps(len(stamps))
+def steps_of(stamps: Floats, block: int = 97) -> StepStatistics:
+    steps = StepStatistics(len(stamps))
     for at in range(0, len(stamps), block):
         steps.add(stamps[at : at + block])
     return steps
@@ -37,7 +37,7 @@ def test_a_wrapped_counter_runs_on(period: float, share: float, spread: float, s
     assert steps.wraps_at == period
     assert steps.falls == true[-1] // period
     blocks = (wrapped[at : at + block].astype(np.int64) for at in range(0, 1000, block))
-    np.testing.assert_array_equal(np.concatenate(list(unwrapped(blocks, period))), true)
+    np.testing.assert_array_equal(np.concatenate(list(unwrap(blocks, period))), true)
 
 
 @settings(max_examples=60)
@@ -66,8 +66,8 @@ def test_an_hour_put_back_is_undone(step_s: float, block: int) -> None:
     true = np.arange(2000) * step_s
     local = true - HOUR_S * (np.arange(2000) >= 1200)
     steps = steps_of(local, block)
-    assert steps.falls_an_hour
-    hours = list(one_clock((local[at : at + block] for at in range(0, 2000, block)), 0.0, steps.median))
+    assert steps.falls_by_hours
+    hours = list(undo_clock_changes((local[at : at + block] for at in range(0, 2000, block)), 0.0, steps.median))
     np.testing.assert_allclose(np.concatenate([part.stamps_s for part in hours]), true, atol=1e-9)
     assert (hours[-1].back, hours[-1].forth) == (1, 0)
 
@@ -76,13 +76,13 @@ def test_an_hour_put_back_is_undone(step_s: float, block: int) -> None:
 def test_an_hour_put_forth_is_undone_where_clocks_are(step_s: float) -> None:
     true = np.arange(7200 / step_s) * step_s
     local = true + HOUR_S * (true >= 1800.0)
-    (spring,) = one_clock([local], SUNDAY_IN_MARCH, step_s)
+    (spring,) = undo_clock_changes([local], SUNDAY_IN_MARCH, step_s)
     np.testing.assert_allclose(spring.stamps_s, true, atol=1e-9)
     assert (spring.back, spring.forth) == (0, 1)
     for days in (-1, 7, 91, 119):  # Saturday, April, June, July
-        (as_read,) = one_clock([local], SUNDAY_IN_MARCH + 86_400.0 * days, step_s)
+        (as_read,) = undo_clock_changes([local], SUNDAY_IN_MARCH + 86_400.0 * days, step_s)
         np.testing.assert_array_equal(as_read.stamps_s, local)
-    (off,) = one_clock([local], SUNDAY_IN_MARCH - 5 * step_s - 77.0, step_s)  # not at the full hour
+    (off,) = undo_clock_changes([local], SUNDAY_IN_MARCH - 5 * step_s - 77.0, step_s)  # not at the full hour
     np.testing.assert_array_equal(off.stamps_s, local)
 
 
@@ -90,4 +90,4 @@ def test_falls_of_another_length_are_no_hour() -> None:
     for fall in (1800.0, 3590.0, 3620.0, 7200.0, 0.5):
         local = np.arange(2000.0) * 2.0
         local[900:] -= fall + 2.0
-        assert not steps_of(local).falls_an_hour
+        assert not steps_of(local).falls_by_hours

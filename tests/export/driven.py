@@ -18,7 +18,7 @@ from becalm.core.arrays import Codes, Floats
 from becalm.export.bundle import Bundle, Exported
 from becalm.export.kind import Raw
 from becalm.export.proof.compiling import STRICT
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from becalm.export.shared_parts import FOLDER
 from exported import need
 
@@ -121,7 +121,7 @@ class Driven:
 def library(made: Bundle, folder: Path, *flags: str, more: str = "", compiler: str = "cc") -> ctypes.CDLL:
     """Compile the filters of a bundle, strictly, with `PREFIX_size` of each and with more C, and load them."""
     need(compiler)
-    place = unpacked(made, Path(tempfile.mkdtemp(dir=folder)))
+    place = write_bundle(made, Path(tempfile.mkdtemp(dir=folder)))
     sizes = [
         f"size_t {one.prefix}_size(void);\nsize_t {one.prefix}_size(void) {{ return sizeof({one.prefix}_state); }}\n"
         for one in made.channels

@@ -18,7 +18,7 @@ from becalm.cleaning.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.export.bundle import Bundle, Exported, ExportOptions, bundle_of
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, Build, build, run
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 
 TONE = ToneRecipe(frequency_hz=5.0, bandwidth_hz=0.05, process_noise_density=0.1)
 HUM = TONE.model_copy(update={"disturbance": True})
@@ -79,7 +79,7 @@ def built(made: Bundle, folder: Path, compiler: str = "cc", flags: tuple[str, ..
     """Compile a bundle in a folder of its own."""
     need(compiler)
     place = Path(tempfile.mkdtemp(dir=folder))
-    return build(unpacked(made, place), made.stem, compiler, flags)
+    return build(write_bundle(made, place), made.stem, compiler, flags)
 
 
 def through(program: Build, one: Exported, readings: Floats) -> tuple[Floats, Codes]:

@@ -11,7 +11,7 @@ import pytest
 
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import GateRecipe
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from exported import MODES, TONE, WIDE_LIMITS, bundle, channel, need
 
 pytestmark = pytest.mark.slow
@@ -34,13 +34,13 @@ KINDS: dict[str, tuple[tuple[ChannelRecipe, ...], dict[str, Any]]] = {
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write filters of one kind."""
     channels, asked = KINDS[request.param]
-    return unpacked(bundle(*channels, **asked), tmp_path_factory.mktemp(str(request.param)))
+    return write_bundle(bundle(*channels, **asked), tmp_path_factory.mktemp(str(request.param)))
 
 
 @pytest.fixture
 def single(tmp_path: Path) -> Path:
     """Write one channel in float32, to be changed."""
-    return unpacked(bundle(SLOPE), tmp_path)
+    return write_bundle(bundle(SLOPE), tmp_path)
 
 
 def make(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:

@@ -10,7 +10,7 @@ import pytest
 
 from banked import NAMES, bundle_of_bank
 from becalm.export.bundle import Bundle
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from carried import BOTH
 from exported import TONE, bundle, channel, need
 
@@ -44,7 +44,7 @@ def made(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def missed(of: Bundle, folder: Path) -> list[str]:
     """Return the lines of C that nothing reaches, and whatever failed."""
     need("gcov")
-    ran = made("coverage", cwd=unpacked(of, folder))
+    ran = made("coverage", cwd=write_bundle(of, folder))
     lines = [line for line in ran.stdout.splitlines() if "#####" in line or "FAILED" in line]
     assert lines or (ran.returncode == 0 and "drive.c'\nLines executed:100.00%" in ran.stdout), ran.stderr
     return lines
@@ -79,7 +79,7 @@ def test_what_is_wrong_is_seen(kind: str, right: str, wrong: str, seen: str, tmp
     given = (
         bundle_of_bank("resting 1", "float64") if kind == "bank" else bundle(slope, precision="float64", gain="full")
     )
-    source = unpacked(given, tmp_path) / "drive.c"
+    source = write_bundle(given, tmp_path) / "drive.c"
     text = source.read_text()
     assert text.count(right) == 1
     source.write_text(text.replace(right, wrong))

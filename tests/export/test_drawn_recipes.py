@@ -123,7 +123,7 @@ def readings_for(one: Exported, told: ChannelRecipe, seed: int) -> Floats:
     first = len(one.design.opening.weights)
     rng, rows = np.random.default_rng(seed), first + ROWS
     z = 20 * np.sin(np.arange(rows) / 300) + np.cumsum(rng.normal(0, 0.05, rows)) + rng.normal(size=rows)
-    if one.kind.bridges:
+    if one.kind.has_covariance:
         z[first + 1500 :][rng.random(rows - first - 1500) < 0.02] = np.nan
         z[first + 2500 : first + 2540] = np.nan
     return z * told.noise_std

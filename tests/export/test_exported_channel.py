@@ -24,7 +24,7 @@ from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.channel.kind import Sizes
 from becalm.export.channel.sources import sources_of
 from becalm.export.proof.compiling import OPTIMISED, SANITIZED, STRICT, build, run
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from becalm.export.shared_parts import FOLDER
 from becalm.export.vectors import STARTING
 from carried import BOTH, CHANNELS, GATE, HARD, NUMBERS, STEP_S, USUAL, expected, reference_of, rough
@@ -384,7 +384,7 @@ def test_alone_it_compiles_without_a_warning(name: str, flags: tuple[str, ...], 
 @pytest.mark.parametrize("flag", ["-ffast-math", "-ffinite-math-only"])
 def test_it_is_not_compiled_where_nan_is_forgotten(flag: str, tmp_path: Path) -> None:
     need("gcc")
-    place, words = unpacked(bundle(WATCHED), tmp_path), ["gcc", flag, "-c", "drive.c"]
+    place, words = write_bundle(bundle(WATCHED), tmp_path), ["gcc", flag, "-c", "drive.c"]
     ran = subprocess.run(words, cwd=place, capture_output=True, text=True, check=False)
     assert ran.returncode
     assert "-ffast-math assumes that there is no NaN: compile without it" in ran.stderr
@@ -426,7 +426,7 @@ def test_two_exports_are_linked_into_one_program(tmp_path: Path) -> None:
         folder.mkdir()
         made = bundle_of(recipe_of(recipe), stem, ExportOptions(precision="float64"))
         texts = [f"{stem}.c", *(path for path in made.files if path.startswith(FOLDER) and path.endswith(".c"))]
-        subprocess.run(["gcc", *STRICT, "-c", *texts], cwd=unpacked(made, folder), check=True)
+        subprocess.run(["gcc", *STRICT, "-c", *texts], cwd=write_bundle(made, folder), check=True)
         main.append(f'#include "{stem}/{stem}.h"')
     calls = "".join(FIFTY.replace("STEM", stem) for stem in told)
     (tmp_path / "main.c").write_text("\n".join([*main, f"int main(void) {{ {calls} return 0; }}"]))
@@ -443,7 +443,7 @@ def test_two_exports_are_linked_into_one_program(tmp_path: Path) -> None:
 def test_a_recipe_may_be_called_as_a_part_of_the_library(stem: str, tmp_path: Path) -> None:
     need("gcc")
     made = bundle_of(recipe_of(WATCHED.model_copy(update={"name": "加速度"})), stem, ExportOptions())
-    ran = run(build(unpacked(made, tmp_path), made.stem, "gcc", ("-O1",)))
+    ran = run(build(write_bundle(made, tmp_path), made.stem, "gcc", ("-O1",)))
     assert ran.returncode == 0, ran.stdout
 
 

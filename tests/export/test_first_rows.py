@@ -18,7 +18,7 @@ from becalm.export.design import Design
 from becalm.export.number_type import FLOAT
 from becalm.export.proof.compiling import run
 from becalm.export.proof.verifying import verify
-from becalm.export.word_length import start_of
+from becalm.export.word_length import start_error
 from exported import TONE, built, bundle, channel, live, recipe_of
 
 SLOW = channel("ax", 2, 0.05, tone=(TONE.model_copy(update={"frequency_hz": 0.5}),))
@@ -29,7 +29,7 @@ GATED = channel("ax", 3, 1e-5, gate=GateRecipe(), tone=(TONE.model_copy(update={
 def test_float_keeps_what_the_first_readings_told(told: ChannelRecipe, tmp_path: Path) -> None:
     made = bundle(told)
     (one,) = made.channels
-    assert start_of(one.design, FLOAT) > 1e-4 * one.design.noise_std
+    assert start_error(one.design, FLOAT) > 1e-4 * one.design.noise_std
     assert one.written.word is None  # its states are in double
     ran = run(built(made, tmp_path))
     assert ran.returncode == 0, ran.stdout

@@ -13,11 +13,11 @@ from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.core.reading_verdicts import Verdict
 from becalm.errors import RecipeError
 from becalm.export.bundle import Bundle
-from becalm.export.fixed.text import GREATEST, factor_of, rails_of, scale_of, schedule_in
+from becalm.export.fixed.text import GREATEST, count_limits_of, factor_of, scale_of, schedule_in
 from becalm.export.fixed.word_length import fit
 from becalm.export.number_type import DOUBLE
 from becalm.export.proof.compiling import run
-from becalm.export.settled.text import with_gains
+from becalm.export.settled.text import write_with_gains
 from becalm.export.vectors import STARTING
 from becalm.export.word_length import WordLength
 from driven import UNDEFINED, Driven, driven
@@ -90,7 +90,7 @@ def in_double(made: Bundle) -> Bundle:
     """Write the one filter of a bundle in float64, with the gains that it has in fixed point."""
     (one,) = made.channels
     schedule, word = schedule_in(one.design), WordLength(0, 0, 0, 1e300, None)
-    written = with_gains(one.design, schedule, one.prefix, DOUBLE, word)
+    written = write_with_gains(one.design, schedule, one.prefix, DOUBLE, word)
     plain = bundle(channel(one.name), precision="float64")
     (double,) = plain.channels
     source = plain.files["drive.c"].replace(double.written.source, written.source)
@@ -205,10 +205,10 @@ def test_rails_are_those_of_the_readings_in_unit() -> None:
     (wide,) = bundle(CHANNELS["railed"], precision="q31", spans={"railed": (-100.0, 333.0)}).channels
     assert wide.written.scale is not None
     scale = scale_of(-100.0, 333.0)
-    rails = rails_of(wide.design, scale)
+    rails = count_limits_of(wide.design, scale)
     assert scale.in_unit(rails.low) <= -60.0 < scale.in_unit(rails.low + 1)
     assert scale.in_unit(rails.high - 1) < 90.0 <= scale.in_unit(rails.high)
-    assert rails_of(one.design, scale_of(-60.0, 90.0))[:2] == (-GREATEST, GREATEST)
+    assert count_limits_of(one.design, scale_of(-60.0, 90.0))[:2] == (-GREATEST, GREATEST)
 
 
 def test_what_is_possible_is_kept_to(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.errors import RecipeError
 from becalm.export.fixed.kind import FixedReference
 from becalm.export.fixed.text import GREATEST, factor_of, scale_of, schedule_in
-from becalm.export.fixed.word_length import fit, noise_of, reach_of, stall_of
+from becalm.export.fixed.word_length import bound_states, fit, noise_of, stall_of
 from driven import UNDEFINED, Driven, driven_one, library
 from exported import SPAN, bundle, channel, fixed
 
@@ -152,10 +152,10 @@ def test_what_cannot_be_proved_is_refused(told: ChannelRecipe, span: tuple[float
 def test_states_reach_as_far_as_the_worst_readings_drive_them() -> None:
     """The sum of |h| of a level is 1, and that of a slope is what readings at the ends of their range make of it."""
     (one,) = fixed(channel("level", 1, 0.2)).channels
-    assert reach_of(one.design, schedule_in(one.design)).settled[0] == pytest.approx(1.0, rel=1e-6)
+    assert bound_states(one.design, schedule_in(one.design)).settled[0] == pytest.approx(1.0, rel=1e-6)
     (two,) = fixed(channel("slope", 2, 0.05)).channels
     assert two.design.steady is not None
     F, K = two.design.model.F, two.design.steady.gain
     h, M = F @ K, F @ (np.eye(2) - K @ two.design.model.H)
     found = np.abs(np.hstack([np.linalg.matrix_power(M, k) @ h for k in range(3000)])).sum(axis=1)
-    np.testing.assert_allclose(reach_of(two.design, schedule_in(two.design)).settled, found, rtol=0.02)
+    np.testing.assert_allclose(bound_states(two.design, schedule_in(two.design)).settled, found, rtol=0.02)

@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.export.bundle import Bundle, Exported
 from becalm.export.layouts import library_name
 from becalm.export.proof.compiling import STRICT
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from exported import bundle, channel, need
 
 CHANNELS = (channel("ax", 2, 0.05), channel("ay", 1, 0.02, limits=LimitsRecipe(low=-1.0, high=4095.0)))
@@ -83,7 +83,7 @@ def made(request: pytest.FixtureRequest) -> Bundle:
 @pytest.fixture
 def folder(made: Bundle, tmp_path: Path) -> Path:
     """Unpack them."""
-    return unpacked(made, tmp_path)
+    return write_bundle(made, tmp_path)
 
 
 def ran(*words: object, expect: int = 0, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -94,6 +94,13 @@ def ran(*words: object, expect: int = 0, cwd: Path | None = None) -> subprocess.
     )
     assert done.returncode == expect, done.stdout + done.stderr
     return done
+
+
+def test_the_block_counts_the_readings_that_were_not_used(folder: Path) -> None:
+    header, example = ((folder / name).read_text(encoding="utf-8") for name in ("becalm.h", "examples/cmsis_block.c"))
+    used = set(re.findall(r"(BECALM_\w+) = \d+,? +/\* used", header))
+    assert len(used) == 5
+    assert used == set(re.findall(r"case (BECALM_\w+):", example))
 
 
 def counts(rows: int, place: int) -> Floats:

@@ -12,7 +12,7 @@ import pytest
 from becalm.cleaning.recipe_parts import GateRecipe
 from becalm.export.bundle import Bundle
 from becalm.export.number_type import Precision
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from exported import LIMITS, MODES, SPAN, TONE, bundle, channel, need
 
 TONAL, SLOW = channel("ax", 2, 0.05, tone=(TONE,)), channel("ay", 1, 1e-3)
@@ -38,7 +38,7 @@ def deviations(kind: str) -> set[str]:
 )
 def test_misra_reports_what_is_listed(kind: str, precision: Precision, tmp_path: Path) -> None:
     need("cppcheck")
-    folder = unpacked(MADE[kind](precision), tmp_path)
+    folder = write_bundle(MADE[kind](precision), tmp_path)
     ran = subprocess.run(["make", "-C", folder, "misra"], capture_output=True, text=True, check=False, timeout=300)
     assert ran.returncode == 0, ran.stderr
     by_rule = {rule: int(many) for many, rule in re.findall(r"(\d+) misra-c2012-([\d.]+)", ran.stdout)}

@@ -19,8 +19,8 @@ from becalm.export.number_type import DOUBLE, FLOAT
 from becalm.export.proof.compiling import SANITIZED, Build, CompileError, run
 from becalm.export.schedule import schedule_of
 from becalm.export.settled.reference import SettledReference
-from becalm.export.settled.text import schedule_in, with_gains
-from becalm.export.settled.word_length import prove
+from becalm.export.settled.text import schedule_in, write_with_gains
+from becalm.export.settled.word_length import choose_word_length
 from becalm.export.vectors import STARTING
 from becalm.export.word_length import WordLength, stall_of, ulp
 from exported import (
@@ -174,10 +174,12 @@ def test_after_broken_readings_the_signal_is_back_within_the_settling_time(
 def test_a_level_that_stays_stalls_as_foretold(
     order: int, cutoff: float, far: float, rows: int, tmp_path: Path
 ) -> None:
-    """What `written_settled` avoids by a level that moves: far from its first reading a small gain moves nothing."""
+    """What `write_settled` avoids by a level that moves: far from its first reading a small gain moves nothing."""
     made = bundle(channel("level", order, cutoff))
     (one,) = made.channels
-    stays = with_gains(one.design, schedule_in(one.design, FLOAT), one.prefix, FLOAT, WordLength(0, 0, 0, 1e9, None))
+    stays = write_with_gains(
+        one.design, schedule_in(one.design, FLOAT), one.prefix, FLOAT, WordLength(0, 0, 0, 1e9, None)
+    )
     text = made.files["drive.c"].replace(one.written.source, stays.source)
     program = built(made._replace(files={**made.files, "drive.c": text}), tmp_path)
     signal, _ = through(program, one, np.concatenate([np.zeros(40), np.full(rows, far)]))
@@ -200,8 +202,8 @@ def test_a_word_too_short_is_refused() -> None:
     design = design_of(channel("level", 1, 1e-6), 0.01)
     assert design is not None
     with pytest.raises(RecipeError, match="use --precision float64"):
-        prove(design, FLOAT, 1e9)
-    assert prove(design, DOUBLE, 1e6).share < 0.1
+        choose_word_length(design, FLOAT, 1e9)
+    assert choose_word_length(design, DOUBLE, 1e6).share < 0.1
 
 
 @pytest.mark.parametrize(("order", "cutoff"), [(1, 0.1), (1, 0.01), (2, 0.05), (3, 0.05)])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from becalm.export.bundle import ExportOptions, bundle_of
-from becalm.export.proof.verifying import unpacked
+from becalm.export.proof.verifying import write_bundle
 from exported import bundle, channel, need, recipe_of
 
 ROOT = Path(__file__).parents[2]
@@ -34,7 +34,7 @@ def compiled(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
 def test_the_readme_of_an_export_shows_c_that_compiles(precision: str, tmp_path: Path) -> None:
     made = bundle(channel(), precision=precision, spans={"ax": (-99.0, 99.0)})
     for code in blocks(made.files["README.md"]):
-        ran = compiled(code, unpacked(made, tmp_path))
+        ran = compiled(code, write_bundle(made, tmp_path))
         assert ran.returncode == 0, ran.stderr
 
 
@@ -42,5 +42,5 @@ def test_the_manual_shows_c_that_compiles(tmp_path: Path) -> None:
     told = channel("load (N)", unit="N")
     made = bundle_of(recipe_of(told), "cell", ExportOptions())
     for code in blocks((ROOT / "docs" / "export.md").read_text(encoding="utf-8")):
-        ran = compiled(code, unpacked(made, tmp_path))
+        ran = compiled(code, write_bundle(made, tmp_path))
         assert ran.returncode == 0, ran.stderr

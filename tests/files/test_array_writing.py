@@ -17,7 +17,7 @@ from becalm.files.arrays import array_writer
 from becalm.files.opening import OpenSource
 from becalm.files.read_options import ReadOptions
 from becalm.files.registry import read_tables
-from becalm.files.tables import in_words
+from becalm.files.tables import verdict_words
 
 ENDINGS = ["h5", "mat", "mf4", "npz"]
 COUNT = 7
@@ -32,7 +32,7 @@ def table() -> pa.Table:
         "n": pa.array([1, None, 3, 4, 5, 6, 7]),
         "big": pa.array([(1 << 60) + 1] * COUNT),
         "flag": pa.array([True, False, True, True, False, True, False]),
-        "a_verdict": in_words(np.arange(COUNT, dtype=np.int8) % np.int8(4)),
+        "a_verdict": verdict_words(np.arange(COUNT, dtype=np.int8) % np.int8(4)),
         "note": pa.array(["a", "ü", None, "", 'b, "c"', "x" * 70, "z"]),
         "when": pa.array(range(COUNT), pa.timestamp("ms")),
         "long": pa.array(range(COUNT), pa.duration("ms")),

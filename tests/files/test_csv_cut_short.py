@@ -63,7 +63,7 @@ def _read(path: Path) -> tuple[pa.Table, str]:
 def road(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     if request.param == "spooled":
         monkeypatch.setattr(rows, "BLOCK_ROWS", 7)
-        monkeypatch.setattr(rows, "HELD_ROWS", 0)
+        monkeypatch.setattr(rows, "MOST_MEMORY_ROWS", 0)
         monkeypatch.setattr(csv_blocks, "WHOLE_BYTES", 0)
         monkeypatch.setattr(csv_blocks, "BLOCK_BYTES", 300)
     return str(request.param)

@@ -19,7 +19,7 @@ import pytest
 
 from becalm.errors import InputError
 from becalm.files import library_process
-from becalm.files.library_process import read_apart
+from becalm.files.library_process import read_in_subprocess
 from becalm.files.library_server import _Server
 from becalm.files.registry import read_tables
 from mdf_logs import SIGNAL
@@ -90,18 +90,18 @@ def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_a_library_that_misbehaves_when_it_opens_a_file(how: str, reader: str) -> None:
     Path("a.test").write_text(f"{how} not")
     with pytest.raises(InputError) as caught:
-        read_apart(reader, Path("a.test"))
+        read_in_subprocess(reader, Path("a.test"))
     assert str(caught.value).startswith("a.test ")
     assert SAYS[how] in str(caught.value)
     assert caught.value.exit_code == 3
     Path("a.test").write_text("not not")
-    assert len(read_apart(reader, Path("a.test"))) == 1
+    assert len(read_in_subprocess(reader, Path("a.test"))) == 1
 
 
 @pytest.mark.parametrize("how", SAYS)
 def test_a_library_that_misbehaves_when_it_reads_rows(how: str, reader: str) -> None:
     Path("a.test").write_text(f"not {how}")
-    (table,) = read_apart(reader, Path("a.test"))
+    (table,) = read_in_subprocess(reader, Path("a.test"))
     with pytest.raises(InputError) as caught:
         list(table.blocks(["a"]))
     assert SAYS[how] in str(caught.value)
@@ -111,11 +111,11 @@ def test_a_library_that_misbehaves_when_it_reads_rows(how: str, reader: str) -> 
 @pytest.mark.parametrize("how", ["crash", "hang"])
 def test_the_next_file_is_not_blamed(how: str, reader: str) -> None:
     Path("bad.test").write_text(f"not later-{how}")
-    (table,) = read_apart(reader, Path("bad.test"))
+    (table,) = read_in_subprocess(reader, Path("bad.test"))
     assert next(iter(table.blocks(["a", "b"], 0, 5)))["a"].to_pylist() == [0, 1, 2, 3, 4]
     table.rows.close()  # while the process reads ahead
     Path("good.test").write_text("not not")
-    (table,) = read_apart(reader, Path("good.test"))
+    (table,) = read_in_subprocess(reader, Path("good.test"))
     assert next(iter(table.blocks(["a"])))["a"].to_pylist() == list(range(10))
     table.rows.close()
 
@@ -142,11 +142,11 @@ def test_an_interrupted_read_leaves_no_answer_for_the_next(reader: str) -> None:
     try:
         signal.setitimer(signal.ITIMER_REAL, 0.3)
         with pytest.raises(KeyboardInterrupt):
-            read_apart(reader, Path("slow.test"))
+            read_in_subprocess(reader, Path("slow.test"))
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
-    (table,) = read_apart(reader, Path("good.test"))
+    (table,) = read_in_subprocess(reader, Path("good.test"))
     table.rows.close()
 
 
@@ -160,7 +160,7 @@ def test_a_closed_table_is_refused(tmp_path: Path) -> None:
 
 def test_what_a_library_prints_is_not_seen(reader: str, capfd: pytest.CaptureFixture[str]) -> None:
     Path("a.test").write_text("not not")
-    (table,) = read_apart(reader, Path("a.test"))
+    (table,) = read_in_subprocess(reader, Path("a.test"))
     assert [value for block in table.blocks(["a"], 3, 2) for value in block["a"].to_pylist()] == list(range(3, 10))
     assert capfd.readouterr() == ("", "")
 

@@ -14,7 +14,7 @@ from becalm.errors import UsageError
 from becalm.files.opening import open_source, read_source
 from becalm.files.other_units import ColumnConversion, ConvertedRows
 from becalm.files.read_options import ReadOptions, RequestOrigin, RequiredUnits
-from becalm.files.rows import HeldRows
+from becalm.files.rows import MemoryRows
 from becalm.files.time_bases import open_file
 from becalm.files.unit_conversion import Conversion
 
@@ -34,7 +34,7 @@ def in_units(**units: str) -> ReadOptions:
 
 
 def fit(**units: str) -> ReadOptions:
-    return ReadOptions(fitting=RequiredUnits(RequestOrigin("The recipe", " Make another."), units))
+    return ReadOptions(required_units=RequiredUnits(RequestOrigin("The recipe", " Make another."), units))
 
 
 @pytest.mark.parametrize("asked", ["Accelerometer X", "Accelerometer X (g)"])
@@ -93,7 +93,7 @@ def test_read_takes_units(log: Path) -> None:
 
 def test_blocks_are_those_of_the_rows_beneath() -> None:
     table = pa.table({"a": pa.array([1, None, 3, 4]), "b": [1.0, 2, 3, 4], "c": ["x", "y", "z", "w"]})
-    rows = ConvertedRows(HeldRows(table), {"a": ColumnConversion("A", "K", Conversion(2.0, 1.0))})
+    rows = ConvertedRows(MemoryRows(table), {"a": ColumnConversion("A", "K", Conversion(2.0, 1.0))})
     assert (rows.schema.names, rows.count) == (["A", "b", "c"], 4)
     blocks = list(rows.blocks(["c", "A"], most_rows=2, start=1))
     assert [block.num_rows for block in blocks] == [2, 1]
@@ -123,14 +123,16 @@ def test_a_recipe_tells_no_unit_that_the_file_does_not(log: Path) -> None:
 
 
 def test_what_a_person_tells_comes_before_what_a_recipe_needs(log: Path) -> None:
-    options = ReadOptions(units={"force": "kN"}, fitting=RequiredUnits(RequestOrigin("The recipe"), {"force": "N"}))
+    options = ReadOptions(
+        units={"force": "kN"}, required_units=RequiredUnits(RequestOrigin("The recipe"), {"force": "N"})
+    )
     with open_source(log, options) as source:
         assert source.recording().channel("force")[0] == 10000
 
 
 def test_only_channels_that_are_wanted_need_a_recipe_s_unit(log: Path) -> None:
     fitting = RequiredUnits(RequestOrigin("The recipe"), {"Accelerometer X": "V", "force": ""})
-    with open_source(log, ReadOptions(channels=("force",), fitting=fitting)) as source:
+    with open_source(log, ReadOptions(channels=("force",), required_units=fitting)) as source:
         assert source.names == ("force",)
 
 

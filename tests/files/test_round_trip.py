@@ -21,12 +21,12 @@ from becalm.errors import OutputError
 from becalm.files import open_output
 from becalm.files.opening import OpenSource
 from becalm.files.read_options import ReadOptions
-from becalm.files.registry import ENDINGS, format_to_write, holds_times
-from becalm.files.tables import in_words
+from becalm.files.registry import ENDINGS, format_to_write, stores_several_times
+from becalm.files.tables import verdict_words
 from becalm.files.writing import write_table
 from tables_of_files import Tables
 
-SEVERAL = sorted({form: ending for ending, form in ENDINGS.items() if holds_times(form)}.values())
+SEVERAL = sorted({form: ending for ending, form in ENDINGS.items() if stores_several_times(form)}.values())
 FAST, SLOW = "/imu/acc (raw)", "/imu"
 RECIPE = 'name = "ä <&>"\n' + "# long\n" * 20_000
 TIMES = np.arange(300) / 128.0
@@ -50,7 +50,7 @@ def fast() -> pa.Table:
         "t_ax": SIGNAL / 3,  # no time of `ax`
         "ax": holed,
         "ax_sigma": np.abs(SIGNAL).astype(np.float32),
-        "ax_verdict": in_words(VERDICTS),
+        "ax_verdict": verdict_words(VERDICTS),
         "count": pa.array([None if row == 3 else row for row in range(300)], pa.int64()),
         "on": pa.array(np.arange(300) % 3 == 0),
     }

@@ -16,7 +16,7 @@ from becalm.errors import InputError, UsageError
 from becalm.files.calibrated_source import with_sensors
 from becalm.files.opening import open_source, read_source
 from becalm.files.read_options import ReadOptions
-from becalm.files.rows import HeldRows
+from becalm.files.rows import MemoryRows
 from becalm.files.source import RawTable
 from becalm.sensors.bridge import Bridge
 from becalm.sensors.record import SensorRecord
@@ -131,7 +131,7 @@ def test_text_with_a_decimal_comma_is_read(tmp_path: Path) -> None:
 def test_blocks_of_any_size_give_the_same_bits(rows: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
     table = pa.table({name: rng.normal(0, 1, 300) for name in ("x", "y", "z", "root")})
-    raw = RawTable(HeldRows(table), 300, "test")
+    raw = RawTable(MemoryRows(table), 300, "test")
     (sensed,), _ = with_sensors([raw], ReadOptions(sensors=sensors(tmp_path, TRIAXIAL + BRIDGE)))
 
     def bits(most_rows: int) -> list[Floats]:
@@ -145,7 +145,7 @@ def test_blocks_of_any_size_give_the_same_bits(rows: int, tmp_path: Path) -> Non
 def two_times() -> tuple[RawTable, RawTable]:
     fast = pa.table({"t": np.arange(4) / 4, "root": [0.0, 1.0, 0.0, 1.0], "other": [1.0, 2.0, 3.0, 4.0]})
     slow = pa.table({"t": [0.0, 1.0], "pull": [20.0, 10.0], "other": [1.0, 2.0]})
-    return RawTable(HeldRows(fast), 4, "test", group="fast"), RawTable(HeldRows(slow), 2, "test", group="slow")
+    return RawTable(MemoryRows(fast), 4, "test", group="fast"), RawTable(MemoryRows(slow), 2, "test", group="slow")
 
 
 def test_each_sensor_finds_its_time(tmp_path: Path) -> None:

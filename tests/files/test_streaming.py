@@ -63,7 +63,7 @@ LATE: dict[str, str] = {
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """Make every limit so small that a test's files are long ones."""
     monkeypatch.setattr(rows, "BLOCK_ROWS", 7)
-    monkeypatch.setattr(rows, "HELD_ROWS", 0)
+    monkeypatch.setattr(rows, "MOST_MEMORY_ROWS", 0)
     monkeypatch.setattr(rows, "_SPOOL_BLOCK", 5)
     monkeypatch.setattr(roles, "_FIRST_ROWS", 3)
     monkeypatch.setattr(csv_blocks, "WHOLE_BYTES", 0)

@@ -16,7 +16,7 @@ from becalm.errors import SensorError, UsageError
 from becalm.files.calibrated_source import with_sensors
 from becalm.files.opening import OpenSource, open_source
 from becalm.files.read_options import ReadOptions
-from becalm.files.rows import HeldRows
+from becalm.files.rows import MemoryRows
 from becalm.files.source import RawTable
 from becalm.files.timing.times import RowTimes, rows_between
 
@@ -157,7 +157,7 @@ def test_blocks_of_any_size_give_the_same_bits(tmp_path: Path) -> None:
     sheet = tmp_path / "s.toml"
     sheet.write_text(BRIDGE + THERMOMETER)
     table = pa.table({"time_s": T, "root": ratios(), "T1": DEGC / 10})
-    (sensed,), _ = with_sensors([RawTable(HeldRows(table), ROWS, "test")], ReadOptions(sensors=load_sensors(sheet)))
+    (sensed,), _ = with_sensors([RawTable(MemoryRows(table), ROWS, "test")], ReadOptions(sensors=load_sensors(sheet)))
 
     def bits(most_rows: int) -> Floats:
         return np.concatenate([block.column(0).to_numpy() for block in sensed.blocks(["root"], most_rows=most_rows)])

@@ -92,12 +92,12 @@ class Walker:
     def take(self, entries: Sequence[Entry]) -> SensorStep:
         """Take a micro-batch of entries."""
         before = None if self.state is None else SensorState.unpacked(self.state)
-        return self._kept(self._walk.hear(self.sensor, before, entries, self.now_ms))
+        return self._kept(self._walk.process_rows(self.sensor, before, entries, self.now_ms))
 
     def wake(self) -> SensorStep:
         """Look whether it is silent."""
         assert self.state is not None
-        return self._kept(self._walk.wake(SensorState.unpacked(self.state), self.now_ms))
+        return self._kept(self._walk.check_silence(SensorState.unpacked(self.state), self.now_ms))
 
     def _kept(self, step: SensorStep) -> SensorStep:
         self.state = None if step.state is None else step.state.packed()

@@ -18,7 +18,7 @@ from becalm.cleaning.recipe import Mode
 from becalm.errors import InputError, UsageError
 from becalm.fleet.batch import BatchOptions, Fleet, clean
 from becalm.fleet.recipes import open_book
-from becalm.live.locking import locked
+from becalm.live.locking import lock_file
 from made import Lake, Run, farthest, read_parts, recipe_of, same, table_of, walk, without_spark, write_parts
 
 SPARK: Any = None
@@ -223,7 +223,7 @@ def test_a_long_sensor_of_uneven_time_is_that_of_a_file(lake: Lake, run: Run) ->
 def test_one_job_at_a_time_has_an_output(lake: Lake) -> None:
     out = lake.root.parent / "out"
     (out / "_becalm").mkdir(parents=True)
-    with closing(locked(out / "_becalm" / "lock", "")), pytest.raises(UsageError, match="Another job is at work"):
+    with closing(lock_file(out / "_becalm" / "lock", "")), pytest.raises(UsageError, match="Another job is at work"):
         cleaned(lake)
     assert {one.state for one in cleaned(lake).outcomes} == {"cleaned"}
 

@@ -16,6 +16,7 @@ import becalm
 from becalm.errors import OutputError
 from becalm.files.chunked_cleaning import clean_chunks
 from becalm.fleet.batch import BatchOptions, Fleet, clean
+from becalm.fleet.job import Job
 from becalm.fleet.marks import CompletionMark
 from becalm.fleet.recipes import open_book
 from made import Lake, recipe_of, table_of, walk, without_spark, write_parts
@@ -58,6 +59,16 @@ def test_files_of_others_are_not_written_over(lake: Lake, asked: BatchOptions) -
     assert foreign.read_bytes() == b"of somebody else"
     foreign.unlink()
     assert reasons(cleaned(lake, asked)) == ["", ""]
+
+
+def test_of_two_sensors_in_one_folder_the_second_does_not_overwrite_the_first(
+    lake: Lake, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows and macOS take folders whose names differ only in case for one."""
+    monkeypatch.setattr(Job, "output_folder", lambda job, _: Path(job.output) / "sensor=x")
+    said = reasons(cleaned(lake))
+    assert said[0] == ""
+    assert "exists already, and no mark shows that becalm wrote it" in said[1]
 
 
 def test_a_damaged_mark_is_no_leave_to_write_over(lake: Lake) -> None:

@@ -105,8 +105,8 @@ def test_each_class_has_the_recipe_of_one_of_its_sensors(done: Done) -> None:
     for klass in done.tuned.classes:
         path = done.recipes / f"{klass.name}.toml"
         recipe = Recipe.load(path)
-        assert klass.typical is not None
-        (sensor,) = klass.typical.sensors.values()
+        assert klass.class_recipe is not None
+        (sensor,) = klass.class_recipe.sensors.values()
         own = next(one.recipe for one in klass.found if one.sensor == sensor)
         limits = recipe.channel[0].limits
         assert recipe.channel == (own.channel[0].model_copy(update={"limits": limits}),)

@@ -14,7 +14,7 @@ import pytest
 from becalm.errors import InputError, UsageError
 from becalm.fleet.batch import BatchOptions, clean
 from becalm.fleet.grouped import cleaning
-from becalm.fleet.grouped.strips import part_rows
+from becalm.fleet.grouped.strips import split_rows
 from becalm.fleet.recipes import open_book
 from becalm.fleet.sensor_cleaning import clean_whole
 from made import Lake, Run, read_parts, recipe_of, same, without_spark
@@ -109,7 +109,7 @@ def test_a_second_run_reads_no_sample(tmp_path: Path, monkeypatch: pytest.Monkey
     lake = four(tmp_path)
     cleaned(lake)
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.parquet")}
-    monkeypatch.setattr(cleaning, "part_rows", read_again)
+    monkeypatch.setattr(cleaning, "split_rows", read_again)
     again = cleaned(lake)
     assert set(states(again).values()) == {"kept"}
     assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.parquet")}
@@ -228,10 +228,10 @@ def test_a_file_that_changes_meanwhile_refuses_the_sensors_in_it(
 
     def after_a_change(*known: Any) -> Any:
         pq.write_table(keyed(own_table(9, 400), "late"), lake.root / "late.parquet")
-        return part_rows(*known)
+        return split_rows(*known)
 
     with monkeypatch.context() as patch:
-        patch.setattr(cleaning, "part_rows", after_a_change)
+        patch.setattr(cleaning, "split_rows", after_a_change)
         fleet = cleaned(lake)
     assert {one.sensor: one.reason for one in fleet.outcomes if one.state == "refused"} == {
         "sensor=late": f"{lake.root / 'late.parquet'} changed while it was read; wait until it is complete, and repeat."

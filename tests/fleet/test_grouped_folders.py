@@ -37,7 +37,7 @@ def test_sensors_below_times_are_read_where_they_are(tmp_path: Path, run: Run, m
     lake = by_date(tmp_path, tables)
     with pytest.raises(UsageError, match=r"--by sensor$"):
         cleaned(lake, BatchOptions())
-    monkeypatch.setattr(cleaning, "part_rows", read_again)
+    monkeypatch.setattr(cleaning, "split_rows", read_again)
     assert states(cleaned(lake)) == {"sensor=1": "cleaned", "sensor=a%2Fb": "cleaned"}
     for name, table in tables.items():
         out = tmp_path / "out" / f"sensor={name}"

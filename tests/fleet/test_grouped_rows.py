@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from becalm.errors import InputError, UsageError
 from becalm.fleet.grouped import strips
 from becalm.fleet.grouped.counting import count_rows
-from becalm.fleet.grouped.merging import merged
-from becalm.fleet.grouped.strips import Lake, Strip, StripPart, part_rows
-from becalm.fleet.marks import came_of
-from becalm.fleet.names import NULL, below, folder_name, keys_of, named, values_in
+from becalm.fleet.grouped.merging import merge_strips
+from becalm.fleet.grouped.strips import Lake, Strip, StripPart, split_rows
+from becalm.fleet.marks import hash_input
+from becalm.fleet.names import NULL, below, folder_name, keys_of, name_sensors, values_in
 from shared_lakes import KEY, keyed
 
 WORDS = st.text(max_size=12)
@@ -32,11 +32,11 @@ def brought_together(folder: Path, files: int, sensor: str, parts: int = 1, time
         target = str(folder / f"{number}.strips")
         lake = Lake(str(folder), (KEY,), {sensor: time})
         file = f"{number // parts}.parquet"
-        hashed = came_of([(file, folder / file)], "", {})
-        told = part_rows(lake, StripPart(file, number % parts, parts, target, hashed))
+        hashed = hash_input([(file, folder / file)], "", {})
+        told = split_rows(lake, StripPart(file, number % parts, parts, target, hashed))
         assert not told.failed
-        found += told.of.get(sensor, [])
-    return pa.concat_tables(list(merged(folder, found)))
+        found += told.by_sensor.get(sensor, [])
+    return pa.concat_tables(list(merge_strips(folder, found)))
 
 
 @given(WORDS | st.none(), WORDS | st.none())
@@ -76,7 +76,7 @@ def test_folders_are_called_as_hive_calls_them(value: str | None, name: str) -> 
     ],
 )
 def test_any_plain_column_names_sensors(column: pa.Array, names: list[str]) -> None:
-    own = named(pa.table({"k": column}), ("k",), {})
+    own = name_sensors(pa.table({"k": column}), ("k",), {})
     assert sorted(own.names) == sorted(names)
     told = [folder_name("k", value) for value in pa.chunked_array([column]).cast(pa.string()).to_pylist()]
     assert [own.names[code] for code in own.codes] == told
@@ -84,7 +84,7 @@ def test_any_plain_column_names_sensors(column: pa.Array, names: list[str]) -> N
 
 def test_several_columns_and_folders_name_sensors_together() -> None:
     block = pa.table({"plant": [1, 1, 2, 2], "sensor": ["a", "b", "a", "a"]})
-    own = named(block, ("plant", "line", "sensor"), {"line": "x"})
+    own = name_sensors(block, ("plant", "line", "sensor"), {"line": "x"})
     told = [f"plant={plant}/line=x/sensor={sensor}" for plant, sensor in ((1, "a"), (1, "b"), (2, "a"), (2, "a"))]
     assert [own.names[code] for code in own.codes] == told
     assert len(own.names) == 3
@@ -92,7 +92,7 @@ def test_several_columns_and_folders_name_sensors_together() -> None:
 
 def test_lists_name_no_sensor() -> None:
     with pytest.raises(InputError, match="cannot name a folder"):
-        named(pa.table({"k": [[1], [2]]}), ("k",), {})
+        name_sensors(pa.table({"k": [[1], [2]]}), ("k",), {})
 
 
 def test_a_key_that_is_not_there_is_said_with_those_that_are() -> None:
@@ -257,13 +257,13 @@ def test_of_many_strips_few_are_in_memory(tmp_path: Path, time: str | None, monk
     monkeypatch.setattr(strips, "_share_of", lambda path, table, part: table.blocks(table.names, most_rows=of_a_block))
     own = pa.table({KEY: ["x"] * rows, "time_s": np.arange(rows) / 100, "a": np.arange(rows) / 7})
     pq.write_table(own, tmp_path / "0.parquet")
-    hashed = came_of([("0.parquet", tmp_path / "0.parquet")], "", {})
-    found = part_rows(
+    hashed = hash_input([("0.parquet", tmp_path / "0.parquet")], "", {})
+    found = split_rows(
         Lake(str(tmp_path), (KEY,), {"sensor=x": time}), StripPart("0.parquet", 0, 1, str(tmp_path / "s"), hashed)
-    ).of["sensor=x"]
+    ).by_sensor["sensor=x"]
     assert len(found) == rows // of_a_block
     before, most, count = pa.total_allocated_bytes(), 0, 0
-    for table in merged(tmp_path, found):
+    for table in merge_strips(tmp_path, found):
         most, count = max(most, pa.total_allocated_bytes() - before), count + table.num_rows
     assert count == rows
     assert most < 8 * of_a_block * 24  # of the 200 strips that there are

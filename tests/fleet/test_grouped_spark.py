@@ -69,7 +69,7 @@ def test_a_command_gives_the_numbers_of_files(lake: Lake, whole: Path, tmp_path:
     assert "there are a, b, note, sensor, time_s." in ran.stderr
 
 
-@pytest.mark.parametrize("stage", ["count_rows", "part_rows", "merge_and_clean"])
+@pytest.mark.parametrize("stage", ["count_rows", "split_rows", "merge_and_clean"])
 def test_killed_workers_change_nothing(
     lake: Lake, whole: Path, tmp_path: Path, stage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -172,7 +172,7 @@ def test_rows_of_nobody_are_left_out_and_counted() -> None:
 def test_nothing_is_kept_of_a_name_that_nobody_has_a_recipe_for() -> None:
     one = walker(None, silent_s=60.0)
     step = one.hear(rows_of(50))
-    assert (step.state, step.wake_ms) == (None, None)
+    assert (step.state, step.timer_ms) == (None, None)
     assert [event.kind for event in step.events] == ["refused"]
 
 

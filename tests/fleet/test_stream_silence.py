@@ -13,21 +13,21 @@ def test_silence_is_said_once_and_its_end() -> None:
     rows, one = rows_of(400), walker(silent_s=60.0)
     one.now_ms = 1_000_000
     first = one.hear(part(rows, slice(0, 100)))
-    assert first.wake_ms == 1_060_000
+    assert first.timer_ms == 1_060_000
     one.now_ms = 1_030_000
-    assert one.hear(part(rows, slice(100, 120))).wake_ms is None  # the first look is to come
+    assert one.hear(part(rows, slice(100, 120))).timer_ms is None  # the first look is to come
     one.now_ms = 1_060_500
     step = one.wake()
-    assert (step.events, step.wake_ms) == ((), 1_090_000)
+    assert (step.events, step.timer_ms) == ((), 1_090_000)
     one.now_ms = 1_090_000
     step = one.wake()
-    assert ([event.kind for event in step.events], step.wake_ms) == (["silent"], None)
+    assert ([event.kind for event in step.events], step.timer_ms) == (["silent"], None)
     one.now_ms = 2_000_000
     assert one.wake().events == ()
     step = one.hear(part(rows, slice(120, 400)))
     assert step.events[0].kind == "back"
     assert "970 s" in step.events[0].says
-    assert step.wake_ms == 2_060_000
+    assert step.timer_ms == 2_060_000
     assert_same_bits(one.said, by_stream(rows))
 
 
@@ -35,13 +35,13 @@ def test_a_stream_that_looks_for_silence_now_or_no_longer() -> None:
     rows, one = rows_of(300), walker()
     one.hear(part(rows, slice(0, 100)))
     one._walk = SensorStreamProcessor(replace(one.plan, silent_s=60.0), CHANNELS)  # it was begun again
-    assert one.hear(part(rows, slice(100, 200))).wake_ms == 60_000
+    assert one.hear(part(rows, slice(100, 200))).timer_ms == 60_000
     one._walk = SensorStreamProcessor(one.plan, CHANNELS)
     one.now_ms = 60_000
     step = one.wake()
-    assert (step.estimates, step.events, step.wake_ms) == (None, (), None)
+    assert (step.estimates, step.events, step.timer_ms) == (None, (), None)
     one._walk = SensorStreamProcessor(replace(one.plan, silent_s=60.0), CHANNELS)
-    assert one.hear(part(rows, slice(200, 300))).wake_ms == 120_000
+    assert one.hear(part(rows, slice(200, 300))).timer_ms == 120_000
 
 
 def test_silence_tells_rows_that_wait_for_late_ones() -> None:

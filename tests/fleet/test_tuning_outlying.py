@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from becalm.fleet.class_outliers import FACTOR, FEWEST, class_of, factors_apart, marked, times
+from becalm.fleet.class_outliers import FACTOR, FEWEST, class_of, factors_apart, mark_outliers, times
 from becalm.fleet.outcome import Outcome, refused
 from becalm.report.fleet_rows import FleetRow
 
@@ -77,7 +77,7 @@ def test_cleaning_marks_those_whose_innovations_are_unlike_their_class() -> None
         *rows_of([1.0] * 9 + [9.0], "kind=d/", recipe="its own")[9:],
         refused("kind=a/s=77", "It is rubbish."),
     ]
-    told = {row.sensor: row.outlying for outcome in marked(outcomes) for row in outcome.channels if row.outlying}
+    told = {row.sensor: row.outlying for outcome in mark_outliers(outcomes) for row in outcome.channels if row.outlying}
     assert told == {
         "s=9": "Its innovations are 3 times those of its class with the same recipe: it is noisier, or moves more.",
         "kind=b/s=9": "Its innovations are 0.2 times those of its class with the same recipe:"

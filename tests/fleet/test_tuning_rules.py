@@ -15,7 +15,7 @@ from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
 from becalm.fleet.lake import SensorPlace
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.tuning.class_differences import reasons
-from becalm.fleet.tuning.class_recipe import Typical, medoid, typical
+from becalm.fleet.tuning.class_recipe import ClassRecipe, make_class_recipe, medoid
 from becalm.fleet.tuning.classes import chosen_of
 from becalm.fleet.tuning.limits import limits_of_class
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
@@ -46,8 +46,8 @@ def fleet_of(noises: Sequence[float], **told: Any) -> list[SensorTuning]:
     return [found_of(f"s={k}", channel_of(noise_std=noise, **told)) for k, noise in enumerate(noises)]
 
 
-def recipe_of(found: Sequence[SensorTuning]) -> Typical:
-    told = typical(found)
+def recipe_of(found: Sequence[SensorTuning]) -> ClassRecipe:
+    told = make_class_recipe(found)
     assert told is not None
     return told
 
@@ -109,7 +109,7 @@ def test_a_recipe_has_the_channels_that_most_sensors_have() -> None:
     assert [channel.name for channel in both.recipe.channel] == ["v", "temperature"]
     assert both.sensors == {"v": "s=1", "temperature": "s=0"}
     assert both.recipe.tuned_on.sha256 == ""
-    assert typical([found_of("s=0", channel_of("a")), found_of("s=1", channel_of("b"))]) is None
+    assert make_class_recipe([found_of("s=0", channel_of("a")), found_of("s=1", channel_of("b"))]) is None
 
 
 def limits_from(*limits: LimitsRecipe | None, spans: Sequence[tuple[float, float]] = ()) -> LimitsRecipe | None:

@@ -29,5 +29,5 @@ def test_every_format_has_a_sample(tmp_path: Path) -> None:
     heads = [
         read_bytes(sample.make(tmp_path / f"{n}{sample.endings[0]}", ROWS), 512) for n, sample in enumerate(SAMPLES)
     ]
-    without = {one.module for one in LIBRARY_FORMATS if not any(map(one.is_it, heads))}
+    without = {one.module for one in LIBRARY_FORMATS if not any(map(one.matches, heads))}
     assert without == NO_WRITER

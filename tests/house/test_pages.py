@@ -70,7 +70,7 @@ def spelt(number: float) -> str:
     ("page", "said"),
     [
         ("decisions/settled", f"{WORDS[reading_verdicts.AT_MOST].capitalize()} rejects in a row are motion"),
-        ("decisions/settled", f"for {gate.GOES_ON} readings a reject is believed at once"),
+        ("decisions/settled", f"for {gate.JUMP_READINGS} readings a reject is believed at once"),
         ("decisions/settled", f"Up to {WORDS[steps.SOON]} readings of lag"),
         ("decisions/settled", f"tuned on {WORDS[opening.STRETCHES]} stretches"),
         ("decisions/settled", f"at 500 Hz, {gate.threshold_for(1, 10_000):.2f} at 10 kHz"),
@@ -93,7 +93,7 @@ def spelt(number: float) -> str:
         ("decisions/0002-risk", f"more than {risk.MISFIT:.0%} of the innovation power".replace("%", " %")),
         ("decisions/0002-risk", f"{risk._FEWEST} readings are needed"),
         ("decisions/0005-switching", f"by {switching._BETTER:.0f} in log-likelihood"),
-        ("decisions/0005-switching", f"unless the record gains {banks._MUCH:.0f} by another"),
+        ("decisions/0005-switching", f"unless the record gains {banks._JUMP_GAIN:.0f} by another"),
         ("decisions/0005-switching", f"costs about {switching._DOUBT:.0f} in log-likelihood"),
     ],
 )

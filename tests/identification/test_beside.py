@@ -16,8 +16,8 @@ from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import ORDERS, motion
 from becalm.errors import ModelError, RecordingError
 from becalm.identification.coloured import UNSCORED, score_coloured
-from becalm.identification.cross_validation import lasting, simplest, tune_smoother
-from becalm.identification.known_noise import _beside_white, foretold_square, tune_with_known_noise
+from becalm.identification.cross_validation import simplest, stretches_for_spectra, tune_smoother
+from becalm.identification.known_noise import _tune_with_white, log_prediction_error, tune_with_known_noise
 from becalm.identification.likelihood import Evidence, Tuning, tune_motion
 from becalm.metrics.truth import rms_error
 
@@ -82,7 +82,7 @@ def test_a_known_variance_makes_the_density_no_less_certain() -> None:
     density, known, free = cutoff_to_ratio(2, 0.3), [], []
     for seed in range(30):
         z = moved(2, density, 200, seed) + white(200, seed)
-        known.append(np.log(_beside_white(2, even(z), 1.0).ratio) / 4)
+        known.append(np.log(_tune_with_white(2, even(z), 1.0).ratio) / 4)
         free.append(np.log(tune_motion(2, even(z)).ratio) / 4)
     assert np.std(known) < np.std(free)
     assert abs(np.mean(known) - np.log(0.3)) < 4 * np.std(known) / np.sqrt(30)
@@ -119,8 +119,8 @@ def test_both_roads_of_a_smoother_lead_to_the_same_motion() -> None:
     z = np.sin(0.05 * np.arange(6000)) + 0.3 * white(6000, 1)
     elapsed = np.where(np.arange(6000) % 1000 == 500, 1.021, 1.0)  # beyond jitter
     whole, singly = even(z), Evidence.of(z, elapsed)
-    assert lasting(whole)
-    assert not lasting(singly)
+    assert stretches_for_spectra(whole)
+    assert not stretches_for_spectra(singly)
     near, far = (tune_with_known_noise(evidence, 0.09, causal=False) for evidence in (whole, singly))
     assert near.order == far.order
     assert near.loss == pytest.approx(far.loss, abs=2e-3)
@@ -181,10 +181,10 @@ def test_the_likelihood_in_coloured_noise_is_one_joint_gaussian() -> None:
 
 
 def test_the_foretold_square_weighs_residual_and_freedom() -> None:
-    assert foretold_square(1.0, 0.1, 1000, 1.0) < foretold_square(1.1, 0.1, 1000, 1.0)
-    assert foretold_square(1.0, 0.1, 1000, 1.0) < foretold_square(1.0, 0.2, 1000, 1.0)
-    assert foretold_square(1.0, 0.1, 100, 1.0) > foretold_square(1.0, 0.1, 1000, 1.0)
-    assert np.exp(foretold_square(0.8, 0.1, 10**12, 1.0)) == pytest.approx(
+    assert log_prediction_error(1.0, 0.1, 1000, 1.0) < log_prediction_error(1.1, 0.1, 1000, 1.0)
+    assert log_prediction_error(1.0, 0.1, 1000, 1.0) < log_prediction_error(1.0, 0.2, 1000, 1.0)
+    assert log_prediction_error(1.0, 0.1, 100, 1.0) > log_prediction_error(1.0, 0.1, 1000, 1.0)
+    assert np.exp(log_prediction_error(0.8, 0.1, 10**12, 1.0)) == pytest.approx(
         1.0, rel=1e-5
     )  # as of an unbiased 0.8 + 2 g R
 

@@ -18,7 +18,7 @@ from becalm.identification.coloured import (
     LONGEST_CORRELATION,
     NoiseModel,
     Shape,
-    _squared,
+    _cosine_sum,
     exact_misfit,
     fit_noise,
     spectral_misfit,
@@ -53,7 +53,7 @@ def test_the_table_of_cosines_holds_the_power_of_coloured_noise(phi: tuple[float
     angle = np.linspace(0.01, np.pi, 50)
     power = autoregressive_power(phi, 2.0, angle)
     table = np.cos(np.multiply.outer(np.arange(len(phi) + 1), angle))
-    np.testing.assert_allclose(2.0 / (_squared(phi) @ table), power, rtol=1e-10)
+    np.testing.assert_allclose(2.0 / (_cosine_sum(phi) @ table), power, rtol=1e-10)
     impulse = lfilter([1.0], [1.0, *(-one for one in phi)], np.eye(1, 4000)[0])
     waves = np.exp(-1j * np.outer(angle, np.arange(4000)))
     np.testing.assert_allclose(2.0 * np.abs(waves @ impulse) ** 2, power, rtol=1e-9)

@@ -10,7 +10,7 @@ from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.filter.smoothing import run_smoother
 from becalm.core.model.components import motion
 from becalm.core.model.step_matrices import elapsed_timeline
-from becalm.identification.cross_validation import LONG, criterion, lasting, simplest, tune_smoother
+from becalm.identification.cross_validation import LONG, criterion, simplest, stretches_for_spectra, tune_smoother
 from becalm.identification.likelihood import Evidence, Tuning
 from becalm.metrics.truth import rms_error
 
@@ -52,7 +52,7 @@ def record(kind: str) -> tuple[Evidence, Floats]:
 @pytest.mark.parametrize("kind", ["whole", "two gaps", "holes", "stamps", "short"])
 def test_the_least_loss_is_near_the_least_error(kind: str) -> None:
     evidence, truth = record(kind)
-    assert bool(lasting(evidence)) == (kind in ("whole", "two gaps"))
+    assert bool(stretches_for_spectra(evidence)) == (kind in ("whole", "two gaps"))
     found = min(tune_smoother(evidence), key=lambda tuning: tuning.loss)
     assert found.order >= 3
     assert found.noise_variance == pytest.approx(NOISE**2, rel=0.06 if kind != "short" else 0.2)
@@ -63,7 +63,7 @@ def test_both_roads_lead_to_the_same_tuning() -> None:
     """The spectrum of a long record and its smoothers themselves; steps longer than jitter tell them apart."""
     evidence, _ = record("whole")
     singly = Evidence(evidence.z, np.where(np.arange(len(evidence.z)) % 1000 == 500, 1.021, 1.0))
-    assert not lasting(singly)
+    assert not stretches_for_spectra(singly)
     for near, far in zip(tune_smoother(evidence), tune_smoother(singly), strict=True):
         assert near.loss == pytest.approx(far.loss, abs=2e-3)
         assert near.ratio ** (0.5 / near.order) == pytest.approx(far.ratio ** (0.5 / far.order), rel=0.05)

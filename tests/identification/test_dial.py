@@ -18,7 +18,7 @@ from becalm.core.steady.dials import motion_filter
 from becalm.errors import UsageError
 from becalm.identification.likelihood import Tuning
 from becalm.identification.spectrum import ToneOscillator
-from becalm.identification.wishes.dial import Dial, ratio_for, turn
+from becalm.identification.wishes.dial import Dial, ratio_for, tune_by_dial
 
 RATE_HZ = 500.0
 ORDERS = [1, 2, 3, 4, 5]
@@ -36,7 +36,7 @@ def found(order: int) -> Tuning:
 @pytest.mark.parametrize("causal", [True, False])
 @pytest.mark.parametrize("order", ORDERS)
 def test_half_of_the_power_passes_at_the_bandwidth(order: int, causal: bool) -> None:
-    tuning = turn(found(order), Dial("bandwidth_hz", 40.0), 1 / RATE_HZ, causal)
+    tuning = tune_by_dial(found(order), Dial("bandwidth_hz", 40.0), 1 / RATE_HZ, causal)
     assert (tuning.order, tuning.noise_variance, tuning.tones) == (order, 0.25, ())
     turns = 2 * np.pi * 40.0 / RATE_HZ * np.arange(6000)
     middle = slice(2500, 3500)  # whole periods, the ends forgotten
@@ -49,7 +49,7 @@ def test_half_of_the_power_passes_at_the_bandwidth(order: int, causal: bool) -> 
 @pytest.mark.parametrize("causal", [True, False])
 @pytest.mark.parametrize("order", ORDERS)
 def test_so_much_of_white_noise_is_left(order: int, causal: bool) -> None:
-    tuning = turn(found(order), Dial("noise_gain_db", -9.0), 1 / RATE_HZ, causal)
+    tuning = tune_by_dial(found(order), Dial("noise_gain_db", -9.0), 1 / RATE_HZ, causal)
     z = np.random.default_rng(order).normal(size=200_000)
     left = np.var(through(tuning, z, causal)[1000:-1000]) / np.var(z)
     assert 10 * np.log10(left) == pytest.approx(-9.0, abs=0.15)
@@ -58,14 +58,14 @@ def test_so_much_of_white_noise_is_left(order: int, causal: bool) -> None:
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_no_step_comes_later_than_the_lag(order: int) -> None:
     slow = Tuning(order, 1e-4 ** (2 * order), 1.0, 1000)
-    tuning = turn(slow, Dial("max_lag_s", 0.02), 1 / RATE_HZ, causal=True)
+    tuning = tune_by_dial(slow, Dial("max_lag_s", 0.02), 1 / RATE_HZ, causal=True)
     edge = np.repeat([0.0, 1.0], 3000)
     out = kalman_filter(motion(order, tuning.ratio).to_model(1.0, 1.0), edge, sigma=False).signal[:, 0]
     first = int(np.flatnonzero(out >= 0.5)[0])
     crossed = first - (out[first] - 0.5) / (out[first] - out[first - 1])
     assert crossed - 2999.5 <= 10.01
     quick = Tuning(order, 1.0, 1.0, 1000)
-    assert turn(quick, Dial("max_lag_s", 0.02), 1 / RATE_HZ, causal=True).ratio == quick.ratio
+    assert tune_by_dial(quick, Dial("max_lag_s", 0.02), 1 / RATE_HZ, causal=True).ratio == quick.ratio
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_no_step_comes_later_than_the_lag(order: int) -> None:
 def test_what_is_not_possible_is_said(dial: Dial, causal: bool, says: str) -> None:
     slow = Tuning(2, 1e-20, 1.0, 1000)
     with pytest.raises(UsageError, match=says):
-        turn(slow, dial, 1 / RATE_HZ, causal)
+        tune_by_dial(slow, dial, 1 / RATE_HZ, causal)
 
 
 @pytest.mark.parametrize("causal", [True, False])
@@ -129,6 +129,6 @@ def test_what_is_possible_has_its_unit() -> None:
 def test_a_lag_longer_than_the_record_is_refused_unless_it_asks_nothing() -> None:
     slow, quick = Tuning(2, 1e-20, 1.0, 1000), Tuning(2, 1e-4, 1.0, 1000)
     with pytest.raises(UsageError, match="longer than the record, 2 s"):
-        turn(slow, Dial("max_lag_s", 2.01), 1 / RATE_HZ, causal=True)
+        tune_by_dial(slow, Dial("max_lag_s", 2.01), 1 / RATE_HZ, causal=True)
     for lag_s in (2.01, 1e9, float("inf")):
-        assert turn(quick, Dial("max_lag_s", lag_s), 1 / RATE_HZ, causal=True).ratio == quick.ratio
+        assert tune_by_dial(quick, Dial("max_lag_s", lag_s), 1 / RATE_HZ, causal=True).ratio == quick.ratio

@@ -11,7 +11,7 @@ from becalm.core.imm.flow import ImmFlow
 from becalm.identification.choose import choose
 from becalm.identification.likelihood import Evidence
 from becalm.identification.modes.banks import middle_variance, quiet_variance
-from becalm.identification.modes.switching import IdentifiedImm, find_surprise, find_switching, robust_filter
+from becalm.identification.modes.switching import IdentifiedImm, find_large_change, find_switching, robust_filter
 
 COUNT = 8000
 
@@ -51,16 +51,16 @@ def error(signal: Floats, truth: Floats) -> float:
 @pytest.mark.parametrize("seed", range(5))
 def test_nothing_surprises_in_noise_motion_and_tones(seed: int) -> None:
     z = noise(seed)
-    assert find_surprise(z) is None
-    assert find_surprise(np.cumsum(z)) is None
-    assert find_surprise(5 * np.sin(0.02 * np.arange(COUNT)) + z) is None
+    assert find_large_change(z) is None
+    assert find_large_change(np.cumsum(z)) is None
+    assert find_large_change(5 * np.sin(0.02 * np.arange(COUNT)) + z) is None
 
 
 @pytest.mark.parametrize("height", [0.5, 2.0, 50.0])
 def test_a_jump_surprises_where_it_is(height: float) -> None:
     z = noise(1)
     z[5000:] += height
-    row = find_surprise(z)
+    row = find_large_change(z)
     assert row is not None
     assert abs(row - 5000) < 40 / min(height, 1) ** 2 * 8
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.identification.modes.banks import stand_out
+from becalm.identification.modes.banks import rejects_stand_out
 
 ROWS = 4000
 
@@ -22,9 +22,9 @@ def test_spikes_in_noise_and_in_pairs_stand_out(share: float, size: float) -> No
     rng = np.random.default_rng(2)
     bad: Booleans = rng.random(ROWS) < share
     z = np.cumsum(0.1 * rng.normal(size=ROWS)) + rng.normal(size=ROWS) + np.where(bad, size, 0.0)
-    assert stand_out(z, bad)
+    assert rejects_stand_out(z, bad)
     pairs = bad | np.roll(bad, 1)
-    assert stand_out(np.where(np.roll(bad, 1) & ~bad, z - size, z), pairs)
+    assert rejects_stand_out(np.where(np.roll(bad, 1) & ~bad, z - size, z), pairs)
 
 
 @pytest.mark.parametrize("kind", ["shock", "ringing"])
@@ -36,14 +36,14 @@ def test_motion_is_none(kind: str) -> None:
     }
     z = truth[kind] + rng.normal(size=ROWS)
     places = {"shock": (2001, 2002, 2019, 2020, 2038), "ringing": tuple(range(2001, 2060))}
-    assert not stand_out(z, rows_of(*places[kind]))
+    assert not rejects_stand_out(z, rows_of(*places[kind]))
 
 
 def test_readings_that_are_missing_or_too_few_tell_nothing() -> None:
     z = np.full(ROWS, np.nan)
-    assert stand_out(z, rows_of(3, 4))  # nothing is rejected
+    assert rejects_stand_out(z, rows_of(3, 4))  # nothing is rejected
     z[[5, 9]] = 1.0, 2.0
-    assert not stand_out(z, rows_of(5, 9))
+    assert not rejects_stand_out(z, rows_of(5, 9))
 
 
 def test_the_first_reading_after_a_jump_stands_out_only_where_that_is_allowed() -> None:
@@ -51,7 +51,7 @@ def test_the_first_reading_after_a_jump_stands_out_only_where_that_is_allowed() 
     z[200:] += 20.0
     z[200] += 3.0
     first = np.arange(400) == 200
-    assert not stand_out(z, first)
-    assert stand_out(z, first, at_jumps=True)
+    assert not rejects_stand_out(z, first)
+    assert rejects_stand_out(z, first, at_jumps=True)
     z[300] += 3.0
-    assert stand_out(z, np.arange(400) == 300)
+    assert rejects_stand_out(z, np.arange(400) == 300)

@@ -10,7 +10,7 @@ from becalm.core.arrays import Floats
 from becalm.core.closed_forms import motion_power
 from becalm.core.filter.smoothing import kalman_smoother
 from becalm.core.model.components import Component, motion, oscillator
-from becalm.identification.cross_validation import read_residuals
+from becalm.identification.cross_validation import residuals_from_spectra
 from becalm.identification.spectrum import (
     ToneOscillator,
     binned,
@@ -70,7 +70,7 @@ def test_residuals_are_read_off_as_the_smoother_leaves_them(order: int) -> None:
     z = 3.0 + 1e-3 * t + np.sin(0.01 * t) + rng.normal(size=len(t))
     ratio = 0.2 ** (2 * order)
     smoothed = kalman_smoother(motion(order, ratio).to_model(1.0, 1.0), z)
-    residuals, readings = read_residuals([z])(order)
+    residuals, readings = residuals_from_spectra([z])(order)
     squares, weight = residuals(ratio)
     assert readings == len(z)
     assert squares == pytest.approx(np.mean((z - smoothed.signal[:, 0]) ** 2), rel=5e-3)

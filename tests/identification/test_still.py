@@ -12,7 +12,7 @@ import pytest
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError
-from becalm.identification.at_rest.detection import RestPeriods, detect_rests, named_rests
+from becalm.identification.at_rest.detection import RestPeriods, detect_rests, rests_in_spans
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 RATE_HZ = 100.0
@@ -164,9 +164,9 @@ def test_a_rest_of_no_duration_is_refused(shortest_s: float) -> None:
 
 def test_said_stretches_are_rows() -> None:
     recording = Recording(NOISE, times_s=1e6 + T)
-    assert named_rests(recording, [(0, 30)]).stretches == ((0, 3000),)
-    assert named_rests(recording, [(60, 70.5), (5, 10), (8, 12)]).stretches == ((500, 1200), (6000, 7050))
-    assert named_rests(recording, [(100, 1000)]).stretches == ((10_000, COUNT),)
+    assert rests_in_spans(recording, [(0, 30)]).stretches == ((0, 3000),)
+    assert rests_in_spans(recording, [(60, 70.5), (5, 10), (8, 12)]).stretches == ((500, 1200), (6000, 7050))
+    assert rests_in_spans(recording, [(100, 1000)]).stretches == ((10_000, COUNT),)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,7 @@ def test_said_stretches_are_rows() -> None:
 )
 def test_a_stretch_that_is_none_is_refused(spans_s: list[tuple[float, float]], words: str) -> None:
     with pytest.raises(RecordingError, match=words):
-        named_rests(Recording(NOISE, rate_hz=RATE_HZ), spans_s)
+        rests_in_spans(Recording(NOISE, rate_hz=RATE_HZ), spans_s)
 
 
 def real(file: str) -> Path:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from becalm.core.closed_forms import cutoff_to_ratio
-from becalm.identification.cross_validation import criterion, smooth_residuals
+from becalm.identification.cross_validation import criterion, residuals_by_smoothing
 from becalm.identification.likelihood import Evidence, Tuning, find_ratio, tune_motion
 from becalm.identification.spectrum import ToneOscillator
 from becalm.identification.trust.tuning_spread import (
@@ -65,7 +65,7 @@ def test_cross_validation_scatters_as_it_is_told_to(order: int, ratio: float) ->
     found = []
     for seed in range(60):
         _, z = draw(order, ratio, 1000, np.random.default_rng([2, order, seed]))
-        residuals, count = smooth_residuals(order, Evidence.of(z, np.ones(1000)))
+        residuals, count = residuals_by_smoothing(order, Evidence.of(z, np.ones(1000)))
         least = find_ratio(order, lambda r: criterion(*residuals(r), count), 1000)  # noqa: B023
         found.append(np.log(least.ratio))
     tuning = Tuning(order, ratio, 1.0, 1000, loss=0.0)

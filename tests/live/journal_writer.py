@@ -60,9 +60,9 @@ def die_at(step: str) -> None:
 
 def has_rolled(values: tuple[Any, ...]) -> bool:
     """Whether a block counts no more, by a connection."""
-    from becalm.live.journal.database import rolled_blocks
+    from becalm.live.journal.database import last_rolled_block
 
-    return rolled_blocks(values[0]) > 0
+    return last_rolled_block(values[0]) > 0
 
 
 def main() -> None:
@@ -83,11 +83,11 @@ def main() -> None:
         row = 0 if checkpoint is None else checkpoint.rows
         print("begins", row, flush=True)  # noqa: T201
         for _ in range(asked.blocks):
-            journal.keep([rows_of(row, asked.rows)], checkpoint_at(row + asked.rows))
+            journal.commit([rows_of(row, asked.rows)], checkpoint_at(row + asked.rows))
             row += asked.rows
             print(row, flush=True)  # noqa: T201
             if asked.die:
-                journal.settle(5)
+                journal.wait_until_rolled(5)
 
 
 if __name__ == "__main__":

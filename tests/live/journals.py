@@ -54,7 +54,7 @@ def fill(journal: Journal, blocks: int, rows: int = 100, start_s: float = EPOCH_
     checkpoint = journal.last()
     row = 0 if checkpoint is None else checkpoint.rows
     for _ in range(blocks):
-        journal.keep([rows_of(row, rows, start_s)], checkpoint_at(row + rows))
+        journal.commit([rows_of(row, rows, start_s)], checkpoint_at(row + rows))
         row += rows
     return row
 

@@ -107,7 +107,7 @@ class MemoryKeeper:
             raise UsageError("A stream that goes on has the head that it had.")
         self.heads.append(head)
 
-    def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
+    def commit(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
         if self.trouble:
             if self.keeps_before_trouble:
                 self._keep(outputs, checkpoint)

@@ -27,9 +27,9 @@ def runner_of(source: ListSource, keeper: MemoryKeeper, recipe: Recipe | None = 
     return Runner(
         source=source,
         address="list:rows",
-        outlets=StreamSinks(keeper, ()),
+        sinks=StreamSinks(keeper, ()),
         watch=watch,
-        beginning=StreamStarter(recipe, Learner(2.0)),
+        starter=StreamStarter(recipe, Learner(2.0)),
     )
 
 

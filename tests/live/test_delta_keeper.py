@@ -40,9 +40,9 @@ def test_every_bit_comes_back(tmp_path: Path, form: str) -> None:
     keeper.open(head)
     assert keeper.last() is None
     outputs = outputs_of([500, 0, 700], channels=2, begins_s=1.7e9)
-    keeper.keep(outputs[:1], checkpoint_at(500))
-    keeper.keep(outputs[1:], checkpoint_at(1200))
-    keeper.keep([], checkpoint_at(1200))
+    keeper.commit(outputs[:1], checkpoint_at(500))
+    keeper.commit(outputs[1:], checkpoint_at(1200))
+    keeper.commit([], checkpoint_at(1200))
     keeper.close()
     keeper.close()
     again = keeper_of(place)
@@ -55,7 +55,7 @@ def test_every_bit_comes_back(tmp_path: Path, form: str) -> None:
 
 def test_duckdb_and_polars_read_it(tmp_path: Path) -> None:
     keeper = opened(tmp_path / "t", "a", "b")
-    keeper.keep(outputs_of([100], channels=2), checkpoint_at(100))
+    keeper.commit(outputs_of([100], channels=2), checkpoint_at(100))
     frame = polars.read_delta(str(tmp_path / "t"))
     assert frame["row"].to_list() == list(range(100))
     assert set(frame["a_verdict"]) == {"used", "missing", "spike"}
@@ -65,13 +65,13 @@ def test_duckdb_and_polars_read_it(tmp_path: Path) -> None:
     assert told == [(100, pytest.approx(10))]
 
 
-@pytest.mark.parametrize("step", ["put_table", "put", "create_write_transaction", "commit_lasts"])
+@pytest.mark.parametrize("step", ["put_table", "put", "create_write_transaction", "sync_commit"])
 def test_a_crash_at_any_step_leaves_rows_and_checkpoint_of_one_moment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     """The process is as good as dead at the step; another one opens the table."""
     keeper = opened(tmp_path)
-    keeper.keep(outputs_of([10]), checkpoint_at(10))
+    keeper.commit(outputs_of([10]), checkpoint_at(10))
     with monkeypatch.context() as patched:
 
         class Dead(BaseException):
@@ -82,13 +82,13 @@ def test_a_crash_at_any_step_leaves_rows_and_checkpoint_of_one_moment(
 
         patched.setattr(deltalake.DeltaTable if step.startswith("create") else DeltaFiles, step, die)
         with pytest.raises(Dead):
-            keeper.keep(outputs_of([5], first_row=10), checkpoint_at(15))
+            keeper.commit(outputs_of([5], first_row=10), checkpoint_at(15))
     last, again = last_of(tmp_path), keeper_of(tmp_path)
-    kept = 15 if step == "commit_lasts" else 10
+    kept = 15 if step == "sync_commit" else 10
     assert last == checkpoint_at(kept)
     assert rows_of(tmp_path) == list(range(kept))
     again.open(head_of("a"))
-    again.keep(outputs_of([5], first_row=kept), checkpoint_at(kept + 5))
+    again.commit(outputs_of([5], first_row=kept), checkpoint_at(kept + 5))
     assert rows_of(tmp_path) == list(range(kept + 5))
     again.open(head_of("a"))
     assert len(checkpoint_files(tmp_path)) == 1  # what crashes left is removed
@@ -108,7 +108,7 @@ def test_killed_processes_leave_all_or_nothing(tmp_path: Path) -> None:
         "keeper.open(head_of('a'))\n"
         "print('ready', flush=True)\n"
         "while True:\n"
-        "    keeper.keep(outputs_of([100], first_row=rows), checkpoint_at(rows := rows + 100))\n",
+        "    keeper.commit(outputs_of([100], first_row=rows), checkpoint_at(rows := rows + 100))\n",
         encoding="utf-8",
     )
     random, table = np.random.default_rng(5), tmp_path / "table"
@@ -127,9 +127,9 @@ def test_killed_processes_leave_all_or_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("cut", [0.0, 0.5, 0.99])
 def test_a_torn_last_commit_is_set_aside(tmp_path: Path, cut: float, caplog: pytest.LogCaptureFixture) -> None:
     keeper = opened(tmp_path)
-    keeper.keep(outputs_of([10]), checkpoint_at(10))
+    keeper.commit(outputs_of([10]), checkpoint_at(10))
     before = checkpoint_files(tmp_path)
-    keeper.keep(outputs_of([10], first_row=10), checkpoint_at(20))
+    keeper.commit(outputs_of([10], first_row=10), checkpoint_at(20))
     torn = tmp_path / "_delta_log" / f"{2:020}.json"
     torn.write_bytes(torn.read_bytes()[: int(cut * torn.stat().st_size)])
     for name, content in before.items():  # it is removed only when the commit is on the disk
@@ -138,7 +138,7 @@ def test_a_torn_last_commit_is_set_aside(tmp_path: Path, cut: float, caplog: pyt
     assert "torn" in caplog.text
     again = keeper_of(tmp_path)
     again.open(head_of("a"))
-    again.keep(outputs_of([10], first_row=10), checkpoint_at(20))
+    again.commit(outputs_of([10], first_row=10), checkpoint_at(20))
     assert rows_of(tmp_path) == list(range(20))
 
 
@@ -147,7 +147,7 @@ def test_a_full_disk_keeps_nothing_and_can_be_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     keeper = opened(tmp_path)
-    keeper.keep(outputs_of([10]), checkpoint_at(10))
+    keeper.commit(outputs_of([10]), checkpoint_at(10))
     files = sorted(path.name for path in tmp_path.rglob("*"))
     more = outputs_of([5], first_row=10)
 
@@ -157,9 +157,9 @@ def test_a_full_disk_keeps_nothing_and_can_be_tried_again(
     with monkeypatch.context() as patched:
         patched.setattr(deltalake.DeltaTable if step.startswith("create") else DeltaFiles, step, full)
         with pytest.raises(StorageFullError, match="no room"):
-            keeper.keep(more, checkpoint_at(15))
+            keeper.commit(more, checkpoint_at(15))
     assert sorted(path.name for path in tmp_path.rglob("*")) == files
-    keeper.keep(more, checkpoint_at(15))
+    keeper.commit(more, checkpoint_at(15))
     assert rows_of(tmp_path) == list(range(15))
 
 
@@ -174,8 +174,8 @@ def test_an_error_after_the_commit_is_none_of_the_commit(tmp_path: Path, monkeyp
 
     with monkeypatch.context() as patched:
         patched.setattr(deltalake.DeltaTable, "create_write_transaction", fails_late)
-        keeper.keep(outputs_of([10]), checkpoint_at(10))
-    keeper.keep(outputs_of([5], first_row=10), checkpoint_at(15))
+        keeper.commit(outputs_of([10]), checkpoint_at(10))
+    keeper.commit(outputs_of([5], first_row=10), checkpoint_at(15))
     assert rows_of(tmp_path) == list(range(15))
 
 
@@ -188,7 +188,7 @@ def test_a_log_that_cannot_be_read_after_a_commit_is_away(tmp_path: Path, monkey
     with monkeypatch.context() as patched:
         patched.setattr(deltalake.DeltaTable, "update_incremental", unreadable)
         with pytest.raises(AwayError):
-            keeper.keep(outputs_of([10]), checkpoint_at(10))
+            keeper.commit(outputs_of([10]), checkpoint_at(10))
     keeper.close()
     assert keeper.last() == checkpoint_at(10)
 
@@ -197,12 +197,12 @@ def test_others_may_make_the_table_compact_meanwhile(tmp_path: Path) -> None:
     keeper = opened(tmp_path)
     rows = 0
     for size in (3, 4, 5, 6):
-        keeper.keep(outputs_of([size], first_row=rows), checkpoint_at(rows := rows + size))
+        keeper.commit(outputs_of([size], first_row=rows), checkpoint_at(rows := rows + size))
         table = deltalake.DeltaTable(str(tmp_path))
         table.optimize.compact()
     table.vacuum(retention_hours=0, enforce_retention_duration=False, dry_run=False)
     assert keeper.last() == checkpoint_at(18)
-    keeper.keep(outputs_of([2], first_row=18), checkpoint_at(20))
+    keeper.commit(outputs_of([2], first_row=18), checkpoint_at(20))
     assert rows_of(tmp_path) == list(range(20))
 
 
@@ -211,7 +211,7 @@ def test_losses_are_in_the_history(tmp_path: Path) -> None:
     (empty,) = outputs_of([0], first_row=4)
     loss = Loss(LossKind.MISSING, 3, "Three rows.", 5.0)
     told = Output(4, empty.time_s, empty.values, empty.signal, empty.sigma, empty.verdicts, (loss,))
-    keeper.keep([told], checkpoint_at(4))
+    keeper.commit([told], checkpoint_at(4))
     (newest,) = deltalake.DeltaTable(str(tmp_path)).history(1)
     for said in ('"row": 4', '"kind": "missing"', '"rows": 3', '"noticed_s": 5.0', "Three rows."):
         assert said in newest["becalm"]

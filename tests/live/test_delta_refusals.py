@@ -24,7 +24,7 @@ def _closed() -> Iterator[None]:
 
 
 def test_a_damaged_checkpoint_is_told(tmp_path: Path) -> None:
-    opened(tmp_path).keep(outputs_of([10]), checkpoint_at(10))
+    opened(tmp_path).commit(outputs_of([10]), checkpoint_at(10))
     (name,) = checkpoint_files(tmp_path)
     path = tmp_path / "_becalm" / name
     path.write_bytes(path.read_bytes().replace(b"replay", b"replaY"))
@@ -43,20 +43,20 @@ def test_the_second_writer_is_refused(tmp_path: Path) -> None:
 
 def test_behind_a_uri_the_second_writers_commit_fails(tmp_path: Path) -> None:
     first, second = opened(f"file://{tmp_path}"), opened(f"file://{tmp_path}")
-    first.keep(outputs_of([10]), checkpoint_at(10))
+    first.commit(outputs_of([10]), checkpoint_at(10))
     with pytest.raises(OutputError, match="another process"):
-        second.keep(outputs_of([7]), checkpoint_at(7))
-    first.keep(outputs_of([5], first_row=10), checkpoint_at(15))
+        second.commit(outputs_of([7]), checkpoint_at(7))
+    first.commit(outputs_of([5], first_row=10), checkpoint_at(15))
     assert rows_of(tmp_path) == list(range(15))
 
 
 def test_other_channels_or_units_are_refused(tmp_path: Path) -> None:
     keeper = opened(tmp_path, "b")
     keeper.open(head_of("a"))  # nothing was kept of the first
-    keeper.keep(outputs_of([3]), checkpoint_at(3))
+    keeper.commit(outputs_of([3]), checkpoint_at(3))
     keeper.open(head_of("a", recipe="version = 2\n"))  # tuned anew meanwhile
     keeper.open(Head(("a",), ("",), 1.0, ""))  # of which the unit is not told again
-    keeper.keep(outputs_of([3], first_row=3), checkpoint_at(6))
+    keeper.commit(outputs_of([3], first_row=3), checkpoint_at(6))
     assert rows_of(tmp_path) == list(range(6))
     for head in (head_of("b"), Head(("a",), ("mm",), 1.0, ""), head_of("a", "b")):
         with pytest.raises(UsageError, match="other channels"):

@@ -111,7 +111,7 @@ def test_a_stream_that_hangs_failed_or_is_gone_is_not_healthy(tmp_path: Path) ->
     clock.now_s += 61
     StatusFile(path, meter, print).close()
     assert health_of(path) == "The main loop has stood still for 61 s."
-    meter.turned()
+    meter.record_iteration()
     meter.state("failed", "No room.")
     StatusFile(path, meter, print).close()
     assert health_of(path) == "The stream failed. No room."

@@ -23,7 +23,7 @@ from becalm.live.journal.database import JournalError
 from becalm.live.journal.journal import Journal
 from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import BlockRow
-from becalm.live.journal.row_bytes import by_period, joined, packed, unpacked
+from becalm.live.journal.row_bytes import join_outputs, pack_rows, split_by_period, unpack_rows
 from becalm.live.protocols import CheckpointSink
 from journals import EPOCH_S, HEAD, SOURCE, assert_rows, checkpoint_at, fill, journal_in, rows_of, table_of
 
@@ -48,7 +48,7 @@ def test_a_restart_goes_on_where_the_last_commit_was(tmp_path: Path) -> None:
         assert journal.last() == journal.last() is not None
     with journal_in(tmp_path) as journal:
         assert journal.last() == checkpoint_at(300)
-        assert journal.mended == ()
+        assert journal.repair_losses == ()
         fill(journal, 2)
     assert_rows(tmp_path, 500)
 
@@ -68,9 +68,9 @@ def test_any_rows_come_out_to_the_bit(
         row += size
     half = len(outputs) // 2
     with journal_in(folder) as journal:
-        journal.keep(outputs[:half], checkpoint_at(sum(map(len, outputs[:half]))))
-        journal.keep(outputs[half:], checkpoint_at(row))
-        assert journal.settle(30)
+        journal.commit(outputs[:half], checkpoint_at(sum(map(len, outputs[:half]))))
+        journal.commit(outputs[half:], checkpoint_at(row))
+        assert journal.wait_until_rolled(30)
     if row:
         table = table_of(folder)
         assert table["row"].to_pylist() == list(range(row))
@@ -99,7 +99,7 @@ def test_other_channels_and_another_recipe_are_refused(tmp_path: Path) -> None:
 def test_a_stream_that_is_tuned_anew_goes_on_with_its_new_recipe(tmp_path: Path) -> None:
     with journal_in(tmp_path) as journal:
         fill(journal, 1)
-        journal.keep([rows_of(100, 50)], checkpoint_at(150, "recipe = 2\n"))
+        journal.commit([rows_of(100, 50)], checkpoint_at(150, "recipe = 2\n"))
     with journal_in(tmp_path, head=replace(HEAD, recipe="recipe = 2\n")) as journal:
         assert journal.last() == checkpoint_at(150, "recipe = 2\n")
     with pytest.raises(UsageError, match="another recipe"), journal_in(tmp_path):
@@ -178,7 +178,7 @@ def test_rows_that_do_not_follow_are_refused_and_nothing_is_kept(tmp_path: Path)
         fill(journal, 1)
         for outputs, rows in (([rows_of(99, 5)], 104), ([rows_of(101, 5)], 106), ([rows_of(100, 5)], 104)):
             with pytest.raises(ValueError, match="rows"):
-                journal.keep(outputs, checkpoint_at(rows))
+                journal.commit(outputs, checkpoint_at(rows))
         fill(journal, 1)
     assert_rows(tmp_path, 200)
 
@@ -187,8 +187,8 @@ def test_losses_are_kept_with_the_rows_they_come_before(tmp_path: Path) -> None:
     missing = Loss(LossKind.MISSING, 17, "17 rows never came", 5.5)
     silent = Loss(LossKind.SILENT, None, "nothing came for a minute", 6.5)
     with journal_in(tmp_path) as journal:
-        journal.keep([rows_of(0, 10), rows_of(10, 5, losses=(missing,))], checkpoint_at(15))
-        journal.keep([rows_of(15, 0, losses=(silent,))], checkpoint_at(15))
+        journal.commit([rows_of(0, 10), rows_of(10, 5, losses=(missing,))], checkpoint_at(15))
+        journal.commit([rows_of(15, 0, losses=(silent,))], checkpoint_at(15))
     with open_journal(tmp_path) as reader:
         assert [(row.row, row.loss()) for row in reader.losses()] == [(10, missing), (15, silent)]
 
@@ -198,9 +198,9 @@ def test_a_stream_that_tells_no_rows_for_long_fills_no_disk(tmp_path: Path) -> N
         fill(journal, 1)
         for turn in range(20):
             stands = Checkpoint(100, str(turn), b"s" * 5000, HEAD.recipe, SOURCE)
-            journal.keep([], stands)
+            journal.commit([], stands)
         fill(journal, 1)
-        journal.keep([], Checkpoint(200, "end", b"", HEAD.recipe, SOURCE))
+        journal.commit([], Checkpoint(200, "end", b"", HEAD.recipe, SOURCE))
     with journal_in(tmp_path) as journal:
         assert journal.last() == Checkpoint(200, "end", b"", HEAD.recipe, SOURCE)
     with open_journal(tmp_path) as reader:
@@ -211,17 +211,17 @@ def test_a_stream_that_tells_no_rows_for_long_fills_no_disk(tmp_path: Path) -> N
 
 def test_one_output_is_one_block_and_empty_ones_are_none() -> None:
     one = rows_of(5, 3)
-    assert joined([rows_of(5, 0), one, rows_of(8, 0)], 5) is one
-    assert joined([rows_of(5, 0)], 5) is None
-    assert joined([], 5) is None
+    assert join_outputs([rows_of(5, 0), one, rows_of(8, 0)], 5) is one
+    assert join_outputs([rows_of(5, 0)], 5) is None
+    assert join_outputs([], 5) is None
 
 
 def test_packing_copies_what_is_strided(tmp_path: Path) -> None:
     wide = rows_of(0, 20)
     strided = replace(wide, values=np.asfortranarray(wide.values), signal=np.repeat(wide.signal, 2, 0)[::2])
-    block = BlockRow(1, 1, 0, 20, 0.0, 0.0, 0.0, 0, 0, "", "", None, packed(strided))
+    block = BlockRow(1, 1, 0, 20, 0.0, 0.0, 0.0, 0, 0, "", "", None, pack_rows(strided))
     for part in ("time_s", "values", "signal", "sigma", "verdicts"):
-        assert getattr(unpacked(block), part).tobytes() == getattr(wide, part).tobytes()
+        assert getattr(unpack_rows(block), part).tobytes() == getattr(wide, part).tobytes()
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_packing_copies_what_is_strided(tmp_path: Path) -> None:
 )
 def test_rows_are_parted_by_the_hours_of_their_stamps(stamps: list[float], starts: list[tuple[int, bool, int]]) -> None:
     rows = replace(rows_of(0, len(stamps)), time_s=np.array(stamps))
-    assert [(start, dated, len(part)) for start, dated, part in by_period(rows, 3600.0, 5000.0)] == starts
+    assert [(start, dated, len(part)) for start, dated, part in split_by_period(rows, 3600.0, 5000.0)] == starts
 
 
 def test_readers_go_on_while_it_is_written(tmp_path: Path) -> None:
@@ -252,7 +252,7 @@ def test_readers_go_on_while_it_is_written(tmp_path: Path) -> None:
         tables = reader.tables()
         rows = [*next(tables)["row"].to_pylist()]
         fill(journal, 30)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
         assert list(faults(tmp_path)) == []
         fill(journal, 30)  # and the blocks that have rolled are removed
         for table in tables:

@@ -25,7 +25,7 @@ def journal(tmp_path: Path) -> Path:
     folder = tmp_path / "j"
     lost = Loss(LossKind.MISSING, 4, "4 rows never came", 1.7e9)
     with journal_in(folder) as journal:
-        journal.keep([rows_of(0, 10_000, losses=(lost,))], checkpoint_at(10_000))
+        journal.commit([rows_of(0, 10_000, losses=(lost,))], checkpoint_at(10_000))
         fill(journal, 7, 10_000)
     return folder
 

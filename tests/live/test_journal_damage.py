@@ -32,7 +32,7 @@ def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("killed")
     with journal_in(folder) as journal:
         fill(journal, 30, 1000)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
         fill(journal, 20, 1000)
     with writing(folder, "--rows", "1000") as process:
         assert process.stdout is not None
@@ -63,7 +63,7 @@ def goes_on(folder: Path) -> tuple[Loss, ...]:
     """
     mark, found = MarkFile(folder).read(), found_in(folder)
     with journal_in(folder) as journal:
-        checkpoint, mended = journal.last(), journal.mended
+        checkpoint, mended = journal.last(), journal.repair_losses
         assert checkpoint is not None
         assert checkpoint == checkpoint_at(checkpoint.rows)
         with open_journal(folder) as reader:
@@ -71,7 +71,7 @@ def goes_on(folder: Path) -> tuple[Loss, ...]:
         if mark is not None:
             assert intact + sum(loss.rows or 0 for loss in mended) >= mark.checkpoint.rows
         rows = fill(journal, 3, 1000)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
     assert bool(found) == bool(mended), (found, mended)
     assert list(faults(folder)) == []
     with open_journal(folder) as reader:
@@ -80,7 +80,7 @@ def goes_on(folder: Path) -> tuple[Loss, ...]:
     lost = np.concatenate([np.zeros(0, np.int64), *(np.arange(first, end) for first, end in holes)])
     assert_rows(folder, rows, lost=lost)
     with journal_in(folder) as journal:
-        assert journal.mended == ()
+        assert journal.repair_losses == ()
     return mended
 
 
@@ -275,7 +275,7 @@ def test_damage_that_shows_while_the_stream_runs_ends_it_in_a_sentence(tmp_path:
 
 
 def fill_on(journal: Journal) -> None:
-    journal.keep([rows_of(300, 100)], checkpoint_at(400))
+    journal.commit([rows_of(300, 100)], checkpoint_at(400))
 
 
 @pytest.mark.parametrize(

@@ -35,10 +35,10 @@ def test_a_journal_that_is_killed_again_and_again_has_each_row_once(tmp_path: Pa
     assert said > 300 * KILLS
     assert list(faults(tmp_path)) == []
     with journal_in(tmp_path, "?roll=5min") as journal:
-        assert journal.mended == ()
+        assert journal.repair_losses == ()
         rows = fill(journal, 1, 300)
         assert rows in (said + 300, said + 600)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
     assert_rows(tmp_path, rows)
     assert len(list(tmp_path.glob("*/*.parquet"))) > 1
     assert not list(tmp_path.glob("*/.*"))
@@ -57,13 +57,13 @@ with journal_in(Path(sys.argv[1]), "?roll=1min") as journal:
     failures = 0
     while failures < 3:
         try:
-            journal.keep([rows_of(row, 100)], checkpoint_at(row + 100))
+            journal.commit([rows_of(row, 100)], checkpoint_at(row + 100))
             row += 100
         except StorageFullError as cause:
             assert "Free disk space" in str(cause), cause
             failures += 1
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-    journal.keep([rows_of(row, 100)], checkpoint_at(row + 100))
+    journal.commit([rows_of(row, 100)], checkpoint_at(row + 100))
     print(row + 100)
 """
 
@@ -88,10 +88,10 @@ def test_a_full_database_keeps_nothing_of_a_call_and_the_same_call_works_later(t
         big = Output(rows, EPOCH_S + np.arange(20_000) / 10, noise, noise, noise, np.zeros((20_000, 2), np.int8))
         for _ in range(3):
             with pytest.raises(StorageFullError, match=r"full\); nothing was half-written"):
-                journal.keep([big], checkpoint_at(rows + 20_000))
+                journal.commit([big], checkpoint_at(rows + 20_000))
             assert journal.last() == checkpoint_at(rows)
         journal._database.execute("PRAGMA max_page_count = 1000000")
-        journal.keep([rows_of(rows, 100)], checkpoint_at(rows + 100))
+        journal.commit([rows_of(rows, 100)], checkpoint_at(rows + 100))
     assert_rows(tmp_path, rows + 100)
 
 
@@ -104,8 +104,8 @@ def test_a_commit_that_is_there_though_it_seemed_to_fail_is_not_made_twice(
         with monkeypatch.context() as patch:
             patch.setattr(forget, fails)
             with pytest.raises(StorageFullError):
-                journal.keep([rows_of(rows, 100)], checkpoint_at(rows + 100))
-        journal.keep([rows_of(rows, 100)], checkpoint_at(rows + 100))
+                journal.commit([rows_of(rows, 100)], checkpoint_at(rows + 100))
+        journal.commit([rows_of(rows, 100)], checkpoint_at(rows + 100))
         rows = fill(journal, 1)
     assert rows == 300
     assert_rows(tmp_path, 300)

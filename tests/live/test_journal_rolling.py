@@ -37,7 +37,7 @@ def asked(query: str) -> list[tuple[object, ...]]:
 def test_hours_become_files_and_the_open_one_stays(tmp_path: Path) -> None:
     with journal_in(tmp_path) as journal:
         fill(journal, 8, 10_000)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
         assert files_in(tmp_path) == [f"2023-11-14/{hour}.parquet" for hour in (22, 23)]
         fill(journal, 3, 10_000)
     assert files_in(tmp_path) == ["2023-11-14/22.parquet", "2023-11-14/23.parquet", "2023-11-15/00.parquet"]
@@ -92,7 +92,7 @@ def test_an_hour_with_much_is_parted_and_the_last_block_stays(tmp_path: Path, mo
     with journal_in(tmp_path) as journal:
         for _ in range(4):
             fill(journal, 10, 1000, start_s=EPOCH_S + 3000)
-            assert journal.settle(30)
+            assert journal.wait_until_rolled(30)
         names = files_in(tmp_path)
         assert len(names) > 5
         assert names[:2] == ["2023-11-14/23.parquet", "2023-11-14/23_02.parquet"]
@@ -125,10 +125,10 @@ def test_a_crash_at_any_step_neither_loses_nor_doubles_rows(step: str, tmp_path:
         assert list(faults(tmp_path)) == []
         assert_rows(tmp_path, rows)
     with journal_in(tmp_path, words[1]) as journal:
-        assert journal.mended == ()
+        assert journal.repair_losses == ()
         assert journal.last() == checkpoint_at(rows)
         rows = fill(journal, 10, 250)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
     assert list(faults(tmp_path)) == []
     with open_journal(tmp_path) as reader:
         kept = [one.where for one in reader.stretches() if one.where.endswith("parquet") and not one.pruned]
@@ -144,10 +144,10 @@ def test_a_file_that_cannot_be_written_stops_no_stream(tmp_path: Path) -> None:
     (tmp_path / "2023-11-14").write_text("in the way", encoding="utf-8")
     with journal_in(tmp_path, "?roll=1min") as journal:
         fill(journal, 10, 250)
-        assert not journal.settle(0.1)
+        assert not journal.wait_until_rolled(0.1)
     (tmp_path / "2023-11-14").unlink()
     with journal_in(tmp_path, "?roll=1min") as journal:
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
     assert len(files_in(tmp_path)) == 4
     assert_rows(tmp_path, 2500)
 
@@ -166,9 +166,9 @@ def test_prune_removes_old_files_and_verify_does_not_miss_them(tmp_path: Path) -
     now = time.time()
     lost = Loss(LossKind.MISSING, 3, "three", 1.0)
     with journal_in(tmp_path) as journal:
-        journal.keep([rows_of(0, 10, losses=(lost,))], checkpoint_at(10))
+        journal.commit([rows_of(0, 10, losses=(lost,))], checkpoint_at(10))
         fill(journal, 7, 10_000)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
         assert prune(tmp_path, now - 1_700_002_800.0 - 60) != []  # the stream goes on
         assert files_in(tmp_path) == ["2023-11-14/23.parquet"]
         fill(journal, 1, 10_000)
@@ -178,15 +178,15 @@ def test_prune_removes_old_files_and_verify_does_not_miss_them(tmp_path: Path) -
         assert reader.losses() == []
         assert [one.pruned for one in reader.stretches()] == [True, False, False]
     with journal_in(tmp_path) as journal:
-        assert journal.mended == ()
+        assert journal.repair_losses == ()
 
 
 def test_a_journal_that_keeps_for_a_time_removes_older_files(tmp_path: Path) -> None:
     with journal_in(tmp_path, "?roll=1min&keep=30d") as journal:
         fill(journal, 10, 250)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
         fill(journal, 1, 250)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
     assert files_in(tmp_path) == []
     assert list(faults(tmp_path)) == []
 
@@ -201,9 +201,9 @@ def test_neither_database_nor_log_grows_for_ever(tmp_path: Path, monkeypatch: py
             stamps = EPOCH_S + np.arange(rows, rows + 2000) / 1e6
             output = Output(rows, stamps, noise, noise + turn, noise, np.zeros((2000, 2), np.int8))
             rows += 2000
-            journal.keep([output], replace(checkpoint_at(rows), snapshot=b"s" * 3000))
+            journal.commit([output], replace(checkpoint_at(rows), snapshot=b"s" * 3000))
             if turn % 10 == 9:
-                assert journal.settle(30)
+                assert journal.wait_until_rolled(30)
                 files = ("journal.sqlite", "journal.sqlite-wal")
                 sizes.append([(tmp_path / name).stat().st_size for name in files])
     database, log = np.array(sizes).T
@@ -219,7 +219,7 @@ def test_a_damaged_block_is_told_and_the_others_roll(tmp_path: Path) -> None:
             assert reader.rolls() == []
         journal._database.execute("UPDATE blocks SET data = zeroblob(1000) WHERE number = 2")
         fill(journal, 2, 1000, start_s=EPOCH_S + 7200)
-        assert journal.settle(30)
+        assert journal.wait_until_rolled(30)
     assert list(faults(tmp_path)) == []
     with open_journal(tmp_path) as reader:
         assert reader.holes() == [(1000, 2000)]

@@ -218,7 +218,7 @@ def test_what_says_nothing_at_all_is_counted() -> None:
 def test_after_a_break_a_half_line_is_left_out() -> None:
     lines = LineParser(LineOptions())
     first = lines.feed(b"time,a\n1,2\n2,3", _CAME_S)
-    lines.begin_within()
+    lines.expect_partial_line()
     second = lines.feed(b"5,44\n4,5\n", _CAME_S + 1)
     assert first is not None
     assert second is not None

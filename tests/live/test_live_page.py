@@ -49,7 +49,7 @@ def test_it_names_all_keys_of_a_status() -> None:
 def test_it_names_all_metrics() -> None:
     meter = metered()
     meter.record(used(1, 0.0))
-    meter.kept(1, 0.1)
+    meter.count_commit(1, 0.1)
     there = {named(metric) for metric in Counts(meter).collect()}
     assert set(re.findall(r"`(becalm_\w+)", PAGE)) == there
 

@@ -129,9 +129,9 @@ def test_the_first_loss_is_told_at_once_and_later_ones_once_a_minute(tmp_path: P
     for number in range(100):
         log.loss(Loss(LossKind.MISSING, 2, f"Loss {number}."))
     log.loss(Loss(LossKind.AWAY, None, "Away."))
-    log.turn()
+    log.log_due_losses()
     clock.now_s += 60
-    log.turn()
+    log.log_due_losses()
     log.loss(Loss(LossKind.MISSING, 2, "Loss 100."))
     log.close()
     log.close()
@@ -153,6 +153,26 @@ def test_a_log_file_never_grows_too_large(tmp_path: Path, monkeypatch: pytest.Mo
     assert len(files) == logs.OLD_FILES + 1
     assert all(file.stat().st_size <= 2000 for file in files)
     assert lines_of(files[0])[-1]["number"] == 499
+
+
+def test_a_log_that_cannot_be_renamed_grows_and_loses_no_older_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows renames no file that another program holds open."""
+    monkeypatch.setattr(logs, "FILE_BYTES", 2000)
+    monkeypatch.setattr(logs, "OLD_FILES", 50)
+    rename = Path.replace
+
+    def refuse(path: Path, target: Path) -> Path:
+        raise PermissionError(13, "in use")
+
+    with Log(str(tmp_path / "live.log"), {}) as log:
+        for number in range(300):
+            monkeypatch.setattr(Path, "replace", refuse if 100 <= number < 200 else rename)
+            log.info("line", number=number)
+    numbers = [line["number"] for file in tmp_path.iterdir() for line in lines_of(file)]
+    assert sorted(numbers) == list(range(300))
+    assert max(file.stat().st_size for file in tmp_path.iterdir()) > 4000
 
 
 def test_a_log_that_cannot_be_written_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,9 +22,9 @@ from metered import NAMES, Clock, block_of, metered, output_of, used
 def test_rows_are_counted_where_they_come_and_where_they_go() -> None:
     clock = Clock()
     meter = metered(clock=clock)
-    meter.took(block_of(7))
-    meter.took(block_of(0))
-    meter.queued(3, 30)
+    meter.count_block(block_of(7))
+    meter.count_block(block_of(0))
+    meter.set_queue(3, 30)
     meter.record(used(5, clock.now_s))
     told = meter.status()
     assert (told["rows_taken"], told["rows"]) == (7, 5)
@@ -99,7 +99,7 @@ def test_losses_are_counted_when_they_are_told() -> None:
     meter = metered(clock=Clock())
     gap = Loss(LossKind.GAP, None, "A pause.", noticed_s=86_400.0)
     missing = Loss(LossKind.MISSING, 3, "Rows 4 to 6 never came.")
-    meter.took(block_of(2, [missing, gap]))  # of which the output tells
+    meter.count_block(block_of(2, [missing, gap]))  # of which the output tells
     meter.record(output_of(np.zeros((2, 2), np.int8), 1000.0, [missing, gap]))
     meter.record(output_of(np.zeros((0, 2), np.int8), 1000.0, [Loss(LossKind.MISSING, 2, "Rows 9 to 10 never came.")]))
     losses = meter.status()["losses"]
@@ -114,8 +114,8 @@ def test_commits_tell_how_old_the_last_is_and_where_it_stands() -> None:
     clock = Clock()
     meter = metered(clock=clock)
     assert meter.status()["commits"]["last_age_s"] is None
-    meter.kept(100, 0.02, '{"row": 100}')
-    meter.kept(50, 0.01, '{"row": 150}')
+    meter.count_commit(100, 0.02, '{"row": 100}')
+    meter.count_commit(50, 0.01, '{"row": 150}')
     clock.now_s += 2.5
     told = meter.status()
     assert told["commits"] == {"count": 2, "rows": 150, "last_age_s": 2.5, "last_took_ms": 10, "longest_took_ms": 20}
@@ -150,7 +150,7 @@ def test_a_loop_that_does_not_turn_shows() -> None:
     meter = metered(clock=clock)
     clock.now_s += 3
     assert meter.status()["loop_age_s"] == 3
-    meter.turned()
+    meter.record_iteration()
     assert meter.status()["loop_age_s"] == 0
 
 
@@ -179,7 +179,7 @@ def test_threads_lose_no_count() -> None:
     def go() -> None:
         for _ in range(2000):
             meter.record(output)
-            meter.took(block)
+            meter.count_block(block)
 
     threads = [threading.Thread(target=go) for _ in range(4)]
     for thread in threads:

@@ -34,10 +34,10 @@ def test_what_is_scraped_is_what_was_counted() -> None:
     meter = metered(clock=clock)
     verdicts = np.zeros((10, 2), np.int8)
     verdicts[3:5, 1] = Verdict.SPIKE
-    meter.took(block_of(12))
-    meter.queued(2, 20)
+    meter.count_block(block_of(12))
+    meter.set_queue(2, 20)
     meter.record(output_of(verdicts, clock.now_s - 0.25, [Loss(LossKind.MISSING, 3, "Three.")]))
-    meter.kept(10, 0.5)
+    meter.count_commit(10, 0.5)
     meter.health("ax", 1.5, ["drift"])
     meter.state("running")
     clock.now_s += 4

@@ -12,7 +12,7 @@ import pytest
 
 from becalm.live.block import LossKind
 from becalm.live.protocols import Sink, Source
-from becalm.live.sinks.nats import NatsSink, _NatsLine
+from becalm.live.sinks.nats import NatsSink, _NatsPublisher
 from brokered import HEAD, Heard, among_garbage, flushed, message, output
 from brokers import Broker, nats_server
 from pump import made, purged, sent, stored
@@ -79,8 +79,8 @@ def test_what_was_stored_and_not_acknowledged_is_not_stored_twice(server: Broker
     sink = sink_of(server)
     assert isinstance(sink, NatsSink)
     with both_open(source_of(server), sink) as heard:
-        assert isinstance(sink._line, _NatsLine)
-        sink._line._on_result = lambda *_: None  # the acknowledgements are lost
+        assert isinstance(sink._connection, _NatsPublisher)
+        sink._connection._on_result = lambda *_: None  # the acknowledgements are lost
         sink.write(output(0, 5))
         sink.write(output(5, 5))
         heard.until(lambda: len(heard.numbers) >= 10)

@@ -9,7 +9,7 @@ import pytest
 
 from becalm.errors import InputError
 from becalm.live.address import Address
-from becalm.live.brokers.nats_link import holds
+from becalm.live.brokers.nats_link import matches_subject
 from becalm.live.protocols import AwayError, Sink
 from becalm.live.sinks.nats import NatsSink
 from brokered import HEAD, output
@@ -79,7 +79,7 @@ def test_a_subject_that_nobody_stores_any_more_is_away(server: Broker) -> None:
     ],
 )
 def test_patterns_of_subjects(pattern: str, subject: str, held: bool) -> None:
-    assert holds(pattern, subject) is held
+    assert matches_subject(pattern, subject) is held
 
 
 def test_a_subject_that_another_stream_took_over_is_told(server: Broker) -> None:

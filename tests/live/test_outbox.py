@@ -10,11 +10,11 @@ from becalm.errors import OutputError
 from becalm.live.address import Address
 from becalm.live.lines.columns import LineOptions
 from becalm.live.messages.reading import MessageReader
-from becalm.live.sinks.outbox import Letter, Outbox
+from becalm.live.sinks.outbox import Outbox, OutgoingMessage
 from brokered import HEAD, output
 
 
-def numbers(letters: list[Letter]) -> list[int]:
+def numbers(letters: list[OutgoingMessage]) -> list[int]:
     """Return the rows that messages hold."""
     reader = MessageReader(LineOptions.of(Address.parsed("mqtt:?channels=ax,ay")))
     batches = [reader.read(letter.payload, 0.0) for letter in letters]
@@ -34,7 +34,7 @@ def test_each_row_is_told_once_and_in_order(
 ) -> None:
     outbox, told, row, number = Outbox(form, gather_s), [], 0, 0
     outbox.begin(HEAD)
-    flying: list[tuple[int, Letter]] = []
+    flying: list[tuple[int, OutgoingMessage]] = []
     for size in sizes:
         outbox.put(output(row, size), largest)
         row += size
@@ -44,14 +44,14 @@ def test_each_row_is_told_once_and_in_order(
             flying.append((number, letter))
         kept = data.draw(st.integers(0, len(flying)))
         told += [letter for _, letter in flying[:kept]]
-        outbox.acknowledged({place for place, _ in flying[:kept]})
+        outbox.drop_acknowledged({place for place, _ in flying[:kept]})
         flying = flying[kept:]
         if data.draw(st.booleans()):
             outbox.begin(HEAD)  # the connection ended
             if flying:  # some of it had come all the same
                 came = data.draw(st.integers(0, len(flying)))
                 told += [letter for _, letter in flying[:came]]
-                outbox.arrived(flying[came - 1][1].name if came else "another's")
+                outbox.drop_through(flying[came - 1][1].name if came else "another's")
             flying = []
     told += [letter for _, letter in flying]
     outbox.seal(largest)

@@ -31,6 +31,19 @@ def test_rows_wait_for_a_sink_that_went_away() -> None:
     assert (sink.opens, sink.flushed) == (2, 1)
 
 
+def test_rows_written_after_a_flush_failed_do_not_overtake_those_that_wait() -> None:
+    sink = MemorySink()
+    outlet = BufferedSink(sink)
+    outlet.open(HEAD)
+    sink.trouble_writing = [AwayError("gone"), AwayError("gone again")]
+    outlet.write(output(0))
+    with pytest.raises(AwayError):
+        outlet.flush()
+    outlet.write(output(1))
+    outlet.flush()
+    assert [one.first_row for one in sink.got] == [0, 1]
+
+
 def test_a_flush_that_fails_is_told_and_tried_again() -> None:
     sink = MemorySink()
     outlet = BufferedSink(sink)
@@ -39,7 +52,7 @@ def test_a_flush_that_fails_is_told_and_tried_again() -> None:
     sink.trouble_flushing = [AwayError("gone")]
     with pytest.raises(AwayError):
         outlet.flush()
-    outlet.away()
+    outlet.mark_away()
     outlet.write(output(1))
     outlet.flush()
     assert [one.first_row for one in sink.got] == [0, 1]

@@ -36,7 +36,7 @@ def test_every_bit_comes_back(server: PostgresServer, keepers: list[PostgresSink
     keeper.open(head)
     assert keeper.last() is None
     outputs = outputs_of([2000, 0, 1234], channels=2, begins_s=1.7e9)
-    keeper.keep(outputs, checkpoint_at(3234))
+    keeper.commit(outputs, checkpoint_at(3234))
     assert keeper.last() == checkpoint_at(3234)
     asked = "select row, time_s, a, a_raw, a_sigma, b, b_raw, b_sigma, a_verdict, b_verdict from bits order by row"
     rows = server.asked(asked)
@@ -56,7 +56,7 @@ def test_instants_stand_beside_stamps_that_count_from_1970(server: PostgresServe
     early, late = outputs_of([1]), outputs_of([1], first_row=1, begins_s=1.7e9)
     wild = outputs_of([3], first_row=2)
     wild[0].time_s[:] = [1e300, np.nan, -np.inf]
-    keeper.keep([*early, *late, *wild], checkpoint_at(5))
+    keeper.commit([*early, *late, *wild], checkpoint_at(5))
     asked = "select extract(epoch from time)::float8 from instants order by row"
     assert [row[0] for row in server.asked(asked)] == [None, pytest.approx(1.7e9 + 0.001), None, None, None]
 
@@ -68,7 +68,7 @@ def test_losses_stand_beside_their_rows(server: PostgresServer, keepers: list[Po
     (output,) = outputs_of([0], first_row=17)
     lost = (Loss(LossKind.MISSING, 3, "Three \0 rows.", 1.7e9), Loss(LossKind.AWAY, None, "Away.", 1.7e9))
     told = type(output)(17, output.time_s, output.values, output.signal, output.sigma, output.verdicts, lost)
-    keeper.keep([told], checkpoint_at(17))
+    keeper.commit([told], checkpoint_at(17))
     rows = server.asked("select row, kind, rows, says from with_losses_losses order by kind desc")
     assert rows == [(17, "missing", 3, "Three \ufffd rows."), (17, "away", None, "Away.")]
 
@@ -78,7 +78,7 @@ def test_hostile_names_are_only_names(server: PostgresServer, keepers: list[Post
     keeper = keeper_of(server, "t%25s%22%3B%20drop%20table%20x%3B--")
     keepers.append(keeper)
     keeper.open(head_of(*HOSTILE))
-    keeper.keep(outputs_of([5], channels=4), checkpoint_at(5))
+    keeper.commit(outputs_of([5], channels=4), checkpoint_at(5))
     keeper.close()
     assert keeper.last() == checkpoint_at(5)
     keeper.open(head_of(*HOSTILE))
@@ -105,7 +105,9 @@ def test_a_killed_server_keeps_all_or_nothing(keepers: list[PostgresSink]) -> No
             try:
                 while True:
                     size = int(random.integers(1, 4000))
-                    keeper.keep(outputs_of([size // 2, size - size // 2], channels, stood), checkpoint_at(stood + size))
+                    keeper.commit(
+                        outputs_of([size // 2, size - size // 2], channels, stood), checkpoint_at(stood + size)
+                    )
                     stood += size
             except AwayError:
                 kills += 1
@@ -127,7 +129,7 @@ def test_a_killed_server_keeps_all_or_nothing(keepers: list[PostgresSink]) -> No
 def test_three_hundred_channels_fit(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keepers.append(keeper_of(server, "wide"))
     keepers[-1].open(head_of(*(f"c{number}" for number in range(300))))
-    keepers[-1].keep(outputs_of([40], channels=300, begins_s=1.7e9), checkpoint_at(40))
+    keepers[-1].commit(outputs_of([40], channels=300, begins_s=1.7e9), checkpoint_at(40))
     assert server.asked("select count(*), min(c299_sigma), max(c299_sigma) from wide") == [(40, 0.1, 0.1)]
 
 
@@ -135,7 +137,7 @@ def test_a_full_disk_keeps_nothing_and_can_be_tried_again(server: PostgresServer
     """The server itself raises its code for it, from a trigger; making room takes the trigger away."""
     keepers.append(keeper_of(server, "full"))
     keepers[-1].open(head_of("a"))
-    keepers[-1].keep(outputs_of([3]), checkpoint_at(3))
+    keepers[-1].commit(outputs_of([3]), checkpoint_at(3))
     server.do(
         "create function no_room() returns trigger language plpgsql as"
         " $$ begin raise exception using errcode = '53100', message = 'could not extend file'; end $$;"
@@ -143,10 +145,10 @@ def test_a_full_disk_keeps_nothing_and_can_be_tried_again(server: PostgresServer
     )
     more = outputs_of([4], first_row=3)
     with pytest.raises(StorageFullError, match="could not extend file"):
-        keepers[-1].keep(more, checkpoint_at(7))
+        keepers[-1].commit(more, checkpoint_at(7))
     assert server.asked('select count(*) from "full"') == [(3,)]
     server.do("drop trigger no_room on full_checkpoint")
-    keepers[-1].keep(more, checkpoint_at(7))
+    keepers[-1].commit(more, checkpoint_at(7))
     assert server.asked('select count(*) from "full"') == [(7,)]
     assert keepers[-1].last() == checkpoint_at(7)
 
@@ -154,6 +156,6 @@ def test_a_full_disk_keeps_nothing_and_can_be_tried_again(server: PostgresServer
 @pytest.mark.parametrize("size", [0, 1, 9000, 20000])
 def test_pieces_are_the_whole_whatever_the_cut(size: int) -> None:
     (whole,) = outputs_of([size], channels=2)
-    pieces = [bytes(piece) for piece in BinaryRows(2).of(whole)]
+    pieces = [bytes(piece) for piece in BinaryRows(2).encode(whole)]
     halves = outputs_of([size // 2, size - size // 2], channels=2)
-    assert b"".join(pieces) == b"".join(bytes(piece) for half in halves for piece in BinaryRows(2).of(half))
+    assert b"".join(pieces) == b"".join(bytes(piece) for half in halves for piece in BinaryRows(2).encode(half))

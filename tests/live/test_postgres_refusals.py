@@ -90,7 +90,7 @@ def test_the_second_writer_is_refused(server: PostgresServer, keepers: list[Post
     keepers[0].open(head_of("a"))
     with pytest.raises(UsageError, match="Another process writes"):
         keepers[1].last()
-    keepers[0].keep(outputs_of([3]), checkpoint_at(3))
+    keepers[0].commit(outputs_of([3]), checkpoint_at(3))
     keepers[0].close()
     keepers[0].close()
     assert keepers[1].last() == checkpoint_at(3)
@@ -105,7 +105,7 @@ def test_other_channels_or_units_are_refused(server: PostgresServer, keepers: li
     keepers.append(keeper)
     keeper.open(head_of("b"))
     keeper.open(head_of("a"))  # nothing was kept of the first
-    keeper.keep(outputs_of([3]), checkpoint_at(3))
+    keeper.commit(outputs_of([3]), checkpoint_at(3))
     keeper.open(head_of("a", recipe="version = 2\n"))  # tuned anew meanwhile
     for head in (head_of("b"), Head(("a",), ("mm",), 1000.0, ""), head_of("a", "b"), head_of()):
         with pytest.raises(UsageError, match=r"other channels \(a \[m\]\)"):
@@ -117,7 +117,7 @@ def test_units_may_be_told_later(server: PostgresServer, keepers: list[PostgresS
     keepers.append(keeper)
     for rows, unit in enumerate(("", "", "m", "")):
         keeper.open(Head(("a",), (unit,), 1000.0, ""))
-        keeper.keep(outputs_of([1], first_row=rows), checkpoint_at(rows + 1))
+        keeper.commit(outputs_of([1], first_row=rows), checkpoint_at(rows + 1))
     told = "select units[1], col_description('later'::regclass, 3) from later_checkpoint"
     assert server.asked(told) == [("m", "m")]
     with pytest.raises(UsageError, match="other channels"):
@@ -157,7 +157,7 @@ def test_a_user_who_may_not_write_is_told(server: PostgresServer, monkeypatch: p
 def test_rows_twice_are_refused(server: PostgresServer, keepers: list[PostgresSink]) -> None:
     keepers.append(keeper_of(server, "twice"))
     keepers[-1].open(head_of("a"))
-    keepers[-1].keep(outputs_of([3]), checkpoint_at(3))
+    keepers[-1].commit(outputs_of([3]), checkpoint_at(3))
     with pytest.raises(OutputError, match="already"):
-        keepers[-1].keep(outputs_of([3], first_row=2), checkpoint_at(5))
+        keepers[-1].commit(outputs_of([3], first_row=2), checkpoint_at(5))
     assert keepers[-1].last() == checkpoint_at(3)

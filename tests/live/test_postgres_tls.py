@@ -59,7 +59,7 @@ def test_rows_go_over_tls_to_the_server_that_was_meant(guarded: tuple[PostgresSe
     keeper = keeper_of(server, f"sslmode=verify-full&sslrootcert={root}")
     try:
         keeper.open(head_of("a"))
-        keeper.keep(outputs_of([3]), checkpoint_at(3))
+        keeper.commit(outputs_of([3]), checkpoint_at(3))
         asked = "select ssl from pg_stat_ssl join pg_stat_activity using (pid) where application_name = 'becalm'"
         assert server.asked(asked) == [(True,)]
         assert keeper.last() == checkpoint_at(3)

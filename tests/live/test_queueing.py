@@ -51,6 +51,15 @@ def test_a_full_queue_drops_the_oldest_and_counts_them() -> None:
     assert after.losses == ()
 
 
+def test_losses_of_a_dropped_block_without_rows_are_not_lost() -> None:
+    queue = BlockQueue(1, "drop-oldest")
+    queue.report(Loss(LossKind.AWAY, None, "Gone."))
+    queue.put(blocks_of(drive(2), 2)[0], STOP)
+    came = queue.get(1)
+    assert came is not None
+    assert [loss.kind for loss in came.losses] == [LossKind.AWAY]
+
+
 def test_time_goes_on_over_rows_that_were_dropped() -> None:
     queue = BlockQueue(1, "drop-oldest")
     first, second = blocks_of(drive(4), 2, elapsed=True)

@@ -50,7 +50,7 @@ class Fed:
         end = time.monotonic() + PATIENCE_S
         while not happened():
             assert time.monotonic() < end
-            self.retuning.take(self.stream, self.watch)
+            self.retuning.apply(self.stream, self.watch)
             time.sleep(0.001)
 
 
@@ -69,7 +69,7 @@ def test_no_turn_makes_the_signal_jump_however_soon_the_next_comes() -> None:
     for turn, recipe in enumerate([SECOND, THIRD, SECOND, FIRST, THIRD]):
         fed.retuning.ask(lambda recipe=recipe: recipe, heard.append)  # type: ignore[misc]
         while len(heard) == turn:
-            fed.retuning.take(fed.stream, fed.watch)
+            fed.retuning.apply(fed.stream, fed.watch)
             parts.append(fed.told(7))
             expected.append(plain.told(7))
         for _ in range(turn * 5):
@@ -87,23 +87,23 @@ def test_a_filter_that_was_never_told_gives_way_without_a_trace() -> None:
     for each in (fed, plain):
         each.told(500)
     for recipe in (SECOND, THIRD):
-        fed.stream.retuned(recipe)
-        assert not fed.stream.gives_way
+        fed.stream.retune(recipe)
+        assert not fed.stream.is_handing_over
         np.testing.assert_array_equal(fed.told(5), plain.told(5))
     fed.told(20_000)
-    assert not fed.stream.gives_way
+    assert not fed.stream.is_handing_over
     assert fed.stream.recipe == THIRD
 
 
 def test_what_is_asked_while_one_filter_gives_way_waits() -> None:
     fed, heard = Fed(), list[str | None]()
     fed.told(500)
-    fed.stream.retuned(SECOND)
-    while not fed.stream.gives_way:
+    fed.stream.retune(SECOND)
+    while not fed.stream.is_handing_over:
         fed.told(1)
     fed.retuning.ask(lambda: THIRD, heard.append)
     for _ in range(200):
-        fed.retuning.take(fed.stream, fed.watch)
+        fed.retuning.apply(fed.stream, fed.watch)
         time.sleep(0.001)
     assert (heard, fed.stream.recipe) == ([], SECOND)
     fed.told(20_000)

@@ -33,9 +33,9 @@ EVERY_BLOCK = Settings(commit_s=0.0, patience_s=0.5)
 
 
 def runner_of(source: ListSource, keeper: MemoryKeeper | None, recipe: Recipe | None = None, **more: Any) -> Runner:
-    outlets = StreamSinks(keeper, tuple(BufferedSink(sink) for sink in more.pop("sinks", ())))
-    told: dict[str, Any] = {"beginning": StreamStarter(recipe, Learner(2.0)), "settings": EVERY_BLOCK, **more}
-    return Runner(source=source, address="list:rows", outlets=outlets, watch=Watch(Meter()), **told)
+    sinks = StreamSinks(keeper, tuple(BufferedSink(sink) for sink in more.pop("sinks", ())))
+    told: dict[str, Any] = {"starter": StreamStarter(recipe, Learner(2.0)), "settings": EVERY_BLOCK, **more}
+    return Runner(source=source, address="list:rows", sinks=sinks, watch=Watch(Meter()), **told)
 
 
 def run(values: Floats = VALUES, sizes: int | list[int] = 50, **more: Any) -> MemoryKeeper:
@@ -77,7 +77,7 @@ def test_a_stream_that_dies_again_and_again_tells_what_one_does_that_never_did(
         _die_at(keeper, death + 1)
         with suppress(RuntimeError):  # of old age, where all was kept before
             runner_of(ListSource(lambda row: blocks_of(VALUES, 37, row)), keeper, recipe).run()
-        del keeper.keep
+        del keeper.commit
     runner_of(ListSource(lambda row: blocks_of(VALUES, 41, row)), keeper, recipe).run()
     assert_same(keeper, whole)
 
@@ -89,11 +89,11 @@ def _die_at(keeper: MemoryKeeper, commit: int) -> None:
     def keep(outputs: list[Output], checkpoint: Checkpoint) -> None:
         left[0] -= 1
         if left[0] or commit % 2 == 0:
-            MemoryKeeper.keep(keeper, outputs, checkpoint)
+            MemoryKeeper.commit(keeper, outputs, checkpoint)
         if not left[0]:
             raise RuntimeError("died")
 
-    keeper.keep = keep  # type: ignore[method-assign]
+    keeper.commit = keep  # type: ignore[method-assign]
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_without_a_recipe_it_learns_one_and_loses_no_row() -> None:
     runner_of(
         ListSource(lambda row: blocks_of(VALUES, 50, row)),
         keeper,
-        beginning=StreamStarter(None, Learner(2.0), learned.append),
+        starter=StreamStarter(None, Learner(2.0), learned.append),
     ).run()
     assert [channel.name for channel in learned[0].channel] == ["ax", "ay"]
     assert learned[0].mode == "causal"

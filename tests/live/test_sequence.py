@@ -32,7 +32,7 @@ class Journey:
         starts = self.starts()
         for message in self.order:
             sequence.take(batch(starts[message], self.lengths[message]), 0.0)
-        sequence.rest()
+        sequence.release_all()
         return told(sequence), sequence.losses()
 
 
@@ -99,10 +99,10 @@ def test_what_came_ahead_waits_for_twenty_milliseconds() -> None:
     sequence = Sequence(8)
     sequence.take(batch(0, 10), 1.0)
     sequence.take(batch(20, 10), 1.0)
-    sequence.due(1.0 + WAIT_S / 2)
+    sequence.release_due(1.0 + WAIT_S / 2)
     assert len(told(sequence)) == 10
     assert sequence.wait_s(1.0) == pytest.approx(WAIT_S)
-    sequence.due(1.0 + WAIT_S * 1.01)
+    sequence.release_due(1.0 + WAIT_S * 1.01)
     np.testing.assert_array_equal(told(sequence), np.arange(20, 30))
     (loss,) = sequence.losses()
     assert (loss.kind, loss.rows, loss.says) == (LossKind.MISSING, 10, "Rows 10 to 19 did not arrive.")

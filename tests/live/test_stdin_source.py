@@ -22,13 +22,14 @@ def pipe() -> Iterator[tuple[StdinSource, FileIO]]:
     """Make a pipe: the source that reads it, and what writes into it."""
     reader, writer = os.pipe()
     with FileIO(writer, "w") as end:
-        yield StdinSource(Address.parsed("stdin:"), reader), end
+        source = StdinSource(Address.parsed("stdin:"), reader)
+        source.open("")
+        yield source, end
     os.close(reader)
 
 
 def test_rows_come_as_they_are_written(pipe: tuple[StdinSource, FileIO]) -> None:
     source, writer = pipe
-    source.open("")
     assert source.read(0.01) is None
     writer.write(b"time,a\n1,2\n2,")
     block = source.read(30.0)
@@ -91,8 +92,10 @@ def test_a_line_that_never_ends_holds_nobody_up(pipe: tuple[StdinSource, FileIO]
 def test_what_cannot_be_read_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = os.open(tmp_path, os.O_RDONLY)
     try:
+        source = StdinSource(Address.parsed("stdin:"), folder)
+        source.open("")
         with pytest.raises(InputError, match="cannot be read"):
-            StdinSource(Address.parsed("stdin:"), folder).read(0.0)
+            source.read(30.0)
     finally:
         os.close(folder)
     monkeypatch.setattr(sys, "__stdin__", None)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
@@ -41,6 +42,16 @@ def test_every_row_once_and_in_order_with_exactly_the_lost_ones_missing(options:
     assert counted(blocks, LossKind.REPEATED) == len(doubled) * ROWS
     assert {loss.kind for loss in losses(blocks)} <= {LossKind.MISSING, LossKind.REPEATED, LossKind.DROPPED}
     assert counted(blocks, LossKind.DROPPED) == 0
+
+
+def test_rows_come_where_the_system_gives_no_times_of_reception(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows has no recvmsg."""
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setattr(socket.socket, "recvmsg", None, raising=False)
+    with wire() as (source, sender):
+        sender.send(message(0))
+        blocks = heard(source, ROWS)
+    np.testing.assert_array_equal(rows(blocks), np.arange(ROWS))
 
 
 def test_what_is_no_message_is_counted_between_those_that_are() -> None:

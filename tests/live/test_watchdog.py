@@ -18,19 +18,19 @@ def test_silence_is_said_once_and_once_more_when_it_ends() -> None:
     clock = Clock()
     silence = Silence(10, clock)
     clock.now_s += 10
-    assert silence.waited() is None
+    assert silence.record_no_rows() is None
     clock.now_s += 1
-    began = silence.waited()
+    began = silence.record_no_rows()
     assert began is not None
     assert (began.kind, began.rows, began.says) == (LossKind.SILENT, None, "Nothing came from the source for 11 s.")
     assert silence.silent
     clock.now_s += 30
-    assert silence.waited() is None
-    ended = silence.came()
+    assert silence.record_no_rows() is None
+    ended = silence.record_rows()
     assert ended is not None
     assert ended.says == "The source is back after 41 s of silence."
     assert not silence.silent
-    assert silence.came() is None
+    assert silence.record_rows() is None
 
 
 def test_a_source_that_keeps_coming_is_never_silent() -> None:
@@ -38,8 +38,8 @@ def test_a_source_that_keeps_coming_is_never_silent() -> None:
     silence = Silence(1, clock)
     for _ in range(100):
         clock.now_s += 0.9
-        assert silence.waited() is None
-        assert silence.came() is None
+        assert silence.record_no_rows() is None
+        assert silence.record_rows() is None
 
 
 class Listener:
@@ -85,7 +85,7 @@ def test_the_watchdog_hears_of_a_loop_that_turns_and_not_of_one_that_hangs(liste
     asked = {"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": str(os.getpid())}
     systemd = Systemd(listener.environment | asked, clock)
     for _ in range(31):
-        systemd.alive()
+        systemd.ping_watchdog()
         clock.now_s += 1
     assert listener.heard() == ["WATCHDOG=1"] * 4  # at 0, 10, 20 and 30 s
     clock.now_s += 100
@@ -96,7 +96,7 @@ def test_the_watchdog_hears_of_a_loop_that_turns_and_not_of_one_that_hangs(liste
 @pytest.mark.parametrize("asked", [{}, {"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "soon"}])
 def test_a_watchdog_that_is_not_meant_hears_nothing(listener: Listener, asked: dict[str, str]) -> None:
     systemd = Systemd(listener.environment | asked)
-    systemd.alive()
+    systemd.ping_watchdog()
     systemd.close()
     assert listener.heard() == []
 
@@ -119,7 +119,7 @@ def test_an_abstract_socket_is_reached() -> None:
 def test_without_systemd_nothing_happens(where: str) -> None:
     systemd = Systemd({"NOTIFY_SOCKET": where, "WATCHDOG_USEC": "1000000"})
     systemd.ready()
-    systemd.alive()
+    systemd.ping_watchdog()
     systemd.stopping()
     systemd.close()
 

@@ -37,7 +37,8 @@ def draw(recording: Recording, recipe: Recipe | None = None, *, block: int = 1 <
     columns = [np.ascontiguousarray(recording.channel(name)) for name in recording.names]
     gathering = Gathering(len(recording), time.step_s, len(columns))
     blocks = [slice(start, start + block) for start in range(0, len(recording), block)]
-    with Cleaner(recipe, time.step_s, looks=[channel.look for channel in gathering.channels]) as cleaner:
+    callbacks = [channel.add_innovations for channel in gathering.channels]
+    with Cleaner(recipe, time.step_s, innovation_callbacks=callbacks) as cleaner:
         answers = [cleaner.push([z[rows] for z in columns], time.elapsed_steps[rows]) for rows in blocks]
         answers.append(cleaner.finish())
         reports = cleaner.reports()

@@ -40,7 +40,7 @@ def gathered(rows: int, block: int) -> Gathering:
         signal, noise = rng.normal(size=(2, count))
         gathering.add([signal + noise, noise], np.ones(count), [told_of(signal), told_of(noise)])
         for channel in gathering.channels:
-            channel.look(noise, np.ones(count))
+            channel.add_innovations(noise, np.ones(count))
     return gathering
 
 
@@ -97,7 +97,7 @@ def test_innovations_are_drawn_when_they_were(rows: int, block: int) -> None:
 
 def test_the_mean_of_right_innovations_is_one_and_within_its_limits() -> None:
     channel = ChannelGathering(100_000, 0.01, 3000)
-    channel.look(np.random.default_rng(5).normal(0, 0.2, 100_000), np.full(100_000, 0.2))
+    channel.add_innovations(np.random.default_rng(5).normal(0, 0.2, 100_000), np.full(100_000, 0.2))
     assert isinstance(channel.nis, Means)
     assert channel.nis.result().mean() == pytest.approx(1.0, abs=0.02)
     assert channel.nis.seen.sum() == 100_000

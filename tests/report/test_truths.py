@@ -12,7 +12,7 @@ from becalm.cleaning.tuning import tune
 from becalm.core.recording import Recording
 from becalm.report.channel import Pictured
 from becalm.report.description import Band, Curve, Figure, Lane
-from becalm.report.pictures import Title, parted
+from becalm.report.pictures import Title, break_at_pauses
 from becalm.report.running import pictures_of
 from drawing import draw
 
@@ -89,9 +89,9 @@ def test_nothing_is_drawn_where_time_pauses(rows: int, lost: int) -> None:
 
 def test_without_a_pause_arrays_stay_the_same() -> None:
     x = np.arange(50.0)
-    assert parted(x, x)[0] is x
+    assert break_at_pauses(x, x)[0] is x
     repeated = np.floor(x / 2)
-    assert parted(repeated, x)[1] is x
+    assert break_at_pauses(repeated, x)[1] is x
 
 
 def test_a_step_is_shown_until_it_settles_beside_a_tone() -> None:

@@ -46,7 +46,7 @@ def test_the_response_is_that_of_the_equation_of_motion(share: float) -> None:
 @given(damping=st.floats(0, 3), percent=st.floats(0.1, 60))
 def test_the_band_ends_where_the_amplitude_is_off(damping: float, percent: float) -> None:
     sensor = Resonance(1000.0, damping)
-    edge = sensor.right_to_hz(percent)
+    edge = sensor.accurate_to_hz(percent)
     within, _ = sensor.response(np.linspace(0, edge * (1 - 1e-6), 2000))
     assert (np.abs(within - 1) <= percent / 100 + 1e-9).all()
     assert abs(sensor.response(np.array([edge * (1 + 1e-6)]))[0][0] - 1) >= percent / 100 * (1 - 1e-3)
@@ -54,7 +54,7 @@ def test_the_band_ends_where_the_amplitude_is_off(damping: float, percent: float
 
 def test_a_fifth_of_the_resonance_is_right_within_five_percent() -> None:
     """The rule of thumb of sheets, for a sensor that is hardly damped."""
-    assert Resonance(1000.0, 0.02).right_to_hz(5.0) == pytest.approx(218, abs=1)
+    assert Resonance(1000.0, 0.02).accurate_to_hz(5.0) == pytest.approx(218, abs=1)
 
 
 def test_an_undamped_sensor_rings_without_end() -> None:
@@ -67,4 +67,4 @@ def test_an_impossible_sensor_is_refused() -> None:
     with pytest.raises(SensorError, match="damping_ratio"):
         Resonance(10.0, -0.1)
     with pytest.raises(SensorError, match="less than 100"):
-        Resonance(10.0, 0.7).right_to_hz(100.0)
+        Resonance(10.0, 0.7).accurate_to_hz(100.0)

@@ -16,7 +16,7 @@ from becalm.report.description import Curve, Figure
 from becalm.studies.car import CANCELLER, MEASURED, OWN, PRINTED, TRUTH, CarStudy, study
 from becalm.studies.car_drive import SENSITIVITY_V_PER_G, SHARES, simulate
 from becalm.studies.car_figures import sheets
-from becalm.studies.car_filters import printed_model, response, settled_gain, white_noise_left
+from becalm.studies.car_filters import computed_noise_gain, printed_model, response, settled_gain
 from becalm.studies.car_page import page, run
 from becalm.studies.car_real import slope_of_speed, study_real_car
 from becalm.studies.recordings import RECORDINGS
@@ -67,10 +67,10 @@ class TestPrintedMatrices:
         assert max(found.forms) <= 1e-12
 
     def test_the_settled_gain_is_the_checked_one(self, found: CarStudy) -> None:
-        assert found.gain_apart <= 5e-9
+        assert found.gain_difference <= 5e-9
 
     def test_white_noise_is_reduced_by_30_decibels_of_the_paper(self, found: CarStudy) -> None:
-        for share in (found.white_left, found.white_measured):
+        for share in (found.noise_gain, found.noise_gain_measured):
             np.testing.assert_allclose(-20 * np.log10(share), 30.0, rtol=0, atol=0.3)
             np.testing.assert_allclose(-10 * np.log10(share), 15.0, rtol=0, atol=0.15)
 
@@ -78,14 +78,14 @@ class TestPrintedMatrices:
         model = printed_model()
         f = np.linspace(0, 250, 50_001)
         power = np.sum(np.abs(response(model, f)) ** 2, axis=2)
-        np.testing.assert_allclose(np.trapezoid(power, f, axis=0)[1:] / 250, white_noise_left(model)[1:], rtol=1e-3)
+        np.testing.assert_allclose(np.trapezoid(power, f, axis=0)[1:] / 250, computed_noise_gain(model)[1:], rtol=1e-3)
         filtered = kalman_filter(model, np.ones((4000, 3)) * [0, 0, 1]).signal[-1, 2]
         assert abs(response(model, np.array([0.0]))[0, 2, 2]) == pytest.approx(filtered, rel=1e-9)
         assert settled_gain(model).shape == (3, 3)
 
     def test_where_the_papers_ratios_are_within_reach(self, found: CarStudy) -> None:
         """Neither white noise nor body motion of 1 to 3 Hz can have given the paper's 39 dB."""
-        along, up = found.reach
+        along, up = found.limits
         assert along.noise_above_hz > 20
         assert up.noise_above_hz > along.noise_above_hz
         assert up.signal_below_hz < 1.0
@@ -107,9 +107,9 @@ class TestOwnChoice:
             assert rms_error(ours[:, axis], truth[:, axis]) < rms_error(theirs[:, axis], truth[:, axis])
 
     def test_what_is_left_of_each_kind_makes_up_the_error(self, found: CarStudy) -> None:
-        for left in found.left:
+        for left in found.error_parts:
             whole = error(found, left.filter, left.axis) ** 2
-            assert sum(left.stays.values()) == pytest.approx(whole, rel=0.1)
+            assert sum(left.power_after.values()) == pytest.approx(whole, rel=0.1)
 
     def test_the_measured_lag_is_near_the_one_told_by_the_filter(self, found: CarStudy) -> None:
         told = [score for score in found.scores if np.isfinite(score.described_lag_s)]

@@ -13,7 +13,16 @@ from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.identification.several.step_spectrum import Sensor
 from becalm.report import printing
 from becalm.studies import imu, imu_page, imu_switching, imu_valley
-from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ, SENSORS, find_rests, identify, makeup, motionless
+from becalm.studies.imu_records import (
+    HARMONICS_HZ,
+    PRINTED,
+    RATE_HZ,
+    SENSORS,
+    find_rests,
+    identify,
+    motionless,
+    noise_parts,
+)
 from becalm.studies.imu_responses import FilterResponse, reached_ms
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN
@@ -25,12 +34,12 @@ def studied() -> dict[Sensor, imu.SensorStudy]:
 
 
 @pytest.fixture(scope="module")
-def contest() -> imu_switching.Contest:
-    return imu_switching.contest()
+def contest() -> imu_switching.ImmComparison:
+    return imu_switching.compare_imm()
 
 
 def panels(study: imu.SensorStudy) -> dict[str, FilterResponse]:
-    return {each.setting.name: each for each in study.answers}
+    return {each.setting.name: each for each in study.responses}
 
 
 @pytest.mark.slow
@@ -52,7 +61,7 @@ def test_white_noise_leaves_its_known_share_below_one_hertz() -> None:
 
 
 def test_the_record_is_made_of_what_table_1_tells() -> None:
-    accelerometer, gyroscope = (makeup(PRINTED[sensor]) for sensor in SENSORS)
+    accelerometer, gyroscope = (noise_parts(PRINTED[sensor]) for sensor in SENSORS)
     assert accelerometer.harmonic > accelerometer.white > 0 == accelerometer.drift
     assert gyroscope.white == PRINTED["gyroscope"].measured_noise
     assert gyroscope.harmonic == 0 < gyroscope.drift
@@ -114,7 +123,7 @@ def test_the_papers_optimum_needs_480_ms_on_the_record(studied: dict[Sensor, imu
 
 @pytest.mark.slow
 def test_noise_of_the_shown_band_alone_does_not_explain_the_accelerometer() -> None:
-    ratios = [each.ratio for each in imu_valley.colours()]
+    ratios = [each.ratio for each in imu_valley.tune_coloured_records()]
     white, *banded, below = ratios
     least = imu_valley.least_ratio()
     assert white == pytest.approx(93, abs=3)
@@ -124,7 +133,7 @@ def test_noise_of_the_shown_band_alone_does_not_explain_the_accelerometer() -> N
 
 
 @pytest.mark.slow
-def test_a_filter_that_switches_is_quieter_and_quicker(contest: imu_switching.Contest) -> None:
+def test_a_filter_that_switches_is_quieter_and_quicker(contest: imu_switching.ImmComparison) -> None:
     for each in contest.switched:
         for fixed in contest.fixed:
             assert each.reached_ms < fixed.reached_ms
@@ -160,7 +169,7 @@ def test_the_page_tells_the_numbers_and_shows_the_figures(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     studied: dict[Sensor, imu.SensorStudy],
-    contest: imu_switching.Contest,
+    contest: imu_switching.ImmComparison,
 ) -> None:
     held = imu.Study(studied, (imu_valley.ColouredRecord("white", 92.0),), *find_rests(tmp_path), contest)
     monkeypatch.setattr(imu_page, "study", lambda data: held)

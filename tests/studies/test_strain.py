@@ -15,27 +15,27 @@ from becalm.studies.strain import (
     NOISES,
     SHOWN,
     SLOPE,
-    Measured,
+    FilterQuality,
     ShownRecord,
     StrainStudy,
-    measure,
+    assess,
     ramps,
     records,
     simulate,
 )
 from becalm.studies.strain_figures import sheets
-from becalm.studies.strain_gauge import AT_REST, LOADED, Gauge, absent, measure_gauge
+from becalm.studies.strain_gauge import AT_REST, LOADED, Gauge, measure_gauge, missing_recordings
 from becalm.studies.strain_methods import (
     AVERAGE,
     AVERAGED,
     BECALM,
     BUTTERWORTH,
+    G_BY_TRIAL,
     KALMAN,
     LIKELIEST,
     METHODS,
     SMOOTHED,
     STEP_S,
-    TRIED,
     MethodOutcome,
 )
 from becalm.studies.strain_model import Noise, likeliest, strain_model
@@ -44,7 +44,7 @@ from becalm.studies.strain_page import page
 ASKED = dict(zip(NOISES, (0.0089, 0.0184, 0.0309), strict=True))
 NEAR = 3.5  # standard errors of the difference of two means of 20 runs
 
-Simulated = tuple[dict[str, dict[float, Measured]], ShownRecord]
+Simulated = tuple[dict[str, dict[float, FilterQuality]], ShownRecord]
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +54,8 @@ def simulated() -> Simulated:
 
 @pytest.fixture(scope="module")
 def gauge() -> Gauge:
-    if absent(RECORDINGS):
-        pytest.skip(absent(RECORDINGS))
+    if missing_recordings(RECORDINGS):
+        pytest.skip(missing_recordings(RECORDINGS))
     return measure_gauge(RECORDINGS)
 
 
@@ -107,7 +107,7 @@ def test_no_other_noise_is_likelier() -> None:
 def test_a_delay_is_measured_as_lag_alone() -> None:
     _, truth = ramps()
     late = np.concatenate([np.zeros(7), truth[:-7]])[:, np.newaxis]
-    found = measure(MethodOutcome(np.hstack([late, late]), late, np.full((2, 3), np.nan)), truth)
+    found = assess(MethodOutcome(np.hstack([late, late]), late, np.full((2, 3), np.nan)), truth)
     assert found.ramp_lag_s == pytest.approx(0.7)
     assert found.record_lag_s == pytest.approx(0.7, abs=0.01 * STEP_S)  # told by a parabola
     assert (found.noise_share, found.overshoot, found.rms_error) == (0.0, 0.0, 0.0)
@@ -150,7 +150,7 @@ def test_classic_filters_trail_and_kalman_filters_do_not(simulated: Simulated) -
 def test_likelihood_finds_what_the_paper_tried(simulated: Simulated) -> None:
     for noise, found in simulated[0][LIKELIEST].items():
         jerk_variance, noise_std, _ = found.identified
-        assert TRIED / 3 < jerk_variance < TRIED * 3
+        assert G_BY_TRIAL / 3 < jerk_variance < G_BY_TRIAL * 3
         assert noise_std == pytest.approx(noise, rel=0.03)
 
 
@@ -171,14 +171,14 @@ def test_noise_at_rest_is_told_from_drift(gauge: Gauge) -> None:
 
 
 def test_an_absent_gauge_is_left_out_with_a_sentence(tmp_path: Path) -> None:
-    said = absent(tmp_path)
+    said = missing_recordings(tmp_path)
     assert AT_REST in said
     assert LOADED in said
 
 
 def told_study(rms: float) -> StrainStudy:
     """Make up a study in which becalm errs so much."""
-    found = Measured(0.01, 0.001, 0.5, 0.0, 0.0, 0.0, (1.0, 1.0, 3.0))
+    found = FilterQuality(0.01, 0.001, 0.5, 0.0, 0.0, 0.0, (1.0, 1.0, 3.0))
     measured = {name: dict.fromkeys(NOISES, found) for name in METHODS}
     measured[BECALM] = dict.fromkeys(NOISES, found._replace(rms=rms))
     return StrainStudy(measured, ShownRecord(np.zeros(2), np.zeros(2), {}), None, "Left out.")

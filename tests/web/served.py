@@ -77,7 +77,7 @@ class Stub:
         await websocket.send_text(text({"kind": "heard", "said": said}))
 
     async def put(self, request: Request) -> Response:
-        kept = await self.uploads.take(request, request.path_params["name"])
+        kept = await self.uploads.store(request, request.path_params["name"])
         return PlainTextResponse(kept.name)
 
     async def fail(self, request: Request) -> Response:

@@ -11,7 +11,7 @@ import pytest
 
 from becalm.errors import UsageError
 from becalm.web import access as door
-from becalm.web.access import Access, StolenError, token_of
+from becalm.web.access import Access, TicketReusedError, token_of
 
 TOKEN = "a-token-that-is-long-enough-for-all"
 HERE = socket.gethostname()
@@ -47,7 +47,7 @@ HERE = socket.gethostname()
     ],
 )
 def test_a_page_knows_its_names(host: str, port: int, asked: str, ours: bool) -> None:
-    assert Access(host, port, TOKEN).ours(asked) is ours
+    assert Access(host, port, TOKEN).is_own_host(asked) is ours
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_a_ticket_opens_the_page_and_so_does_the_token() -> None:
     assert urlsplit(access.ticket()).netloc == "127.0.0.1:9"
     ticket = ticket_of(access)
     assert ticket != TOKEN
-    assert not access.knows(ticket)  # it is no cookie
+    assert not access.is_token(ticket)  # it is no cookie
     assert access.admits(ticket)
     assert [access.admits(TOKEN), access.admits(TOKEN), access.admits(TOKEN[:-1]), access.admits("")] == [
         True,
@@ -111,9 +111,9 @@ def test_a_ticket_that_comes_twice_ends_all(monkeypatch: pytest.MonkeyPatch) -> 
     ticket, unused = ticket_of(access), ticket_of(access)
     assert access.admits(ticket)
     monkeypatch.setattr(door, "_TICKET_S", 0.0)  # the browser was late, and somebody else was not
-    with pytest.raises(StolenError, match="used twice"):
+    with pytest.raises(TicketReusedError, match="used twice"):
         access.admits(ticket)
-    assert [access.admits(unused), access.admits(TOKEN), access.knows(TOKEN)] == [False, False, False]
+    assert [access.admits(unused), access.admits(TOKEN), access.is_token(TOKEN)] == [False, False, False]
 
 
 def test_a_ticket_that_was_late_opens_nothing_and_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

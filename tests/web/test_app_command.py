@@ -186,8 +186,8 @@ def test_what_is_no_size_is_refused(text: str) -> None:
 def test_a_signal_is_heard_amid_a_wait_for_it() -> None:
     code = """
 import os, signal
-from becalm.cli.app import _hear_signals
-stopped = _hear_signals()
+from becalm.cli.app import _catch_signals
+stopped = _catch_signals()
 with stopped._cond:  # as whoever waits for it has it, for a moment
     os.kill(os.getpid(), signal.SIGINT)
 assert stopped.wait(60)

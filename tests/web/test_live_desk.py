@@ -162,7 +162,7 @@ def test_what_has_no_dial_is_said_by_name(channel: int, says: str) -> None:
 
 def test_a_turn_before_the_stream_began_is_refused() -> None:
     turned = Turned()
-    turned.meter.tuned("")
+    turned.meter.set_recipe("")
     with pytest.raises(UsageError, match=r"^The stream has not begun yet\.$"):
         turned.turn(2.0)
 

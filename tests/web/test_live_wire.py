@@ -80,7 +80,7 @@ def test_what_has_left_is_told_as_a_gap(live: Shown) -> None:
     with live.wire() as wire:
         wire.follow(bin=0)
         found = wire.bins(100_000 // EACH)
-        left = 100_000 // EACH - live.page.feed.shown.bins.kept if live.page.feed.shown else 0
+        left = 100_000 // EACH - live.page.feed.stream.bins.kept if live.page.feed.stream else 0
         assert found[0] == (left, 4096, left)
         assert left > 0
         assert not any(gap for _, _, gap in found[1:])
@@ -186,7 +186,7 @@ def test_a_turn_that_is_refused_is_told_to_who_made_it(live: Shown) -> None:
         until(lambda: bool(live.asked.waiting))
         live.asked.take("This cannot be.")
         assert wire.hear("trouble", answers=number)[0]["says"] == "This cannot be."
-        assert not live.page.desk.can_undo
+        assert not live.page.dial.can_undo
 
 
 def test_turns_that_wait_are_not_lost_by_later_ones(live: Shown) -> None:
@@ -239,15 +239,15 @@ def test_what_fails_once_is_logged_and_health_goes_on(
     with live.wire() as wire:
         wire.hear("tuned", can_undo=False)
         with monkeypatch.context() as patched:
-            patched.setattr(page, "facts", broken)
-            live.meter.tuned(recipe_of(3.0).to_toml())
+            patched.setattr(page, "describe_filters", broken)
+            live.meter.set_recipe(recipe_of(3.0).to_toml())
             assert "dials" not in wire.hear("tuned")[0], "what is known is told all the same"
         with monkeypatch.context() as patched:
             patched.setattr(live.meter, "status", broken)
             until(lambda: "could not be updated" in caplog.text)
         live.meter.state("silent")
         wire.hear("health", state="silent")
-        live.meter.tuned(recipe_of(4.0).to_toml())
+        live.meter.set_recipe(recipe_of(4.0).to_toml())
         assert wire.hear("tuned")[0]["dials"]["0"]["at"] == 4.0
     assert caplog.text.count("by nothing") >= 2
 

@@ -15,7 +15,7 @@ from websockets.sync.client import ClientConnection
 
 from becalm.errors import UsageError
 from becalm.web.access import LOOPBACK, Access
-from becalm.web.serving import MAX_MESSAGE_BYTES, Server, TakenError, listen
+from becalm.web.serving import MAX_MESSAGE_BYTES, PortInUseError, Server, listen
 from becalm.web.site import Page, site
 from served import HOST, HTML, KNOWN, TOKEN, UPGRADE, Served, filled, hung_up, link, served, still_served, until
 
@@ -154,7 +154,7 @@ def test_a_server_may_be_closed_before_it_began_and_twice() -> None:
 
 
 def test_a_port_that_is_taken_is_told() -> None:
-    with listen(LOOPBACK, 0) as first, pytest.raises(TakenError, match=r"another program uses it; give .* --port"):
+    with listen(LOOPBACK, 0) as first, pytest.raises(PortInUseError, match=r"another program uses it; give .* --port"):
         listen(LOOPBACK, first.getsockname()[1])
 
 

@@ -10,7 +10,7 @@ from contextlib import ExitStack, suppress
 import pytest
 
 from becalm.web import serving, sockets
-from becalm.web.sockets import HurriedWebSocket
+from becalm.web.sockets import TimeLimitedWebSocket
 from served import KNOWN, UPGRADE, Served, filled, hung_up, link, served, still_served, until
 
 
@@ -48,7 +48,7 @@ def test_of_too_many_sockets_the_one_that_waited_longest_goes(page: Served, monk
 
 def test_wires_that_never_open_give_their_place_to_others(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sockets, "REQUEST_S", 1e6)  # none goes for being late
-    monkeypatch.setattr(HurriedWebSocket, "handle_connect", lambda *_: None)  # nor for what it asked
+    monkeypatch.setattr(TimeLimitedWebSocket, "handle_connect", lambda *_: None)  # nor for what it asked
     with ExitStack() as idle:
         first = idle.enter_context(link(page))
         first.sendall(b"GET /wire HTTP/1.1\r\n" + UPGRADE + b"Host: x\r\n\r\n")
@@ -61,7 +61,7 @@ def test_wires_that_never_open_give_their_place_to_others(page: Served, monkeypa
 
 def test_a_wire_that_never_opens_is_left(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sockets, "REQUEST_S", 0.3)
-    monkeypatch.setattr(HurriedWebSocket, "handle_connect", lambda *_: None)
+    monkeypatch.setattr(TimeLimitedWebSocket, "handle_connect", lambda *_: None)
     with link(page) as slow:
         slow.sendall(b"GET /wire HTTP/1.1\r\n" + UPGRADE + b"Host: x\r\n\r\n")
         assert hung_up(slow)

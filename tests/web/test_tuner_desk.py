@@ -16,9 +16,9 @@ from becalm.errors import RecipeError, UsageError
 from becalm.identification.choose import Choice
 from becalm.identification.likelihood import Evidence, Tuning
 from becalm.web.tuner.costs import cost_map
-from becalm.web.tuner.evidence import compared_with_best, described
-from becalm.web.tuner.messages import Turned
-from becalm.web.tuner.opened import Opened
+from becalm.web.tuner.evidence import compared_with_best, describe_model
+from becalm.web.tuner.messages import SettingChanges
+from becalm.web.tuner.opened import OpenRecording
 from becalm.web.tuner.settings import FOUND, GIVEN, Options, Setting, components
 from becalm.web.tuner.view_model import ViewModel
 from tuner_records import COLOURED, GATE, LIMITS, RATE_HZ, SWITCHING, TONES, even, motion, walk
@@ -47,12 +47,12 @@ def options() -> Options:
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Opened:
-    return Opened("id", drive_in(tmp_path_factory.mktemp("desk")), None, lambda _: None)
+def opened(tmp_path_factory: pytest.TempPathFactory) -> OpenRecording:
+    return OpenRecording("id", drive_in(tmp_path_factory.mktemp("desk")), None, lambda _: None)
 
 
 @pytest.fixture
-def desk(opened: Opened) -> ViewModel:
+def desk(opened: OpenRecording) -> ViewModel:
     return ViewModel(opened)
 
 
@@ -75,53 +75,53 @@ def test_nothing_set_is_what_was_found(options: Options) -> None:
     ],
 )
 def test_a_component_is_switched_off_and_on(options: Options, key: str, field: str, left: object) -> None:
-    off = options.changed(Setting(), Turned(on={key: False}))
+    off = options.changed(Setting(), SettingChanges(on={key: False}))
     assert getattr(options.recipe(off), field) == left
     told = options.as_dict(off)["on"]
     assert isinstance(told, dict)
     assert [one for one, on in told.items() if not on] == [key]
-    assert options.changed(off, Turned(on={key: True})) == Setting()
+    assert options.changed(off, SettingChanges(on={key: True})) == Setting()
 
 
 def test_a_dial_set_by_hand_has_no_spread_and_no_alarms(options: Options) -> None:
-    set_ = options.changed(Setting(), Turned(process_noise_density=7.0))
+    set_ = options.changed(Setting(), SettingChanges(process_noise_density=7.0))
     recipe = options.recipe(set_)
     assert (recipe.process_noise_density, recipe.noise_std, recipe.tuning_spread) == (7.0, 0.5, 0.0)
     assert recipe.limits is not None
     assert recipe.limits.drift_threshold is None
     assert recipe.limits.low == LIMITS.low
     assert recipe.tone == TONES
-    quieter = options.recipe(options.changed(set_, Turned(noise_std=0.01)))
+    quieter = options.recipe(options.changed(set_, SettingChanges(noise_std=0.01)))
     assert (quieter.process_noise_density, quieter.noise_std) == (7.0, 0.01)
     assert quieter.timing is not None
     assert quieter.timing.included_std == 0.01
-    assert options.changed(set_, Turned(choice=FOUND)) == Setting()
+    assert options.changed(set_, SettingChanges(choice=FOUND)) == Setting()
 
 
 def test_another_order_has_the_numbers_that_were_tuned_for_it(options: Options) -> None:
-    recipe = options.recipe(options.changed(Setting(), Turned(choice="order-1")))
+    recipe = options.recipe(options.changed(Setting(), SettingChanges(choice="order-1")))
     assert recipe.order == 1
     assert recipe.noise_std == pytest.approx(np.sqrt(0.3))
     assert recipe.process_noise_density == pytest.approx(0.3e-3 * RATE_HZ)
     assert recipe.tone == TONES
     with pytest.raises(UsageError, match="no model 'order-7'"):
-        options.changed(Setting(), Turned(choice="order-7"))
+        options.changed(Setting(), SettingChanges(choice="order-7"))
     with pytest.raises(UsageError, match="no component 'gates'"):
-        options.changed(Setting(), Turned(on={"gates": False}))
+        options.changed(Setting(), SettingChanges(on={"gates": False}))
 
 
 def test_turning_the_dial_of_what_switches_makes_it_one_filter() -> None:
     switching = motion(process_noise_density=0.3, switching=SWITCHING)
     found = ChannelTuning(switching, Choice("motion", rivals=RIVALS), Evidence.of(walk(), np.ones(30_000)))
     options = Options(found, switching, 1 / RATE_HZ, False)
-    turned = options.changed(Setting(), Turned(noise_std=0.4))
+    turned = options.changed(Setting(), SettingChanges(noise_std=0.4))
     assert options.recipe(turned).switching is None
     assert options.as_dict(turned)["on"] == {"switching": False}
-    again = options.changed(turned, Turned(on={"switching": True}))
+    again = options.changed(turned, SettingChanges(on={"switching": True}))
     assert options.recipe(again) == switching
-    fixed = options.changed(Setting(), Turned(choice="order-2"))
+    fixed = options.changed(Setting(), SettingChanges(choice="order-2"))
     assert options.as_dict(fixed)["on"] == {"switching": False}
-    assert options.recipe(options.changed(fixed, Turned(on={"switching": True}))) == switching
+    assert options.recipe(options.changed(fixed, SettingChanges(on={"switching": True}))) == switching
 
 
 def test_what_passes_unchanged_has_no_dial() -> None:
@@ -131,7 +131,7 @@ def test_what_passes_unchanged_has_no_dial() -> None:
     )
     assert options.as_dict(Setting())["unchanged"]
     with pytest.raises(UsageError, match="passes unchanged"):
-        options.changed(Setting(), Turned(noise_std=1.0))
+        options.changed(Setting(), SettingChanges(noise_std=1.0))
     assert dial(constant, 1e-3, None, 1000) == {}
 
 
@@ -154,7 +154,7 @@ def test_a_recipe_of_another_hand_is_kept_as_it_is(options: Options) -> None:
     setting = options.as_given(strange)
     assert setting.choice == GIVEN
     assert options.recipe(setting) == strange
-    calmer = options.recipe(options.changed(setting, Turned(process_noise_density=1e6)))
+    calmer = options.recipe(options.changed(setting, SettingChanges(process_noise_density=1e6)))
     assert (calmer.order, calmer.process_noise_density) == (5, 1e6)
 
 
@@ -174,15 +174,15 @@ def test_evidence_is_told_in_words() -> None:
         2: "predicts the next reading as well as any",
         3: "predicts the next reading far worse",
     }
-    assert described(RICH) == "order 2 with a tone at 50 Hz, a tone at 120 Hz, coloured noise"
+    assert describe_model(RICH) == "order 2 with a tone at 50 Hz, a tone at 120 Hz, coloured noise"
 
 
 def test_steps_are_taken_back_and_done_again(desk: ViewModel) -> None:
     recipes = [desk.recipe()]
     for density in (1.0, 2.0):
-        desk.turn(0, Turned(process_noise_density=density), final=True)
+        desk.turn(0, SettingChanges(process_noise_density=density), final=True)
         recipes.append(desk.recipe())
-    desk.turn(0, Turned(process_noise_density=9.0), final=False)
+    desk.turn(0, SettingChanges(process_noise_density=9.0), final=False)
     assert desk.recipe().channel[0].process_noise_density == 9.0
     desk.undo()  # what was dragged goes with the step before it
     assert desk.recipe() == recipes[1]
@@ -192,9 +192,9 @@ def test_steps_are_taken_back_and_done_again(desk: ViewModel) -> None:
     assert not desk.can_undo
     desk.redo()
     assert desk.recipe() == recipes[1]
-    desk.turn(1, Turned(on={}, noise_std=3.0), final=True)
+    desk.turn(1, SettingChanges(on={}, noise_std=3.0), final=True)
     assert not desk.can_redo
-    desk.turn(1, Turned(noise_std=3.0), final=True)  # says nothing new
+    desk.turn(1, SettingChanges(noise_std=3.0), final=True)  # says nothing new
     desk.undo()
     assert desk.recipe() == recipes[1]
 
@@ -203,16 +203,16 @@ def test_what_was_found_is_what_tune_finds(desk: ViewModel) -> None:
     found = tune(desk.opened.recording)
     assert desk.recipe().channel == found.channel
     assert explore(desk.opened.recording).recipe == found
-    desk.put_in_mode("causal", None)
+    desk.set_mode("causal", None)
     assert desk.recipe().channel == tune(desk.opened.recording, causal=True).channel
     assert desk.recipe().mode == "causal"
 
 
 def test_a_channel_that_is_left_as_it_is_is_not_in_the_recipe(desk: ViewModel) -> None:
-    desk.turn(0, Turned(unchanged=True), final=True)
+    desk.turn(0, SettingChanges(unchanged=True), final=True)
     assert [channel.name for channel in desk.recipe().channel] == ["load"]
     text = desk.recipe().to_toml()
-    desk.turn(1, Turned(unchanged=True), final=True)
+    desk.turn(1, SettingChanges(unchanged=True), final=True)
     with pytest.raises(UsageError, match="No channel is left"):
         desk.recipe()
     assert desk.state_message()["recipe"] == ""
@@ -296,9 +296,9 @@ def test_a_map_needs_a_motion() -> None:
 def test_a_lag_that_no_page_can_wait_for_is_refused(desk: ViewModel, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = len(desk.opened.recording)
     monkeypatch.setattr("becalm.web.tuner.view_model._MOST_WAITED", 30 * rows)
-    desk.put_in_mode("lagged", 30 * desk.opened.step_s)
+    desk.set_mode("lagged", 30 * desk.opened.step_s)
     with pytest.raises(UsageError, match=r"give at most 0\.06 s.*becalm clean FILE -o OUT --lag 0\.062s"):
-        desk.put_in_mode("lagged", 31 * desk.opened.step_s)
+        desk.set_mode("lagged", 31 * desk.opened.step_s)
     longer = desk.recipe().to_toml().replace("lag_s = 0.06", "lag_s = 0.5")
     with pytest.raises(UsageError, match="too long to be drawn"):
         desk.restore(longer)

@@ -14,7 +14,7 @@ from tuner_served import ROWS, drive_in, served
 
 
 def names(folder: Folder) -> list[str]:
-    return [str(one.as_dict()["name"]) for one in folder.known()]
+    return [str(one.as_dict()["name"]) for one in folder.openable_files()]
 
 
 @pytest.fixture
@@ -106,7 +106,7 @@ def test_what_is_brought_is_kept_apart(chosen: Path, tmp_path: Path) -> None:
     for room in ("one", "two"):
         (tmp_path / room).mkdir()
         (tmp_path / room / "b.csv").write_text(room)
-    first, second = (folder.bring(tmp_path / room / "b.csv") for room in ("one", "two"))
+    first, second = (folder.add_uploaded(tmp_path / room / "b.csv") for room in ("one", "two"))
     assert folder.path_of(first).read_text() == "one"
     assert folder.path_of(second).read_text() == "two"
     assert folder.path_of("folder/b.csv").read_text() == "1"
@@ -120,7 +120,7 @@ def test_what_is_brought_under_a_name_that_leads_elsewhere_is_refused(tmp_path: 
     before = sorted(tmp_path.rglob("*"))
     with served(folder) as tuner, tuner.client() as client:
         assert client.put(f"/files/{name}", content=content).status_code in (400, 404, 405)
-        assert tuner.tuner._shared.folder.known() == []
+        assert tuner.tuner._shared.folder.openable_files() == []
         assert list(tuner.tuner._shared.uploads.folder.rglob("*")) == []
     assert sorted(tmp_path.rglob("*")) == before
 

@@ -16,7 +16,7 @@ from becalm.cleaning.excerpt import ChannelRows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.web.tuner import painting
-from becalm.web.tuner.painting import Painted, Painter, PictureRequest
+from becalm.web.tuner.painting import PaintedPicture, Painter, PictureRequest
 from tuner_records import GATE, RATE_HZ, motion, walk, with_gaps, with_spikes
 from tuner_served import drive_in, served
 
@@ -48,7 +48,7 @@ def spiky(z: Floats) -> Floats:
     return z
 
 
-def assert_alike(found: Painted, exact: Painted) -> None:
+def assert_alike(found: PaintedPicture, exact: PaintedPicture) -> None:
     for name in ("signal", "band"):
         for end in ("low", "high"):
             drawn, right = (getattr(getattr(one.clean, name), end) for one in (found, exact))

@@ -20,7 +20,7 @@ from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
 from becalm.web.tuner import picture
-from becalm.web.tuner.picture import Clean, View, clean_of, raw_of, view_of
+from becalm.web.tuner.picture import CleanCurve, View, clean_of, raw_of, view_of
 from tuner_records import GATE, ROWS, Case, cases, even, motion, walk
 
 CASES = cases()
@@ -102,7 +102,7 @@ def stretches(view: View) -> list[slice]:
     return [slice(at, at + view.rows_each) for at in range(0, rows, view.rows_each)]
 
 
-def same(found: Clean, signal: Floats, sigma: Floats, view: View) -> None:
+def same(found: CleanCurve, signal: Floats, sigma: Floats, view: View) -> None:
     half = 2 * np.where(np.isfinite(sigma), sigma, np.nan)
     scale = float(np.nanmin(half))
     for of, low, high in ((found.signal, signal, signal), (found.band, signal - half, signal + half)):
@@ -114,13 +114,13 @@ def same(found: Clean, signal: Floats, sigma: Floats, view: View) -> None:
 
 
 def test_a_long_record_runs_in_two_halves(pool: Executor, monkeypatch: pytest.MonkeyPatch) -> None:
-    z, taken, enclosed = walk(rows=1 << 20), list[View](), picture._enclosed
+    z, taken, enclosed = walk(rows=1 << 20), list[View](), picture._filter_part
 
-    def noting(run: ChannelRun, view: View, each: int) -> Clean:
+    def noting(run: ChannelRun, view: View, each: int) -> CleanCurve:
         taken.append(view)
         return enclosed(run, view, each)
 
-    monkeypatch.setattr(picture, "_enclosed", noting)
+    monkeypatch.setattr(picture, "_filter_part", noting)
     clean_of(rows_of(even(z)), motion(process_noise_density=0.3), None, View(0, len(z), 2000), pool)
     first, second = sorted(taken)
     assert (first.first, first.stop, second.stop) == (0, second.first, len(z))
@@ -178,8 +178,8 @@ def test_a_channel_that_passes_unchanged_is_shown_without_sigma(pool: Executor) 
 
 def test_a_part_begins_no_earlier_than_it_must() -> None:
     rows = rows_of(even(walk()))
-    assert ChannelRun(rows, motion(process_noise_density=300.0), None).reach < 2000
-    assert ChannelRun(rows, motion(process_noise_density=0.0), None).reach == ROWS
+    assert ChannelRun(rows, motion(process_noise_density=300.0), None).run_up_rows < 2000
+    assert ChannelRun(rows, motion(process_noise_density=0.0), None).run_up_rows == ROWS
 
 
 @pytest.mark.parametrize(

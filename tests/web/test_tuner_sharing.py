@@ -72,7 +72,7 @@ def test_nobody_waits_for_a_page_that_does_not_listen(tmp_path: Path) -> None:
         pages: list[Any] = [TunerSession(shared, ear) for ear in ears]  # type: ignore[arg-type]
         shared.pages.update(pages)
         try:
-            await asyncio.wait_for(shared.estimate_all(lambda page: page.working("..."), pages[1]), PATIENCE_S)
+            await asyncio.wait_for(shared.broadcast(lambda page: page.send_progress("..."), pages[1]), PATIENCE_S)
             while not ears[2].heard:
                 await asyncio.sleep(0)
             return [len(ear.heard) for ear in ears]
@@ -92,7 +92,7 @@ def test_an_opening_goes_on_when_the_page_that_asked_is_reloaded(
         assert go_on.wait(PATIENCE_S)
         return SimpleNamespace(begin=lambda: None)
 
-    monkeypatch.setattr(sharing, "Opened", read)
+    monkeypatch.setattr(sharing, "OpenRecording", read)
     monkeypatch.setattr(sharing, "ViewModel", lambda opened: opened)
     drive_in(tmp_path)
 
@@ -105,7 +105,7 @@ def test_an_opening_goes_on_when_the_page_that_asked_is_reloaded(
             await asyncio.gather(asked, return_exceptions=True)
             go_on.set()
             await asyncio.wait_for(asyncio.gather(*shared._openings), PATIENCE_S)
-            return shared.desk
+            return shared.view_model
         finally:
             shared.close()
 
@@ -135,7 +135,7 @@ def test_an_opening_that_fails_when_its_page_is_gone_is_no_failure(
         assert go_on.wait(PATIENCE_S)
         raise InputError("drive.csv is broken.")
 
-    monkeypatch.setattr(sharing, "Opened", read)
+    monkeypatch.setattr(sharing, "OpenRecording", read)
     drive_in(tmp_path)
 
     async def reload() -> list[str]:
@@ -200,11 +200,11 @@ def test_a_page_that_is_closed_while_it_is_answered_leaves_nothing_in_the_termin
 ) -> None:
     begun, go_on = threading.Event(), threading.Event()
 
-    def put_in_mode(*_: object) -> None:
+    def set_mode(*_: object) -> None:
         begun.set()
         assert go_on.wait(PATIENCE_S)
 
-    monkeypatch.setattr(ViewModel, "put_in_mode", put_in_mode)
+    monkeypatch.setattr(ViewModel, "set_mode", set_mode)
     drive_in(tmp_path)
     with served(tmp_path) as tuner, tuner.talk() as other:
         with tuner.talk() as page:

@@ -1,4 +1,4 @@
-"""Fill missing readings for filters that do not allow them: hold the last reading, or interpolate linearly."""
+"""Fill missing readings for filters that need complete records: hold the last reading, or interpolate linearly."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 
 
-def held(z: Floats) -> Floats:
+def hold_last(z: Floats) -> Floats:
     """Return readings (N,) with NaN replaced by the last reading before, and at the start by the first reading."""
     finite = np.flatnonzero(np.isfinite(z))
     if len(finite) == len(z) or not len(finite):
@@ -16,7 +16,7 @@ def held(z: Floats) -> Floats:
     return np.asarray(z[finite[np.maximum(latest, 0)]])
 
 
-def joined_by_lines(z: Floats) -> Floats:
+def interpolate_linearly(z: Floats) -> Floats:
     """Return readings (N,) with NaN replaced by linear interpolation, and at the ends by the nearest reading."""
     finite = np.flatnonzero(np.isfinite(z))
     if len(finite) == len(z) or not len(finite):

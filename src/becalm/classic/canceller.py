@@ -1,7 +1,7 @@
 """The adaptive noise canceller that the car paper improves on: recursive least squares with a high-pass reference.
 
-It subtracts from the readings the part that can be predicted from their high-pass filtered values. Sources:
-Haykin, Adaptive Filter Theory (1996), chapter 13; Widrow et al., Proceedings of the IEEE 63 (1975) 1692.
+The filter subtracts the part of the readings that their high-pass filtered values predict. Sources: Haykin, Adaptive
+Filter Theory (1996), chapter 13; Widrow et al., Proceedings of the IEEE 63 (1975) 1692.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ TAPS = 16
 FORGETTING = 0.999
 """Forgetting factor per sample; a *small* one follows changes faster, with more noise."""
 
-_ROUNDING = 1e-9  # share of the primary signal; a smaller reference at the start is rounding
+_ROUNDING = 1e-9  # share of the primary signal, below which the reference at the start is only rounding
 _START = 100.0  # initial inverse correlation, times the square of the first reference value
 
 

@@ -1,9 +1,9 @@
 """Causal classic filters: Butterworth, averages, median, fading memory, notch.
 
-All take readings (N,) without gaps. A cut-off is in cycles per sample, 0 to 0.5; a *small* cut-off or a *long* window
-smooths more and lags more. Except for the moving average, whose window grows at the start, they start as if all earlier
-readings were equal to the first. Linear filters work on the differences from the first reading, so that a large offset
-costs no digits.
+All functions take readings (N,) without gaps. A cut-off is in cycles per sample, 0 to 0.5; a *small* cut-off or a
+*long* window smooths more and lags more. Except for the moving average, whose window grows at the start, the filters
+start as if all earlier readings were equal to the first. Linear filters work on the differences from the first reading,
+so that a large offset costs no digits.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HALF_POWER = 0.443
 
 
 def butterworth(z: Floats, cutoff: float, order: int) -> Floats:
-    """Filter z (N,) by a causal Butterworth low-pass, started at the first reading.
+    """Filter z (N,) by a causal Butterworth low-pass.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def moving_average(z: Floats, length: int) -> Floats:
 
 
 def moving_median(z: Floats, length: int) -> Floats:
-    """Return the median of each reading of z (N,) and the `length` - 1 before it; `length` is odd, *small* trusts z."""
+    """Return the median of each reading of z (N,) and the `length` - 1 before it; `length` is odd."""
     padded = np.concatenate([np.full(length - 1, z[0]), z])
     filtered: Floats = median_filter(padded, length, origin=(length - 1) // 2, mode="nearest")[length - 1 :]
     return filtered
@@ -62,12 +62,12 @@ def fading_memory(z: Floats, cutoff: float, order: int) -> Floats:
         Cut-off of the poles, in cycles per sample: theta = exp(-2 pi cutoff); a *small* one smooths more and lags
         more.
     order : int
-        1 to 3; the filter follows a polynomial of lower degree without error.
+        1 to 3; the filter follows a polynomial of lower degree than the order without error.
 
     Notes
     -----
-    Critically damped; the error transfer function is theta^n (1 - 1/z)^n / (1 - theta/z)^n. Source: Brookner, Tracking
-    and Kalman Filtering Made Easy (1998), chapter 1.
+    The filter is critically damped; its error transfer function is theta^n (1 - 1/z)^n / (1 - theta/z)^n. Source:
+    Brookner, Tracking and Kalman Filtering Made Easy (1998), chapter 1.
     """
     theta = float(np.exp(-2 * np.pi * cutoff))
     denominator = np.poly(np.full(order, theta))

@@ -14,18 +14,18 @@ from becalm.metrics.delay import follow
 from becalm.metrics.truth import rms_error
 
 _LONG = 12.0  # settling time of the slowest filter in samples, times the cut-off
-_MOST = 1 << 21  # samples
+_MOST = 1 << 21  # most samples of a test signal
 _DRAWS = 40  # random samples for a nonlinear filter, over its settling time
 _PRECISION = 1e-4  # tolerance of the logarithm of a cut-off
-_SHORTEST = 0.005  # cut-off in periods per record, below which a filter does not change any more
+_SHORTEST = 0.005  # cut-off in periods per record, below which the output of a filter does not change any more
 _NEAR = 0.02  # tolerance of the logarithm of the best cut-off
 _STRIDE = 0.7  # step of the logarithm of the cut-off in the search for a bracket
-_GRID, _FEW = 120, 12  # cut-offs of the first search; the smaller number for filters without `calms`
-_SEED = 7  # of the random samples
+_GRID, _FEW = 120, 12  # cut-offs of the first search; the smaller number if `reduces_noise` is False
+_SEED = 7  # seed of the random samples
 
 
 def noise_gain(classic: Classic, cutoff: float) -> float:
-    """Return the variance of white noise after a filter over that before, at a cut-off in cycles per sample."""
+    """Return the variance of white noise after a filter over that before it, at a cut-off in cycles per sample."""
     count = _settling(cutoff)
     if classic.linear:
         impulse = np.zeros(2 * count + 1)
@@ -50,7 +50,7 @@ def lag(classic: Classic, cutoff: float) -> float:
 
 
 def overshoot(classic: Classic, cutoff: float) -> float:
-    """Return the overshoot of the step response over the height, at a cut-off in cycles per sample."""
+    """Return the overshoot of the step response, relative to the step, at a cut-off in cycles per sample."""
     count = _settling(cutoff)
     return follow(classic.apply(np.repeat([0.0, 1.0], count), cutoff), count, 0.0, 1.0).overshoot
 
@@ -66,7 +66,7 @@ def equal_lag(classic: Classic, samples: float) -> float:
 
 
 class Best(NamedTuple):
-    """The filter and setting with the least error against a known truth."""
+    """The filter and the cut-off with the least error against a known truth."""
 
     classic: Classic
     cutoff: float  # in cycles per sample
@@ -87,14 +87,15 @@ def best_of(classics: Iterable[Classic], z: Floats, truth: Floats) -> Best:
 def best_with_truth(classic: Classic, z: Floats, truth: Floats) -> float:
     """Return the cut-off, in cycles per sample, at which a filter of z (N,) has the least error against a truth (N,).
 
-    If several cut-offs have the same error, e.g. because a window cannot grow any more, the result is the highest.
+    If several cut-offs have the same error, for example because a window is limited by the record, the result is the
+    highest one.
     """
 
     def error(log_cutoff: float) -> float:
         return rms_error(classic.clean(z, float(np.exp(log_cutoff))), truth)
 
     lowest = max(LOWEST, _SHORTEST / len(z))
-    grid = np.linspace(np.log(HIGHEST), np.log(lowest), _GRID if classic.calms else _FEW)
+    grid = np.linspace(np.log(HIGHEST), np.log(lowest), _GRID if classic.reduces_noise else _FEW)
     best = int(np.argmin([error(each) for each in grid]))
     around = grid[min(best + 1, len(grid) - 1)], grid[max(best - 1, 0)]
     minimum = minimize_scalar(error, bounds=around, method="bounded", options={"xatol": _NEAR})
@@ -106,13 +107,13 @@ def _settling(cutoff: float) -> int:
 
 
 def _where(ratio: Callable[[float], float]) -> float:
-    """Return the cut-off at which a ratio that increases with it crosses 1, or the end of the range nearest to it."""
+    """Return the cut-off at which a ratio, which increases with the cut-off, crosses 1; otherwise the nearest limit."""
 
     def log_ratio(log_cutoff: float) -> float:
         return float(np.log(max(ratio(float(np.exp(log_cutoff))), 1e-300)))
 
     high = low = float(np.log(HIGHEST))
-    while log_ratio(low) > 0:  # starts at the fastest filter, because slow filters take longer to evaluate
+    while log_ratio(low) > 0:  # the search starts at the fastest filter, because slow filters take longer to evaluate
         high, low = low, low - _STRIDE
         if low < np.log(LOWEST):
             return LOWEST

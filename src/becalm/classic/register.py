@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.classic.bridging import held, joined_by_lines
+from becalm.classic.bridging import hold_last, interpolate_linearly
 from becalm.classic.canceller import cancel
 from becalm.classic.causal import butterworth, fading_memory, length_of, moving_average, moving_median
 from becalm.classic.zero_phase import (
@@ -36,9 +36,9 @@ class Classic(NamedTuple):
         True if the filter uses no later readings.
     apply : callable
         Function of readings (N,) without gaps and a cut-off in cycles per sample; returns the filtered readings (N,).
-    calms : bool
-        True if a lower cut-off leaves less white noise. Hampel's filter only removes spikes, and the canceller is
-        adaptive.
+    reduces_noise : bool
+        True if a lower cut-off always reduces white noise more. False for Hampel's filter, which only removes spikes,
+        and for the adaptive canceller.
     linear : bool
         True if the filter is linear, so that its impulse response describes it.
     """
@@ -46,7 +46,7 @@ class Classic(NamedTuple):
     name: str
     causal: bool
     apply: Callable[[Floats, float], Floats]
-    calms: bool = True
+    reduces_noise: bool = True
     linear: bool = True
 
     def clean(self, z: Floats, cutoff: float) -> Floats:
@@ -55,7 +55,7 @@ class Classic(NamedTuple):
         Parameters
         ----------
         z : (N,) float array
-            Readings, NaN where missing: causal filters hold the last reading there, others interpolate linearly.
+            Readings, NaN where missing: there a causal filter holds the last reading, and others interpolate linearly.
         cutoff : float
             Cut-off in cycles per sample, 0 to 0.5; a *small* one smooths more.
 
@@ -64,8 +64,8 @@ class Classic(NamedTuple):
         (N,) float array
             Filtered readings; all NaN if there are no readings.
         """
-        bridged = held(z) if self.causal else joined_by_lines(z)
-        return self.apply(bridged, cutoff) if np.isfinite(bridged).all() else bridged.copy()
+        filled = hold_last(z) if self.causal else interpolate_linearly(z)
+        return self.apply(filled, cutoff) if np.isfinite(filled).all() else filled.copy()
 
 
 def _of_length(average: Callable[[Floats, int], Floats], *, odd: bool) -> Callable[[Floats, float], Floats]:
@@ -95,7 +95,7 @@ CAUSAL = (
     Classic("exponential average", True, partial(fading_memory, order=1)),
     Classic("alpha-beta", True, partial(fading_memory, order=2)),
     Classic("alpha-beta-gamma", True, partial(fading_memory, order=3)),
-    Classic("RLS canceller", True, cancel, calms=False, linear=False),
+    Classic("RLS canceller", True, cancel, reduces_noise=False, linear=False),
 )
 
 ZERO_PHASE = (
@@ -104,7 +104,7 @@ ZERO_PHASE = (
     Classic("centred median", False, _of_length(centred_median, odd=True), linear=False),
     *(Classic(f"Savitzky-Golay {degree}", False, partial(_savitzky_golay, degree=degree)) for degree in (2, 3, 4, 5)),
     *(Classic(f"Whittaker {order}", False, partial(whittaker, order=order)) for order in (1, 2, 3)),
-    Classic("Hampel", False, _of_length(hampel, odd=True), calms=False, linear=False),
+    Classic("Hampel", False, _of_length(hampel, odd=True), reduces_noise=False, linear=False),
 )
 
 CLASSICS = {classic.name: classic for classic in (*CAUSAL, *ZERO_PHASE)}

@@ -1,7 +1,7 @@
 """Classic filters for whole records, without lag: forward and backward, centred, or by least squares.
 
-All take readings (N,) without gaps; a *small* cut-off or a *long* window smooths more. Linear filters work on the
-differences from the first reading, so that a large offset costs no digits.
+All functions take readings (N,) without gaps; a *small* cut-off or a *long* window smooths more. Linear filters work on
+the differences from the first reading, so that a large offset costs no digits.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def butterworth_both_ways(z: Floats, cutoff: float, order: int) -> Floats:
 
 
 def savitzky_golay(z: Floats, length: int, degree: int) -> Floats:
-    """Fit a polynomial to the window around each reading of z (N,); at each end one fit serves half a window.
+    """Fit a polynomial to the window around each reading of z (N,); the first and last half window have one fit each.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def centred_median(z: Floats, length: int) -> Floats:
 
 
 def hampel(z: Floats, length: int, sigmas: float = 3.0) -> Floats:
-    """Replace readings of z (N,) far from the moving median by that median; the others do not change.
+    """Replace readings of z (N,) that are far from the moving median by this median; the others do not change.
 
     Parameters
     ----------
@@ -108,9 +108,10 @@ def whittaker(z: Floats, cutoff: float, order: int = 2) -> Floats:
     Notes
     -----
     Whittaker, Proceedings of the Edinburgh Mathematical Society 41 (1923) 63; Eilers, Analytical Chemistry 75 (2003)
-    3631. It is the smoother of an integrated random walk of that order with q/r = 1/lambda. The equations are solved
-    for the part to remove, D' (D D' + 1/lambda)^-1 D z, which is exactly 0 for a polynomial of lower degree than the
-    order. lambda is at most 1e13: order 2 has a cut-off of at least 9e-5 cycles per sample, order 3 of at least 1e-3.
+    3631. The result is that of the smoother of an integrated random walk of this order with q/r = 1/lambda. The
+    equations are solved for the part to remove, D' (D D' + 1/lambda)^-1 D z, which is exactly 0 for a polynomial of
+    lower degree than the order. lambda is at most 1e13: order 2 has a cut-off of at least 9e-5 cycles per sample, order
+    3 of at least 1e-3.
     """
     differences = np.diff(z, order)
     if not len(differences):

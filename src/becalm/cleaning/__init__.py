@@ -1,1 +1,1 @@
-"""Recipes, tuning and cleaning: the package that combines sensors, identification, filters and metrics."""
+"""Recipes, tuning and cleaning; this package combines sensors, identification, filters and metrics."""

@@ -1,4 +1,4 @@
-"""Choose the thresholds of the drift and dead-sensor alarms of a channel from the innovations on its tuning record."""
+"""Choose the thresholds of a channel's drift and dead-sensor alarms from the innovations on its tuning record."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.tuning_spread import excess_error
 from becalm.native.scans import MOST_SIGMA
 
-MARGIN = 2.0
-"""Least ratio of the drift threshold to the highest cumulative sum of the tuning record."""
+DRIFT_MARGIN = 2.0
+"""Least ratio of the drift threshold to the highest cumulative sum of innovations on the tuning record."""
 
-COLOURED = 4.0
-"""Largest drift threshold, as a multiple of that for white innovations; if they need more, there is no drift alarm."""
+MOST_DRIFT_RATIO = 4.0
+"""Largest ratio of the drift threshold to that for white innovations; with a larger one the drift alarm is off."""
 
 
 def with_alarms(
     limits: LimitsRecipe | None, tuning: Tuning, normalised: Floats, *, causal: bool, step_s: float
 ) -> LimitsRecipe | None:
-    """Return the limits of a channel with the thresholds of its alarms, if its innovations determine them.
+    """Add the thresholds of the drift and dead-sensor alarms to the limits of a channel, if they can be determined.
 
     Parameters
     ----------
@@ -44,12 +44,13 @@ def with_alarms(
     Returns
     -------
     LimitsRecipe or None
-        Unchanged if the innovations do not determine thresholds.
+        A copy of `limits` with the thresholds; `limits` itself if the innovations do not determine thresholds.
 
     Notes
     -----
-    No row of the tuning record raises an alarm; only later rows that exceed it by a margin do. If the model does not
-    describe the record, the innovations show the error of the model and determine no thresholds.
+    The tuning record itself raises no alarm: the drift threshold is at least `DRIFT_MARGIN` times the highest
+    cumulative sum on it, and the dead-sensor threshold is below its quietest window. If the model does not describe
+    the record, its innovations contain the error of the model and determine no thresholds.
     """
     if limits is None:
         return None
@@ -59,20 +60,20 @@ def with_alarms(
     if not judgement.describes or judgement.verdict == "untold":
         return limits
     alarms = find_alarms(FALSE_ALARMS_PER_HOUR, step_s, normalised)
-    drift = max(alarms.drift_threshold, MARGIN * highest_sum(normalised))
+    drift = max(alarms.drift_threshold, DRIFT_MARGIN * highest_cusum(normalised))
     return limits.model_copy(
         update={
-            "drift_threshold": drift if drift <= COLOURED * alarms.drift_threshold else None,
+            "drift_threshold": drift if drift <= MOST_DRIFT_RATIO * alarms.drift_threshold else None,
             "dead_variance": alarms.dead_variance or None,
         }
     )
 
 
-def highest_sum(normalised: Floats) -> float:
-    """Return the highest two-sided cumulative sum of normalised innovations (N,), in sigma, without restarts."""
+def highest_cusum(normalised: Floats) -> float:
+    """Return the highest two-sided CUSUM, in sigma, of normalised innovations (N,), without a reset after alarms."""
     finite = normalised[np.isfinite(normalised)]
     highest = 0.0
     for sign in (1.0, -1.0):
-        walk = np.cumsum(sign * np.clip(finite, -MOST_SIGMA, MOST_SIGMA) - SLACK)
-        highest = max(highest, float((walk - np.minimum(np.minimum.accumulate(walk), 0.0)).max(initial=0.0)))
+        sums = np.cumsum(sign * np.clip(finite, -MOST_SIGMA, MOST_SIGMA) - SLACK)
+        highest = max(highest, float((sums - np.minimum(np.minimum.accumulate(sums), 0.0)).max(initial=0.0)))
     return highest

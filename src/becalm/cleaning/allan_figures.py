@@ -1,4 +1,4 @@
-"""Convert the terms of an Allan deviation into the unit of the readings and into units of data sheets."""
+"""Convert the coefficients of an Allan deviation into the unit of the readings and into units of data sheets."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from becalm.identification.at_rest.allan_terms import NoiseTerm, NoiseTerms
 from becalm.identification.at_rest.datasheet import convert, random_walk_in, white_noise_in
 
 
-class _Sheet(NamedTuple):
-    """The units of noise in the data sheets of one kind of sensor."""
+class _SheetUnits(NamedTuple):
+    """The units in which the data sheets of one kind of sensor give its noise."""
 
-    bias: str
-    white: tuple[str, ...]
-    walk: str
+    bias: str  # of the bias instability
+    white: tuple[str, ...]  # of the white noise
+    walk: str  # of the random walk
 
 
 _SHEETS = (
-    _Sheet("ug", ("ug/sqrt(Hz)", "m/s/sqrt(h)"), "ug/sqrt(h)"),
-    _Sheet("deg/h", ("deg/s/sqrt(Hz)", "deg/sqrt(h)"), "deg/h/sqrt(h)"),
-    _Sheet("um/m", ("um/m/sqrt(Hz)",), "um/m/sqrt(h)"),
+    _SheetUnits("ug", ("ug/sqrt(Hz)", "m/s/sqrt(h)"), "ug/sqrt(h)"),
+    _SheetUnits("deg/h", ("deg/s/sqrt(Hz)", "deg/sqrt(h)"), "deg/h/sqrt(h)"),
+    _SheetUnits("um/m", ("um/m/sqrt(Hz)",), "um/m/sqrt(h)"),
 )
 
 
 @dataclass(frozen=True)
-class Quoted:
-    """A coefficient in a unit of data sheets.
+class QuotedCoefficient:
+    """A coefficient of an Allan deviation, in a unit of data sheets.
 
     Attributes
     ----------
     unit : str
-        Unit of the figures. A density per root of hertz is one-sided, one per root of time two-sided.
+        Unit of the figures. A density per sqrt(Hz) is one-sided; a density per sqrt(h) is two-sided.
     value, standard_error, limit : float or None
         As in `Coefficient`, in this unit.
     """
@@ -55,12 +55,12 @@ class Coefficient:
     unit : str
         Unit of the figures.
     value, standard_error : float or None
-        The coefficient and its standard error; None if the rest does not determine it.
+        The coefficient and its standard error; None if the readings at rest do not determine it.
     limit : float or None
         One-sided upper limit at 95 % confidence, with or without a value; None if unknown.
     reason : str
-        A sentence on why there is no value; "" where there is one.
-    quoted : tuple of Quoted
+        A sentence on why `value` is None; "" otherwise.
+    quoted : tuple of QuotedCoefficient
         The same coefficient in units of data sheets other than `unit`.
     """
 
@@ -69,17 +69,17 @@ class Coefficient:
     standard_error: float | None
     limit: float | None
     reason: str
-    quoted: tuple[Quoted, ...]
+    quoted: tuple[QuotedCoefficient, ...]
 
 
 @dataclass(frozen=True)
 class AllanNoise:
-    """The figures of the Allan deviation over one rest; densities in `unit` are two-sided.
+    """The figures of the Allan deviation over one stretch at rest. Densities in the unit of the readings are two-sided.
 
     Attributes
     ----------
     stretch_s : (float, float)
-        The rest, from and to, in seconds after the first sample.
+        Start and end of the stretch, in seconds after the first sample.
     white_noise : Coefficient
         N, in unit s^(1/2).
     bias_instability : Coefficient
@@ -91,7 +91,7 @@ class AllanNoise:
     noise_variance : float or None
         R = N^2 rate, in unit^2.
     random_walk_density : float or None
-        q = K^2, in unit^2/s; a *small* one trusts the bias to stay constant.
+        q = K^2, in unit^2/s; a *small* value trusts the bias to stay constant.
     """
 
     stretch_s: tuple[float, float]
@@ -104,7 +104,7 @@ class AllanNoise:
 
 
 def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], rate_hz: float) -> AllanNoise:
-    """Convert the terms of an Allan deviation into units.
+    """Convert the coefficients of an Allan deviation into the unit of the readings and units of data sheets.
 
     Parameters
     ----------
@@ -113,16 +113,16 @@ def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], ra
     unit : str
         Unit of the readings, "" if unknown.
     stretch_s : (float, float)
-        The rest, from and to, in seconds after the first sample.
+        Start and end of the stretch at rest, in seconds after the first sample.
     rate_hz : float
         Rate of the readings, in Hz.
 
     Returns
     -------
     AllanNoise
-        The figures. If no data sheet uses `unit`, only white noise has another unit: per sqrt(Hz).
+        The figures. If no data sheet uses `unit`, only the white noise is quoted in a second unit, `unit` / sqrt(Hz).
     """
-    white, bias, walk = _quotes(unit)
+    white, bias, walk = _sheet_factors(unit)
     return AllanNoise(
         stretch_s,
         _coefficient(terms.white, f"{unit} s^(1/2)".strip(), white),
@@ -134,8 +134,8 @@ def allan_noise(terms: NoiseTerms, unit: str, stretch_s: tuple[float, float], ra
     )
 
 
-def _quotes(unit: str) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Return the factors from N, B and K in `unit` to each unit of data sheets."""
+def _sheet_factors(unit: str) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return three dictionaries, for N, B and K: the factor from the coefficient's unit to each data sheet unit."""
     sheet = _sheet_of(unit)
     if sheet is None:
         return {f"{unit or 1}/sqrt(Hz)": float(np.sqrt(2))}, {}, {}
@@ -146,8 +146,8 @@ def _quotes(unit: str) -> tuple[dict[str, float], dict[str, float], dict[str, fl
     )
 
 
-def _sheet_of(unit: str) -> _Sheet | None:
-    """Return the units of the data sheets that `unit` can be converted to, or None."""
+def _sheet_of(unit: str) -> _SheetUnits | None:
+    """Return the data sheet units that `unit` can be converted to; None if there are none."""
     for sheet in _SHEETS:
         with suppress(UsageError):
             convert(1.0, unit, sheet.bias)
@@ -156,13 +156,13 @@ def _sheet_of(unit: str) -> _Sheet | None:
 
 
 def _coefficient(term: NoiseTerm, unit: str, factors: dict[str, float]) -> Coefficient:
-    """Return a term in its unit, and in each unit of data sheets."""
-    quoted = tuple(Quoted(name, *_scaled(term, factor)) for name, factor in factors.items() if name != unit)
+    """Return a coefficient in `unit`, and times each factor in the data sheet unit of that factor."""
+    quoted = tuple(QuotedCoefficient(name, *_scaled(term, factor)) for name, factor in factors.items() if name != unit)
     return Coefficient(unit, *_scaled(term, 1.0), term.reason, quoted)
 
 
 def _scaled(term: NoiseTerm, factor: float) -> tuple[float | None, float | None, float | None]:
-    """Return value, standard error and limit times a factor; None where unknown."""
+    """Return the value, standard error and limit of a coefficient, times a factor; None where unknown."""
     figures = (term.value, term.standard_error, term.limit)
     value, error, limit = (float(factor * figure) if np.isfinite(figure) else None for figure in figures)
     return value, error, limit

@@ -1,4 +1,4 @@
-"""The sensor file entry of strain gauges in a bridge, and its record."""
+"""The entry for a strain gauge bridge in a sensor file, and its conversion to a sensor record."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from becalm.sensors.thermal import REFERENCE_DEGC, GaugeTemperature
 
 
 class BridgeEntry(OneChannel):
-    """Strain gauges in a bridge, see `becalm.sensors.bridge.Bridge`.
+    """A strain gauge bridge in a sensor file, see `becalm.sensors.bridge.Bridge`.
 
     Attributes
     ----------
@@ -21,19 +21,21 @@ class BridgeEntry(OneChannel):
     initial_mv_per_v : float
         Output of the unstrained bridge, in mV/V.
     shunt_ohm, shunt_reading : float or None
-        Resistor across a gauge in tension, and the reading with it, in raw_unit, at the same load as for the zero. They
-        replace `gain_adjustment`. They correct the loss in cables and amplifier, but do not calibrate a gauge.
+        Resistance of a shunt across a gauge in tension, and the reading with this shunt, in raw_unit, at the same load
+        as for the zero. A shunt replaces `gain_adjustment`: it corrects the loss in cables and amplifier, but does not
+        calibrate a gauge.
     thermal_output_um : tuple of up to 5 floats
         Coefficients of the thermal output for the powers 0 to 4 of the temperature in degC, in um/m, at a gauge factor
-        of 2.0, from the data sheet of the lot; only for a quarter bridge without dummy.
+        of 2.0, from the data sheet of the gauge's lot; only for a quarter bridge without a dummy gauge.
     gauge_factor_percent_per_100_k, gauge_factor_reference_degc : float
-        Increase of the gauge factor, and the temperature at which the data sheet gives it.
+        Increase of the gauge factor, in percent per 100 K, and the temperature, in degC, at which the data sheet gives
+        the gauge factor.
     temperature_degc, temperature_channel : float, str or None
-        Temperature of the gauge: constant, or the name of another channel with the same time axis, in degC.
+        Temperature of the gauge, in degC: a constant, or the name of a channel with the same time axis.
     """
 
     kind: Literal["bridge"]
-    zero_line: ClassVar[str] = "initial_mv_per_v"
+    zero_key: ClassVar[str] = "initial_mv_per_v"
     unit: Literal["um/m", "m/m"] = "um/m"
     configuration: Configuration
     gauge_factor: Positive
@@ -56,7 +58,7 @@ class BridgeEntry(OneChannel):
     def record(self) -> SensorRecord:
         """Return the sensor record."""
         sensitivity = Sensitivity(self.gauge_factor, "(ohm/ohm)/(m/m)", self.gauge_factor_uncertainty)
-        size = self.ratio(self.excitation_v)
+        size = self.bridge_ratio_per_reading(self.excitation_v)
         bridge = Bridge(
             self.configuration,
             self.gauge_factor,
@@ -69,9 +71,9 @@ class BridgeEntry(OneChannel):
             tension_lowers=self.tension_lowers,
             shunt=self._shunt(size),
         )
-        shared = self.shared()
+        shared = self.shared_fields()
         if self.tare is None:
-            _ = bridge.gain  # the zero is known; this raises an error if the shunt gives no gain
+            _ = bridge.gain  # without a tare the zero is known now: raise an error if no gain explains the shunt
         return SensorRecord(
             **shared,
             conversion=bridge,

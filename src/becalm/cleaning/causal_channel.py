@@ -1,4 +1,4 @@
-"""Clean a channel with one causal filter, in a file or in a stream, and check the times of its rows."""
+"""Filter a channel causally with a fixed model, in a file or in a stream, and check the times of its rows."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from becalm.cleaning.judging import lasting_std
+from becalm.cleaning.judging import systematic_std
 from becalm.cleaning.limits_entry import alarms_of, limits_of
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.steps import gate_of, in_steps
@@ -18,7 +18,7 @@ from becalm.core.health.faults import TimeFaults, possible_steps
 
 
 def is_causal(recipe: ChannelRecipe, lag: int | None) -> bool:
-    """Return whether a channel has one causal filter; `lag` in rows, None for a smoother."""
+    """Return whether a channel has one causal filter, without modes; `lag` in rows, None for a smoother."""
     return recipe.motion is not None and recipe.switching is None and lag == 0
 
 
@@ -42,13 +42,13 @@ class CausalChannel:
     Raises
     ------
     RecipeError
-        If its parameters do not make a valid filter at this step.
+        If the recipe's parameters do not make a valid filter at this step.
     """
 
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
         self.settings = _settings(recipe, step_s)
         self.filter = Channel(self.settings)
-        self._rhythm, self._has_begun = TimeFaults(self.settings.limits), False
+        self._time_faults, self._has_rows = TimeFaults(self.settings.limits), False
 
     def process(self, z: Floats, elapsed: Floats, *, states: bool = False) -> Estimates:
         """Process the next rows.
@@ -60,34 +60,34 @@ class CausalChannel:
         elapsed : (B,) float array
             Steps since the previous row; ignored for the very first row.
         states : bool
-            Whether to return the filtered states too.
+            Whether to return the filtered states as well.
         """
         z, elapsed = input_of(z), input_of(elapsed)
-        even = bool((elapsed[0 if self._has_begun else 1 :] == 1.0).all())
-        if not even or not self._has_begun:
+        even = bool((elapsed[0 if self._has_rows else 1 :] == 1.0).all())
+        if not even or not self._has_rows:
             elapsed = possible_steps(elapsed).copy()
-            elapsed[: 0 if self._has_begun else 1] = 1.0  # the first row is on time
-        self._has_begun = self._has_begun or len(z) > 0
-        if even and self._rhythm.undisturbed:
+            elapsed[: 0 if self._has_rows else 1] = 1.0  # the first row is on time
+        self._has_rows = self._has_rows or len(z) > 0
+        if even and self._time_faults.undisturbed:
             return self.filter.process(z, elapsed, states=states)
         timing = np.zeros(len(z), np.int8)
-        self._rhythm.write(timing, elapsed)
+        self._time_faults.write(timing, elapsed)
         return self.filter.process(z, elapsed, timing, states=states)
 
     def set_history(self, before: History) -> None:
         """Set the history before the first row."""
         self.filter.set_history(before)
-        self._has_begun = before.rows > 0
+        self._has_rows = before.rows > 0
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return only the state that later rows depend on, for comparison; see `Channel.comparable_state`."""
-        offsets = self._rhythm.offsets
+        """Return the part of the state that later rows depend on, for comparison; see `Channel.comparable_state`."""
+        offsets = self._time_faults.offsets
         return self.filter.comparable_state() | {"rhythm": offsets - offsets[-1]}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the state as arrays."""
-        offsets = self._rhythm.offsets if not self._rhythm.undisturbed else self._rhythm.offsets[:0]
-        return self.filter.state_dict() | {"rhythm": offsets, "begun": np.array([int(self._has_begun)])}
+        offsets = self._time_faults.offsets if not self._time_faults.undisturbed else self._time_faults.offsets[:0]
+        return self.filter.state_dict() | {"rhythm": offsets, "begun": np.array([int(self._has_rows)])}
 
     def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
         """Restore the state that `state_dict` returned.
@@ -95,11 +95,11 @@ class CausalChannel:
         Raises
         ------
         ModelError
-            If these arrays are not the state of such a channel.
+            If the arrays are not a state of this channel.
         """
         self.filter.load_state_dict(arrays)
-        self._rhythm.offsets[:] = arrays["rhythm"] if len(arrays["rhythm"]) else 0
-        self._has_begun = bool(arrays["begun"][0])
+        self._time_faults.offsets[:] = arrays["rhythm"] if len(arrays["rhythm"]) else 0
+        self._has_rows = bool(arrays["begun"][0])
 
 
 def _settings(recipe: ChannelRecipe, step_s: float) -> ChannelSettings:
@@ -116,7 +116,7 @@ def _settings(recipe: ChannelRecipe, step_s: float) -> ChannelSettings:
             1.0 + recipe.tuning_spread,
             None if timing is None else timing.std_s,
             0.0 if timing is None else timing.included_std,
-            lasting_std(recipe.calibration, recipe.limits),
+            systematic_std(recipe.calibration, recipe.limits),
         ),
         recipe.unknown_from,
     )

@@ -1,4 +1,4 @@
-"""Build the report of a channel: the figures of its filter, the judgement, and the faults of its sensor."""
+"""Build the report of a channel: the figures of its filter, the judgement of its model, and its sensor's faults."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _NOTHING_REMOVED = "Next to nothing was removed: noise and motion cannot be dist
 class FilterResults(NamedTuple):
     """The results of a channel's filter, for its report."""
 
-    runs: Filter
+    filter: Filter
     counts: Counter[Verdict]
     findings: Findings
-    judged: InnovationJudge
+    judge: InnovationJudge
     shares: dict[str, float]  # mean probability of each mode, by its name
     calibration_std: float | None
     timing_share: float | None
@@ -39,26 +39,26 @@ class FilterResults(NamedTuple):
 
 
 def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: FilterResults) -> ChannelReport:
-    """Return the report of a channel that was filtered."""
-    tuning, modes, own_steps = found.runs.tuning, found.runs.modes, recipe.own_steps(step_s)
+    """Return the report of a filtered channel; `lag` in rows, None for a smoother."""
+    tuning, modes, own_steps = found.filter.tuning, found.filter.modes, recipe.own_steps(step_s)
     if modes is not None:
         figures = mode_figures(modes, found.shares, step_s, lag)
     else:
         figures = fixed_figures(tuning.counted_in(own_steps), step_s * own_steps, lag)
     smooths = (lag is None or lag > SOON) and figures.removes_noise
-    judged = found.judged.judgement(partial(excess_error, tuning.counted_in(own_steps)) if smooths else None)
-    judged = _doubted(judged, recipe, found.counts)
-    says = f"{judged.says} {_NOTHING_REMOVED}" if figures.removes_nothing else judged.says
+    judgement = found.judge.judgement(partial(excess_error, tuning.counted_in(own_steps)) if smooths else None)
+    judgement = _reject_excessive_outliers(judgement, recipe, found.counts)
+    says = f"{judgement.says} {_NOTHING_REMOVED}" if figures.removes_nothing else judgement.says
     says = " ".join([says, *timing_sentences(recipe.timing, found.timing_share or 0.0)])
     return ChannelReport(
-        **_fields(judged),
+        **_fields(judgement),
         name=recipe.name,
         unit=recipe.unit,
         model=recipe.model,
         order=tuning.order,
         tones_hz=_tones_hz(recipe, disturbance=False),
         removed_hz=_tones_hz(recipe, disturbance=True),
-        noise_std=found.runs.noise_std,
+        noise_std=found.filter.noise_std,
         coloured_std=None if tuning.coloured is None else float(np.sqrt(tuning.coloured.variance)),
         q_over_r=tuning.ratio,
         bandwidth_hz=figures.bandwidth_hz,
@@ -71,24 +71,24 @@ def report_of(recipe: ChannelRecipe, step_s: float, lag: int | None, found: Filt
         modes=figures.modes,
         log_likelihood=found.log_likelihood,
         settled_row=found.settled_row,
-        verdicts=named(found.counts),
-        advice=(*advice_on(found.counts), *found.findings.advice()),
+        verdicts=counts_by_name(found.counts),
+        advice=(*advice_for(found.counts), *found.findings.advice()),
         faults=found.findings.faults(),
         says=with_advice(says, found.counts, found.findings.says()),
     )
 
 
-def _doubted(judged: Judgement, recipe: ChannelRecipe, counts: Counter[Verdict]) -> Judgement:
-    """Return the judgement; "does not fit" if more readings were left out than can be outliers."""
+def _reject_excessive_outliers(judgement: Judgement, recipe: ChannelRecipe, counts: Counter[Verdict]) -> Judgement:
+    """Return the judgement, or "does not fit" if more readings were left out than can be exceptions."""
     left_out, readings = counts[Verdict.OUTLIER] + counts[Verdict.CLIPPED], counts.total() - counts[Verdict.MISSING]
-    fills_in = recipe.limits is not None and recipe.limits.blank is not None
-    if fills_in or not judged.describes or left_out <= MOST_OUTLIERS * readings:
-        return judged
+    marks_missing = recipe.limits is not None and recipe.limits.blank is not None
+    if marks_missing or not judgement.describes or left_out <= MOST_OUTLIERS * readings:
+        return judgement
     says = (
         f"The model does not describe this signal: {left_out} of {readings} readings were left out as outliers, or as"
         " clipped, which is too many for exceptions. Check whether these are real readings of the channel."
     )
-    return replace(judged, verdict="does not fit", says=says)
+    return replace(judgement, verdict="does not fit", says=says)
 
 
 def _tones_hz(recipe: ChannelRecipe, *, disturbance: bool) -> tuple[float, ...]:
@@ -99,17 +99,17 @@ def _fields(judgement: Judgement) -> dict[str, Any]:
     return {field.name: getattr(judgement, field.name) for field in fields(judgement) if field.name != "says"}
 
 
-def named(counts: Counter[Verdict]) -> dict[str, int]:
-    """Return how often each verdict was given, by its name."""
+def counts_by_name(counts: Counter[Verdict]) -> dict[str, int]:
+    """Return how often each verdict was given, by the name of the verdict."""
     return {verdict.name.lower(): counts[verdict] for verdict in Verdict}
 
 
-def advice_on(counts: Counter[Verdict], but: Verdict | None = None) -> tuple[str, ...]:
-    """Return what to do about a filter's verdicts, except `but`; `Findings` has the advice on faults of the sensor."""
-    met = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
-    return tuple(ADVICE[verdict] for verdict in met if verdict != but and counts[verdict])
+def advice_for(counts: Counter[Verdict], excluded: Verdict | None = None) -> tuple[str, ...]:
+    """Return advice on a filter's verdicts, without `excluded`; `Findings.advice` is that on faults of the sensor."""
+    verdicts = (Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)
+    return tuple(ADVICE[verdict] for verdict in verdicts if verdict != excluded and counts[verdict])
 
 
-def with_advice(says: str, counts: Counter[Verdict], faults: list[str], but: Verdict | None = None) -> str:
-    """Return the sentences of a judgement, followed by the advice on verdicts and by the faults of the sensor."""
-    return " ".join([says, *advice_on(counts, but), *faults])
+def with_advice(says: str, counts: Counter[Verdict], faults: list[str], excluded: Verdict | None = None) -> str:
+    """Return the text of a judgement, then the advice on all verdicts but `excluded`, then the sensor's faults."""
+    return " ".join([says, *advice_for(counts, excluded), *faults])

@@ -1,4 +1,4 @@
-"""Clean one channel with a recipe, block by block: filter it, or pass it on unchanged."""
+"""Clean one channel with a recipe, block by block: filter the readings, or pass them on unchanged."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from becalm.cleaning.causal_channel import CausalChannel, is_causal
-from becalm.cleaning.channel_report import FilterResults, advice_on, named, report_of, with_advice
+from becalm.cleaning.channel_report import FilterResults, advice_for, counts_by_name, report_of, with_advice
 from becalm.cleaning.faults import Findings, SensorWatch
 from becalm.cleaning.filters import Filter, FilteredChannel
 from becalm.cleaning.holes import Holes
@@ -28,14 +28,14 @@ from becalm.core.rows import EstimatedRows, Judge
 from becalm.identification.choose import FEWEST_READINGS
 from becalm.metrics.whiteness import Running
 
-_PIECE = 1 << 16  # rows whose innovations are judged at once; with fewer, the calls cost as much as the sums
+_PIECE = 1 << 16  # rows in one call of the innovation tests; with fewer, the calls take as long as the sums
 
 
 class ChannelCleaner(Protocol):
-    """Takes the rows of one channel and returns their estimates, perhaps later."""
+    """A cleaner of one channel: it takes rows in blocks and returns their estimates at once or later."""
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
+        """Take readings (B,) and the steps since the previous row (B,); return the rows that are ready, in order."""
         ...
 
     def finish(self) -> list[EstimatedRows]:
@@ -43,7 +43,7 @@ class ChannelCleaner(Protocol):
         ...
 
     def report(self) -> ChannelReport:
-        """Return the report, after `finish`."""
+        """Return the report; call `finish` first."""
         ...
 
     def set_history(self, before: History) -> None:
@@ -51,7 +51,7 @@ class ChannelCleaner(Protocol):
         ...
 
     def saved(self) -> dict[str, Any] | None:
-        """Return the state of a causal filter as arrays; None for other filters, or where rows are held back."""
+        """Return the state of a causal filter as arrays; None for other filters, or while rows wait for later ones."""
         ...
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
@@ -59,17 +59,17 @@ class ChannelCleaner(Protocol):
         ...
 
     def comparable_state(self) -> dict[str, Floats] | None:
-        """Return only the state that later rows depend on, for comparison; None if `saved` returns None."""
+        """Return the part of the state that later rows depend on, for comparison; None if `saved` returns None."""
         ...
 
     @property
     def surely_alive(self) -> bool:
-        """Return whether no window of its innovations can be that of a dead channel, whatever its phase."""
+        """Return whether no window of innovations so far looks dead, in whatever row the windows begin."""
         ...
 
 
 def open_channel(
-    recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False, look: Judge | None = None
+    recipe: ChannelRecipe, step_s: float, lag: int | None, split: bool = False, on_innovations: Judge | None = None
 ) -> ChannelCleaner:
     """Return the cleaner of a channel with this recipe.
 
@@ -82,37 +82,37 @@ def open_channel(
     lag : int or None
         Lag in rows: 0 for a causal filter, None for a smoother.
     split : bool
-        Whether to estimate the parts of the signal too.
-    look : callable, optional
+        Whether to estimate the parts of the signal as well.
+    on_innovations : callable, optional
         Called with the innovations (B,) and their standard deviations (B,), one value for each row.
 
     Raises
     ------
     RecipeError
-        If its parameters do not make a valid filter at this step.
+        If the recipe's parameters do not make a valid filter at this step.
     """
     if recipe.motion is None:
         return UnchangedChannel(recipe, step_s, split)
     if is_causal(recipe, lag):
-        return CausalMotion(recipe, step_s, split=split, look=look)
-    return MotionChannel(recipe, step_s, lag=lag, split=split, look=look)
+        return CausalChannelCleaner(recipe, step_s, split=split, on_innovations=on_innovations)
+    return MotionChannel(recipe, step_s, lag=lag, split=split, on_innovations=on_innovations)
 
 
 class MotionChannel(FilteredChannel):
-    """A channel that is smoothed, filtered with a lag, or filtered by several modes."""
+    """A channel that is smoothed, filtered with a lag, or filtered with several modes."""
 
     def __init__(
-        self, recipe: ChannelRecipe, step_s: float, *, lag: int | None, split: bool, look: Judge | None
+        self, recipe: ChannelRecipe, step_s: float, *, lag: int | None, split: bool, on_innovations: Judge | None
     ) -> None:
         super().__init__(recipe, step_s, lag)
-        self._look_also = look
+        self._on_innovations = on_innovations
         self._own_steps = recipe.own_steps(step_s)
         self._judge = InnovationJudge(step_s * self._own_steps, scores=recipe.switching is not None)
-        self._flow = self._runs.opened(self._look, split=split)
+        self._flow = self._filter.open_flow(self._add_innovations, split=split)
         self._holes = Holes(recipe.hole, self._own_steps) if lag is None and recipe.hole else None
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
+        """Take readings (B,) and the steps since the previous row (B,); return the rows that are ready, in order."""
         elapsed = possible_steps(elapsed)
         if self._timing is not None:
             self._timing.push(elapsed)
@@ -121,14 +121,14 @@ class MotionChannel(FilteredChannel):
         usable, steps = self.sensor.push(z, elapsed)
         self._sentinel.push(usable)
         rows = self._flow.push(usable, steps)
-        return self._counted(rows if self._holes is None else self._holes.bridged(rows))
+        return self._counted(rows if self._holes is None else self._holes.corrected(rows))
 
     def finish(self) -> list[EstimatedRows]:
         """Return the remaining rows."""
         usable, steps = self.sensor.finish()
         self._sentinel.push(usable)
         rows = [*self._flow.push(usable, steps), *self._flow.finish()]
-        return self._counted(rows if self._holes is None else [*self._holes.bridged(rows), *self._holes.finish()])
+        return self._counted(rows if self._holes is None else [*self._holes.corrected(rows), *self._holes.finish()])
 
     def set_history(self, before: History) -> None:
         """Set the history before the first row that will be pushed."""
@@ -136,7 +136,7 @@ class MotionChannel(FilteredChannel):
         self.sensor.set_history(before)
 
     def saved(self) -> dict[str, Any] | None:
-        """Return the state of a causal filter as arrays; None for other filters, or where rows are held back."""
+        """Return the state of a causal filter as arrays; None for other filters, or while rows wait for later ones."""
         state = self._flow.saved() if self._lag == 0 and isinstance(self._flow, RestartingFlow) else None
         if state is None:
             return None
@@ -145,7 +145,7 @@ class MotionChannel(FilteredChannel):
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Restore the state that `saved` returned."""
-        assert isinstance(self._flow, RestartingFlow), "only the state of such a flow can be saved"
+        assert isinstance(self._flow, RestartingFlow), "only the state of a `RestartingFlow` can be saved"
         self._flow.restore(arrays)
         self.sensor.restore(arrays)
         self._sentinel.restore(arrays)
@@ -153,13 +153,13 @@ class MotionChannel(FilteredChannel):
             self._timing.restore(arrays)
 
     def comparable_state(self) -> dict[str, Floats] | None:
-        """Return only the state that later rows depend on, for comparison; None if `saved` returns None."""
+        """Return the part of the state that later rows depend on, for comparison; None if `saved` returns None."""
         state = self.saved()
         if state is None:
             return None
         timing = {} if self._timing is None else {"timing": state["timing_slopes"]}
         return (
-            comparable_state(state, self._runs.gap_limit)
+            comparable_state(state, self._filter.gap_limit)
             | self.sensor.comparable_state()
             | {"sentinel": state["sentinel"]}
             | timing
@@ -167,55 +167,55 @@ class MotionChannel(FilteredChannel):
 
     @property
     def surely_alive(self) -> bool:
-        """Return whether no window of its innovations can be that of a dead channel, whatever its phase."""
+        """Return whether no window of innovations so far looks dead, in whatever row the windows begin."""
         return self.sensor.monitor.aliveness.sure
 
-    def _look(self, innovations: Floats, innovation_sigma: Floats) -> None:
+    def _add_innovations(self, innovations: Floats, innovation_sigma: Floats) -> None:
         self._judge.add(innovations, innovation_sigma)
-        self.sensor.look(innovations, innovation_sigma)
-        if self._look_also is not None:
-            self._look_also(innovations, innovation_sigma)
+        self.sensor.add_innovations(innovations, innovation_sigma)
+        if self._on_innovations is not None:
+            self._on_innovations(innovations, innovation_sigma)
 
     def report(self) -> ChannelReport:
-        """Return the report, after `finish`."""
+        """Return the report; call `finish` first."""
         results = FilterResults(
-            self._runs,
+            self._filter,
             self.counts,
             self.sensor.findings,
             self._judge,
             self._flow.shares,
             self._uncertainty.calibration_std,
-            None if self._timing is None else self._timing.most,
+            None if self._timing is None else self._timing.largest_share,
             self._flow.log_likelihood,
             self._flow.settled_row,
         )
         return report_of(self._recipe, self._step_s, self._lag, results)
 
 
-class CausalMotion:
-    """A channel with one causal filter."""
+class CausalChannelCleaner:
+    """A cleaner of a channel with one causal filter, without modes."""
 
-    def __init__(self, recipe: ChannelRecipe, step_s: float, *, split: bool, look: Judge | None) -> None:
-        self._recipe, self._step_s, self._split, self._look_also = recipe, step_s, split, look
-        self._runs, self._own_steps = Filter(recipe, step_s, 0), recipe.own_steps(step_s)
+    def __init__(self, recipe: ChannelRecipe, step_s: float, *, split: bool, on_innovations: Judge | None) -> None:
+        self._recipe, self._step_s, self._split, self._on_innovations = recipe, step_s, split, on_innovations
+        self._filter, self._own_steps = Filter(recipe, step_s, 0), recipe.own_steps(step_s)
         self._channel = CausalChannel(recipe, step_s)
         self._judge, self._monitor = (
             InnovationJudge(step_s * self._own_steps),
             InnovationMonitor(alarms_of(recipe.limits)),
         )
-        self._log_likelihood = Running(0.0, _with_log_densities)
+        self._log_likelihood = Running(0.0, _add_log_densities)
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         self._counts, self._rows = Counter[Verdict](), 0
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
+        """Take readings (B,) and the steps since the previous row (B,); return the rows that are ready, in order."""
         estimates = self._channel.process(z, elapsed, states=self._split)
         for start in range(0, len(z), _PIECE):
             piece = slice(start, start + _PIECE)
-            self._look(estimates.innovation[piece], estimates.deviation[piece], elapsed[piece])
+            self._add_innovations(estimates.innovation[piece], estimates.deviation[piece], elapsed[piece])
         self._rows += len(z)
         self._counts.update(counted(estimates.verdict))
-        self._uncertainty.see(estimates.signal)
+        self._uncertainty.add_magnitudes(estimates.signal)
         rows = estimates.to_rows()
         if not self._split:
             return [rows]
@@ -241,20 +241,20 @@ class CausalMotion:
         self._monitor.restore(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return only the state that later rows depend on, for comparison."""
+        """Return the part of the state that later rows depend on, for comparison."""
         return self._channel.comparable_state()
 
     @property
     def surely_alive(self) -> bool:
-        """Return whether no window of its innovations can be that of a dead channel, whatever its phase."""
+        """Return whether no window of innovations so far looks dead, in whatever row the windows begin."""
         return self._monitor.aliveness.sure
 
     def report(self) -> ChannelReport:
-        """Return the report, after `finish`."""
+        """Return the report; call `finish` first."""
         causal = self._channel.filter
         findings = Findings(self._channel.settings.limits, self._step_s, self._rows, causal.faults, self._monitor)
         results = FilterResults(
-            self._runs,
+            self._filter,
             self._counts,
             findings,
             self._judge,
@@ -266,35 +266,35 @@ class CausalMotion:
         )
         return report_of(self._recipe, self._step_s, 0, results)
 
-    def _look(self, innovation: Floats, deviation: Floats, elapsed: Floats) -> None:
+    def _add_innovations(self, innovation: Floats, deviation: Floats, elapsed: Floats) -> None:
         self._judge.add(innovation, deviation)
         self._monitor.push(innovation / deviation, elapsed)
         self._log_likelihood.add(log_densities(innovation, deviation))
-        if self._look_also is not None:
-            self._look_also(innovation, deviation)
+        if self._on_innovations is not None:
+            self._on_innovations(innovation, deviation)
 
 
 class UnchangedChannel:
-    """A channel that passes unchanged, such as a constant or nearly empty one; its sigma is NaN."""
+    """A channel whose readings pass unchanged because it is constant or nearly empty; its sigma is NaN."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, split: bool) -> None:
         self._recipe, self._step_s, self._split, self._counts = recipe, step_s, split, Counter[Verdict]()
-        self._sensor = SensorWatch(recipe.limits, step_s, shown=False)
-        self._seen = 0
+        self._sensor = SensorWatch(recipe.limits, step_s, has_innovations=False)
+        self._count = 0
         self._first: float | None = None
         self._varies = False
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and return them; faulty ones become NaN, with a verdict."""
+        """Take readings (B,) and return them; a faulty reading becomes NaN and gets a verdict."""
         readings, _ = self._sensor.push(z, elapsed)
-        seen = readings[np.isfinite(readings)]
-        self._seen += len(seen)
-        if len(seen):
-            self._first = float(seen[0]) if self._first is None else self._first
-            self._varies = self._varies or bool(np.any(seen != self._first))
+        finite = readings[np.isfinite(readings)]
+        self._count += len(finite)
+        if len(finite):
+            self._first = float(finite[0]) if self._first is None else self._first
+            self._varies = self._varies or bool(np.any(finite != self._first))
         unknown = np.full(len(z), np.nan)
         parts = np.tile(readings, (int(self._split), 1))
-        rows = self._sensor.named([EstimatedRows(readings, unknown, parts, np.zeros(len(z), np.int8))])
+        rows = self._sensor.with_verdicts([EstimatedRows(readings, unknown, parts, np.zeros(len(z), np.int8))])
         self._counts.update(counted(rows[0].verdicts))
         return rows
 
@@ -315,16 +315,16 @@ class UnchangedChannel:
         self._sensor.restore(arrays)
 
     def comparable_state(self) -> dict[str, Floats]:
-        """Return only the state that later verdicts depend on, for comparison."""
+        """Return the part of the state that later verdicts depend on, for comparison."""
         return self._sensor.comparable_state()
 
     surely_alive = True
-    """The channel has no innovations, so that no window of them can be that of a dead sensor."""
+    """The channel has no innovations, so that no window of innovations can look dead."""
 
     def report(self) -> ChannelReport:
         """Report whether the channel is constant, nearly empty, or should have been filtered."""
-        seen = self._seen
-        constant = seen >= FEWEST_READINGS and not self._varies
+        count = self._count
+        constant = count >= FEWEST_READINGS and not self._varies
         verdict: Decision = "does not fit"
         says = "The recipe passes this channel unchanged, but its readings vary; tune a recipe on this recording."
         if constant:
@@ -332,7 +332,7 @@ class UnchangedChannel:
             says = (
                 "All readings are equal: the noise is below the resolution, or the sensor is stuck; sigma is unknown."
             )
-        elif seen < FEWEST_READINGS:
+        elif count < FEWEST_READINGS:
             verdict = "untold"
             says = f"Fewer than {FEWEST_READINGS} readings do not identify the noise; the channel passes unchanged."
         elif self._recipe.model == "untold":
@@ -343,12 +343,12 @@ class UnchangedChannel:
             name=self._recipe.name,
             unit=self._recipe.unit,
             model=self._recipe.model,
-            verdicts=named(self._counts),
-            advice=(*advice_on(self._counts, but=Verdict.MISSING), *self._sensor.findings.advice()),
+            verdicts=counts_by_name(self._counts),
+            advice=(*advice_for(self._counts, excluded=Verdict.MISSING), *self._sensor.findings.advice()),
             faults=self._sensor.findings.faults(),
-            says=with_advice(says, self._counts, self._sensor.findings.says(), but=Verdict.MISSING),
+            says=with_advice(says, self._counts, self._sensor.findings.says(), excluded=Verdict.MISSING),
         )
 
 
-def _with_log_densities(sum_so_far: float, more: Floats) -> float:
+def _add_log_densities(sum_so_far: float, more: Floats) -> float:
     return sum_so_far + float(more.sum())

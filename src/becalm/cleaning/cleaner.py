@@ -29,12 +29,12 @@ class Cleaner:
     Parameters
     ----------
     recipe : Recipe
-        The recipe; each push has its channels in this order.
+        The recipe. `push` takes the columns in the order of the recipe's channels.
     step_s : float
         Length of one step, in seconds; elapsed time is counted in steps.
     split : bool
-        Whether to estimate the parts of each channel as well, in the order of `ChannelRecipe.parts`.
-    looks : sequence of callable, optional
+        Whether to estimate the parts of each signal as well, in the order of `ChannelRecipe.parts`.
+    innovation_callbacks : sequence of callable, optional
         One function for each channel. It gets the innovations (B,) and their standard deviations (B,), one value for
         each row. It is not called for a channel that passes unchanged.
 
@@ -46,15 +46,17 @@ class Cleaner:
         If the recipe's lag is shorter than one step, or too long.
     """
 
-    def __init__(self, recipe: Recipe, step_s: float, *, split: bool = False, looks: Sequence[Judge] = ()) -> None:
+    def __init__(
+        self, recipe: Recipe, step_s: float, *, split: bool = False, innovation_callbacks: Sequence[Judge] = ()
+    ) -> None:
         lag = None if recipe.mode == "smoothed" else 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
-        seen_by: Sequence[Judge | None] = looks or [None] * len(recipe.channel)
+        callbacks: Sequence[Judge | None] = innovation_callbacks or [None] * len(recipe.channel)
         self._channels: list[ChannelCleaner] = [
-            open_channel(channel, step_s, lag, split, look)
-            for channel, look in zip(recipe.channel, seen_by, strict=True)
+            open_channel(channel, step_s, lag, split, callback)
+            for channel, callback in zip(recipe.channel, callbacks, strict=True)
         ]
         self._ready = [ReadyRows() for _ in self._channels]
-        self._sizes: deque[int] = deque()  # rows of each push that is not returned yet
+        self._sizes: deque[int] = deque()  # number of rows of each push whose estimates are not returned yet
         load_scipy()
         self._pool = ThreadPoolExecutor(os.cpu_count())  # more threads would only wait for each other
 
@@ -71,7 +73,7 @@ class Cleaner:
         Returns
         -------
         list of list of EstimatedRows
-            For each push whose estimates are complete now, in order: the estimates of each channel.
+            One element for each push whose estimates are now complete, in order: the estimates of each channel.
         """
         self._sizes.append(len(elapsed))
         estimates = self._pool.map(lambda channel, z: channel.push(z, elapsed), self._channels, columns)
@@ -82,12 +84,12 @@ class Cleaner:
         return self._complete_pushes(list(self._pool.map(lambda channel: channel.finish(), self._channels)))
 
     def set_history(self, before: Sequence[History]) -> None:
-        """Set the history of each channel, if the first row comes from the middle of a recording."""
+        """Set the history of each channel before the first row, if that row is not the first of its recording."""
         for channel, own in zip(self._channels, before, strict=True):
             channel.set_history(own)
 
     def saved(self) -> list[dict[str, Any]] | None:
-        """Return the state of each channel as arrays; None if any channel is not causal, or holds rows back."""
+        """Return the state of each channel as arrays; None if `ChannelCleaner.saved` of any channel returns None."""
         return _all_or_none([channel.saved() for channel in self._channels])
 
     def restore(self, arrays: Sequence[Mapping[str, Any]]) -> None:
@@ -96,15 +98,15 @@ class Cleaner:
             channel.restore(own)
 
     def comparable_state(self) -> list[dict[str, Floats]] | None:
-        """Return only the state that later rows depend on, for each channel; None if `saved` returns None."""
+        """Return the part of each channel's state that later rows depend on; None if `saved` returns None."""
         return _all_or_none([channel.comparable_state() for channel in self._channels])
 
     def surely_alive(self) -> list[bool]:
-        """Return for each channel whether the phase of its dead-sensor windows can be ignored; see `Aliveness`."""
+        """Return for each channel whether no window of its innovations looks dead; see `ChannelCleaner`."""
         return [channel.surely_alive for channel in self._channels]
 
     def reports(self) -> tuple[ChannelReport, ...]:
-        """Return the report of each channel, after `finish`."""
+        """Return the report of each channel; call `finish` first."""
         return tuple(self._pool.map(lambda channel: channel.report(), self._channels))
 
     def _complete_pushes(self, estimates: list[list[EstimatedRows]]) -> list[list[EstimatedRows]]:
@@ -133,7 +135,7 @@ def _all_or_none(states: Sequence[dict[str, Any] | None]) -> list[dict[str, Any]
 
 
 class ReadyRows:
-    """A queue of estimated rows of one channel; `count` is their number."""
+    """A queue of estimated rows of one channel; `count` is the number of rows in it."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -144,7 +146,7 @@ class ReadyRows:
         self._parts.extend(parts)
         self.count += sum(len(part.signal) for part in parts)
 
-    def held(self) -> EstimatedRows:
+    def peek(self) -> EstimatedRows:
         """Return all rows of the queue without removing them."""
         rows = self.take(self.count)
         if len(rows.signal):
@@ -152,11 +154,11 @@ class ReadyRows:
         return rows
 
     def take(self, count: int) -> EstimatedRows:
-        """Remove the first `count` rows and return them; a part of exactly that length is not copied."""
+        """Remove the first `count` rows and return them; a stored block of exactly `count` rows is not copied."""
         taken: list[EstimatedRows] = []
         self.count -= count
         while count or not taken:
-            part = self._parts.popleft() if self._parts else EstimatedRows.nothing()
+            part = self._parts.popleft() if self._parts else EstimatedRows.empty()
             if len(part.signal) > count:
                 self._parts.appendleft(part.rows(slice(count, None)))
                 part = part.rows(slice(count))

@@ -23,12 +23,12 @@ from becalm.metrics.truth import rms_error
 BECALM = "becalm"
 RULES = ("equal noise", "equal lag", "best with truth")
 
-_LOOKED_AT = 50_000  # most rows on which the best setting is searched
-_SAME_DB = 1.0  # largest difference of "equal" noise, in dB: a window has only whole lengths
+_MOST_TRUTH_ROWS = 50_000  # largest number of rows on which the best setting with a truth is searched
+_SAME_DB = 1.0  # dB: largest difference of noise that counts as equal; an average can only have a whole length
 
 
 class Contender(NamedTuple):
-    """One filter of one channel, with its results.
+    """One filter on one channel, and its results.
 
     Attributes
     ----------
@@ -39,12 +39,13 @@ class Contender(NamedTuple):
     cutoff_hz : float or None
         Setting of a classic filter.
     noise_removed_db : float or None
-        Reduction of white noise: 10 log10(variance before / variance after). For a filter with several modes, this, lag
-        and overshoot are those of the most probable mode. None for a filter that adapts or has no steady state.
+        Reduction of white noise: 10 log10(variance before / variance after). None for a filter that adapts or has no
+        steady state. For a filter with several modes, `noise_removed_db`, `lag_s` and `overshoot_percent` are those of
+        the most probable mode.
     lag_s : float or None
         Delay of a slow signal, or of a step at half height, whichever is longer.
     overshoot_percent : float or None
-        Overshoot after a step, in percent of its height.
+        Overshoot after a step, in percent of the height of the step.
     rms_error : float or None
         Root mean square difference from the truth, in unit; None without a truth.
     measured_lag_s : float or None
@@ -62,12 +63,12 @@ class Contender(NamedTuple):
 
 
 class ChannelComparison(NamedTuple):
-    """The results of all filters of one channel; becalm is the first."""
+    """The results of all filters on one channel; becalm is the first of `contenders`."""
 
     name: str
     unit: str
     contenders: tuple[Contender, ...]  # only becalm if the channel passes unchanged
-    says: str  # becalm's judgement of its own filter
+    says: str  # the text of becalm's judgement of its own model
 
 
 class Comparison(NamedTuple):
@@ -79,7 +80,7 @@ class Comparison(NamedTuple):
 
 
 class _Readings(NamedTuple):
-    """The readings of one channel, for a classic filter."""
+    """The readings of one channel, and its true signal if it is known."""
 
     z: Floats
     truth: Floats | None
@@ -105,8 +106,8 @@ def compare(
         As in `clean`.
     truth : Recording, optional
         True signal with N rows: channels of the same names and units, at the same times since the first row; not finite
-        where it is unknown. With it, each classic filter also gets the setting with the least rms error over up to
-        50 000 rows from the first known one.
+        where it is unknown. With a truth, each classic filter also gets the setting with the least rms error over up
+        to 50 000 rows, from the first row with a known truth on.
     causal : bool, optional
         As in `clean`: a causal filter is compared with causal filters, a smoother with zero-phase filters.
     channels : sequence of str, optional
@@ -117,7 +118,7 @@ def compare(
     UsageError
         If the recipe has a lag, because no classic filter waits for one.
     RecordingError
-        If the truth has other rows, times or units, or lacks a channel; or as in `clean`.
+        If the truth has another number of rows, other times or units, or lacks a channel; also as in `clean`.
     RecipeError
         As in `clean`.
     """
@@ -140,7 +141,7 @@ def compare(
 
 
 def _true_channels(truth: Recording, recording: Recording, cleaned: Cleaned) -> Floats:
-    """Return the true channels (N, m) in the order of the cleaned channels."""
+    """Return the true signals (N, m) in the order of the cleaned channels."""
     names = [channel.name for channel in cleaned.recipe.channel]
     missing = [name for name in names if name not in truth.names]
     if missing:
@@ -160,9 +161,9 @@ def _true_channels(truth: Recording, recording: Recording, cleaned: Cleaned) -> 
 
 def _refuse_other_times(truth: Recording, recording: Recording) -> None:
     """Raise a RecordingError if the times since the first row differ between truth and recording."""
-    apart_s = np.abs(_since_first_s(truth) - _since_first_s(recording))
-    if not apart_s.max() <= recording.timebase.step_s / 2:
-        row = int(np.argmax(apart_s > recording.timebase.step_s / 2))
+    differences_s = np.abs(_since_first_s(truth) - _since_first_s(recording))
+    if not differences_s.max() <= recording.timebase.step_s / 2:
+        row = int(np.argmax(differences_s > recording.timebase.step_s / 2))
         raise RecordingError(
             f"Row {row + 1} of the truth is {_since_first_s(truth)[row]:.6g} s after its first row, but in the"
             f" recording {_since_first_s(recording)[row]:.6g} s; give the truth at the same times, or --rate for both."
@@ -170,6 +171,7 @@ def _refuse_other_times(truth: Recording, recording: Recording) -> None:
 
 
 def _since_first_s(recording: Recording) -> Floats:
+    """Return the time of each row, in seconds after the first row."""
     elapsed = recording.timebase.elapsed_steps
     return np.asarray(np.cumsum(np.append(0.0, elapsed[1:])) * recording.timebase.step_s)
 
@@ -184,38 +186,41 @@ def _refuse_other_units(truth: Recording, cleaned: Cleaned) -> None:
             )
 
 
-def _becalm(signal: Floats, readings: _Readings, own: Response | None) -> Contender:
+def _becalm(signal: Floats, readings: _Readings, response: Response | None) -> Contender:
     contender = Contender(BECALM)
-    if own is not None:
+    if response is not None:
         contender = contender._replace(
-            noise_removed_db=-own.noise_gain_db,
-            lag_s=own.lag_s if np.isfinite(own.lag_s) else None,
-            overshoot_percent=None if own.step is None else own.step.overshoot_percent,
+            noise_removed_db=-response.noise_gain_db,
+            lag_s=response.lag_s if np.isfinite(response.lag_s) else None,
+            overshoot_percent=None if response.step is None else response.step.overshoot_percent,
         )
     return _with_errors(contender, signal, readings)
 
 
-def _classics(readings: _Readings, own: Response, causal: bool) -> Iterator[Contender]:
-    """Yield the results of each classic filter, for each rule that its settings can meet."""
+def _classics(readings: _Readings, response: Response, causal: bool) -> Iterator[Contender]:
+    """Yield the results of each classic filter for each rule of `RULES` that a setting can meet.
+
+    `response` is that of becalm's filter, whose noise and lag the classic filters must equal.
+    """
     for classic in CAUSAL if causal else ZERO_PHASE:
-        if classic.calms:
-            twin = _classic(classic, readings, "equal noise", equal_noise(classic, own.noise_gain))
-            if abs((twin.noise_removed_db or 0.0) + own.noise_gain_db) <= _SAME_DB:
-                yield twin
-        if classic.calms and causal and np.isfinite(own.lag_s) and own.lag_s > 0:
-            twin = _classic(classic, readings, "equal lag", equal_lag(classic, own.lag_s / readings.step_s))
-            if abs((twin.lag_s or 0.0) - own.lag_s) <= readings.step_s:
-                yield twin
+        if classic.reduces_noise:
+            contender = _classic(classic, readings, "equal noise", equal_noise(classic, response.noise_gain))
+            if abs((contender.noise_removed_db or 0.0) + response.noise_gain_db) <= _SAME_DB:
+                yield contender
+        if classic.reduces_noise and causal and np.isfinite(response.lag_s) and response.lag_s > 0:
+            contender = _classic(classic, readings, "equal lag", equal_lag(classic, response.lag_s / readings.step_s))
+            if abs((contender.lag_s or 0.0) - response.lag_s) <= readings.step_s:
+                yield contender
         if readings.truth is not None and np.isfinite(readings.truth).any():
             first = int(np.argmax(np.isfinite(readings.truth)))
-            part = slice(first, first + _LOOKED_AT)
+            part = slice(first, first + _MOST_TRUTH_ROWS)
             best = best_with_truth(classic, readings.z[part], readings.truth[part])
             yield _classic(classic, readings, "best with truth", best)
 
 
 def _classic(classic: Classic, readings: _Readings, rule: str, cutoff: float) -> Contender:
     contender = Contender(classic.name, rule, cutoff / readings.step_s)
-    if classic.calms:
+    if classic.reduces_noise:
         contender = contender._replace(
             noise_removed_db=-decibels(noise_gain(classic, cutoff)),
             lag_s=lag(classic, cutoff) * readings.step_s,
@@ -229,8 +234,8 @@ def _classic(classic: Classic, readings: _Readings, rule: str, cutoff: float) ->
 def _with_errors(contender: Contender, signal: Floats, readings: _Readings) -> Contender:
     if readings.truth is None or not np.isfinite(signal - readings.truth).any():
         return contender
-    late = lag_of(signal, readings.truth)
+    lag_steps = lag_of(signal, readings.truth)
     return contender._replace(
         rms_error=rms_error(signal, readings.truth),
-        measured_lag_s=late * readings.step_s if np.isfinite(late) else None,
+        measured_lag_s=lag_steps * readings.step_s if np.isfinite(lag_steps) else None,
     )

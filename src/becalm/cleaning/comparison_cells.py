@@ -5,12 +5,12 @@ from __future__ import annotations
 from becalm.cleaning.comparison import Contender
 
 _HEADINGS = ("filter", "setting", "at", "noise removed", "lag", "overshoot", "rms error", "lag found")
-_WITHOUT_TRUTH = 6  # number of columns that need no truth
-_ROUNDING = 1e-9  # in any unit: smaller magnitudes are rounding errors and shown as 0
+_WITHOUT_TRUTH = 6  # number of columns that need no true signal; they are the first ones
+_ROUNDING = 1e-9  # in the unit of the cell: smaller magnitudes are rounding errors and are shown as 0
 
 
 def headings(with_truth: bool) -> tuple[str, ...]:
-    """Return the names of the columns; without truth, those that need it are left out."""
+    """Return the names of the columns; without a true signal, the columns that need one are left out."""
     return _HEADINGS if with_truth else _HEADINGS[:_WITHOUT_TRUTH]
 
 

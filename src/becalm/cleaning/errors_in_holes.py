@@ -1,4 +1,4 @@
-"""Measure the errors of a smoother in holes: hide blocks of readings and estimate them from all other readings."""
+"""Measure a smoother's errors in holes (missing readings): hide blocks of readings, and smooth all other readings."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from becalm.identification.likelihood import Evidence
 LENGTHS = (8, 40, 200)
 """Lengths of the hidden blocks, in readings."""
 
-_FEWEST = 4  # blocks that are needed for a correction
-_LONGER = 1.5  # times the hidden length: a longer hole contains a hole of the record itself
-_FADINGS = (0.0, *np.geomspace(0.02, 16.0, 48).tolist())
-_STEEPEST = 2.0  # power by which sigma may grow
-_HALVINGS, _DIGITS = 30, 3
+_FEWEST = 4  # number of hidden blocks that are needed for a correction
+_LONGER = 1.5  # largest length of a hole over the hidden length: a longer hole contains a hole of the record itself
+_FADINGS = (0.0, *np.geomspace(0.02, 16.0, 48).tolist())  # values of `model_fading` that are tried
+_STEEPEST = 2.0  # largest `sigma_growth`
+_HALVINGS, _DIGITS = 30, 3  # steps of the bisection for `sigma_growth`; decimals of the results
 _SEED = 33
 
 
 def measure_hole_corrections(recipe: ChannelRecipe, evidence: Evidence, step_s: float) -> tuple[HoleRecipe, ...]:
-    """Return the corrections of a smoother in holes of some lengths; none if its model needs none.
+    """Return the corrections of a smoother in holes of each length in `LENGTHS`; () if all are zero.
 
     Parameters
     ----------
     recipe : ChannelRecipe
         Recipe with a motion.
     evidence : Evidence
-        The readings that it was tuned on.
+        Readings that the recipe was tuned on.
     step_s : float
         One step, in seconds.
     """
@@ -51,9 +51,13 @@ def measure_hole_corrections(recipe: ChannelRecipe, evidence: Evidence, step_s: 
 
 
 class HiddenEstimates(NamedTuple):
-    """Estimates of k hidden readings, in unit: sighted ones use the hidden readings, blind ones do not."""
+    """The estimates of k hidden readings, in unit.
 
-    sighted_departure: Floats  # from the line across the hole
+    "Sighted" estimates use the hidden readings, "blind" estimates do not. A departure is that from the line across the
+    hole.
+    """
+
+    sighted_departure: Floats
     blind_departure: Floats
     blind_sigma: Floats
     widening: Floats  # blind sigma divided by sigma at the edge of the hole; at least 1
@@ -61,22 +65,26 @@ class HiddenEstimates(NamedTuple):
 
 
 def _correction(parts: list[HiddenEstimates], length: int) -> HoleRecipe | None:
-    """Return the correction in holes of one length; None if the record is too short."""
-    sighted, blind, sigma, wider, sighted_sigma = HiddenEstimates(*map(np.concatenate, zip(*parts, strict=True)))
+    """Return the correction in holes of `length` readings; None if the record is too short."""
+    sighted, blind, sigma, ratio, sighted_sigma = HiddenEstimates(*map(np.concatenate, zip(*parts, strict=True)))
     if len(sighted) < _FEWEST * length:
         return None
-    squares = {fading: (sighted - wider**-fading * blind) ** 2 for fading in _FADINGS}
+    squares = {fading: (sighted - ratio**-fading * blind) ** 2 for fading in _FADINGS}
     fading = min(squares, key=lambda one: float(squares[one].mean()))
     if not _is_less(squares[fading], squares[0.0], length):
         fading = 0.0
-    # Where sigma must grow, blind errors are far larger than sighted ones, and the difference has both.
+    # The differences contain the errors of both estimates; the variance of the sighted errors is subtracted. This takes
+    # the errors as independent, which matters little where sigma must grow: there the blind errors are far larger.
     error_variance = float(squares[fading].mean()) - float(np.mean(sighted_sigma**2))
-    growth = _growth(sigma, wider, error_variance)
+    growth = _growth(sigma, ratio, error_variance)
     return HoleRecipe(readings=length, model_fading=round(fading, _DIGITS), sigma_growth=growth)
 
 
 def _is_less(some: Floats, others: Floats, length: int) -> bool:
-    """Return whether squared errors (k,) are smaller on average by more than a standard error, by means of `length`."""
+    """Return whether the mean of `some` squares is below that of `others` by more than a standard error; both (k,).
+
+    The standard error is that of means over blocks of `length` rows.
+    """
     count = len(some) // length
     less = (others - some)[: count * length].reshape(count, length).mean(axis=1)
     return bool(less.mean() > less.std() / np.sqrt(count))
@@ -85,7 +93,7 @@ def _is_less(some: Floats, others: Floats, length: int) -> bool:
 def _estimate_hidden(
     recipe: ChannelRecipe, piece: Evidence, sighted: EstimatedRows, step_s: float, length: int
 ) -> HiddenEstimates:
-    """Hide blocks of one length and estimate them from all other readings; rejected readings are not compared."""
+    """Hide blocks of `length` readings and estimate them from all other readings; leave out rejected readings."""
     hidden = choose_hidden_rows(len(sighted.signal), length)
     blind = _smoothed(recipe, np.where(hidden, np.nan, piece.z[:, 0]), piece.elapsed, step_s)
     hole = lines_across_holes(np.cumsum(piece.elapsed), blind, has_reading(blind), recipe.own_steps(step_s))
@@ -111,13 +119,13 @@ def _smoothed(recipe: ChannelRecipe, z: Floats, elapsed: Floats, step_s: float) 
     return EstimatedRows.joined([*channel.push(z, elapsed), *channel.finish()])
 
 
-def _growth(sigma: Floats, wider: Floats, error_variance: float) -> float:
-    """Return the power, at most 2, at which the mean of sigma^2 reaches the error; 0 if sigma is large enough."""
+def _growth(sigma: Floats, ratio: Floats, error_variance: float) -> float:
+    """Return g, at most 2, for which the mean of (sigma ratio^g)^2 is `error_variance`; 0 if sigma is large enough."""
     low, high = 0.0, _STEEPEST
     if float(np.mean(sigma**2)) >= error_variance:
         return 0.0
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        too_small = float(np.mean((sigma * wider**middle) ** 2)) < error_variance
+        too_small = float(np.mean((sigma * ratio**middle) ** 2)) < error_variance
         low, high = (middle, high) if too_small else (low, middle)
     return round(low, _DIGITS)

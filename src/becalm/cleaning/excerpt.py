@@ -1,4 +1,4 @@
-"""Filter only some rows of a channel, with the same results as for filtering all of them."""
+"""Filter only some rows of a channel; the estimates equal those of a run over all rows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from becalm.cleaning.faults import SensorWatch, merged_verdicts
 from becalm.cleaning.filters import Filter
 from becalm.cleaning.holes import Holes
 from becalm.cleaning.judging import Uncertainty
-from becalm.cleaning.limits_entry import limits_of, rows_that_judge
+from becalm.cleaning.limits_entry import limits_of, outlier_test_rows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.cleaning.slopes import TimingNoise
@@ -20,24 +20,24 @@ from becalm.core.health.sentinel import Sentinel
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
 
-_PUSHED = 1 << 19
-"""Rows in one block for a filter."""
+_BLOCK_ROWS = 1 << 19
+"""Number of rows that are pushed into a filter at once."""
 
 _IMPOSSIBLE = np.isin(list(Verdict), (Verdict.NONFINITE, Verdict.OVERRANGE, Verdict.OUTLIER))
 
-_GATED = 1024  # additional rows of run-up for a gate, which also depends on the readings that it rejected in a row
+_GATED = 1024  # additional rows of run-up for a gate, whose state also contains the last readings that it rejected
 
 
 class UsableReadings(NamedTuple):
-    """Readings that may enter a filter."""
+    """The readings of a channel that may enter a filter."""
 
-    readings: Floats  # (N,) NaN where none may enter a filter
+    readings: Floats  # (N,) NaN in rows without a usable reading
     verdicts: Codes  # (N,)
-    longest_gap: float  # longest time between two usable readings, in steps
+    longest_gap: float  # longest time between two successive usable readings, in steps
 
 
 class ChannelRows:
-    """The rows of one channel.
+    """The rows of one channel, and its usable readings under given limits.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class ChannelRows:
     step_s : float
         One step, in seconds.
     limits : LimitsRecipe or None
-        Limits of the sensor, for `possible`.
+        Limits of the sensor, for `plottable`.
     """
 
     def __init__(self, z: Floats, elapsed: Floats, step_s: float, limits: LimitsRecipe | None = None) -> None:
@@ -60,38 +60,40 @@ class ChannelRows:
         return len(self.z)
 
     def healthy(self, limits: LimitsRecipe | None, lag: int | None = 0) -> UsableReadings:
-        """Return the readings that may enter a filter with a lag in rows (None: a smoother); they are cached."""
-        plain = _reading_limits(limits), rows_that_judge(limits, lag)
-        usable = self._healthy.get(plain)
+        """Return the readings that may enter a filter with a lag in rows (None: a smoother), from a cache if it can."""
+        key = _reading_limits(limits), outlier_test_rows(limits, lag)
+        usable = self._healthy.get(key)
         if usable is None:
-            watch = SensorWatch(plain[0], self.step_s, shown=False, ahead=plain[1])
+            watch = SensorWatch(key[0], self.step_s, has_innovations=False, ahead=key[1])
             readings = np.concatenate([watch.push(self.z, self.elapsed)[0], watch.finish()[0]])
             nothing = np.empty(len(self.z))
-            (named,) = watch.named(
+            (rows,) = watch.with_verdicts(
                 [EstimatedRows(nothing, nothing, nothing[np.newaxis], np.zeros(len(self.z), np.int8))]
             )
-            usable = UsableReadings(readings, named.verdicts, self._longest_gap(readings))
-            self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), plain: usable}
+            usable = UsableReadings(readings, rows.verdicts, self._longest_gap(readings))
+            self._healthy = {**({} if len(self._healthy) > 1 else self._healthy), key: usable}
         return usable
 
-    def without(self, spikes: Integers, limits: LimitsRecipe | None, lag: int | None = 0) -> ChannelRows:
-        """Return the channel without the readings in rows `spikes`, as if a gate rejected them."""
+    def without_spikes(self, spikes: Integers, limits: LimitsRecipe | None, lag: int | None = 0) -> ChannelRows:
+        """Return a copy without the readings in the rows `spikes`, as if a gate had rejected these readings."""
         healthy, other = self.healthy(limits, lag), ChannelRows(self.z, self.elapsed, self.step_s, self._limits)
         readings, verdicts = healthy.readings.copy(), healthy.verdicts.copy()
         readings[spikes], verdicts[spikes] = np.nan, Verdict.SPIKE
-        plain = _reading_limits(limits), rows_that_judge(limits, lag)
-        other._healthy = {plain: UsableReadings(readings, verdicts, self._longest_gap(readings))}
+        key = _reading_limits(limits), outlier_test_rows(limits, lag)
+        other._healthy = {key: UsableReadings(readings, verdicts, self._longest_gap(readings))}
         return other
 
-    def possible(self, part: slice) -> Floats:
-        """Return some readings to plot; impossible ones and outliers, which would compress the scale, are NaN."""
+    def plottable(self, part: slice) -> Floats:
+        """Return the readings of some rows to plot: NaN for impossible ones and outliers, which extend the scale."""
         verdicts = self.healthy(self._limits).verdicts[part]
         return np.where(_IMPOSSIBLE[verdicts], np.nan, self.z[part]) if verdicts.any() else self.z[part]
 
     def _longest_gap(self, readings: Floats) -> float:
+        """Return the longest time between two successive finite readings, in steps."""
         longest = float(self.elapsed[1:].max(initial=0.0))
         missing = np.flatnonzero(~np.isfinite(readings))
-        starts = np.flatnonzero(np.diff(missing, prepend=-1) > 1)  # of each run; one at the start is not a gap
+        # Each run of missing readings begins at one of `starts`; a run at the start of the record is not a gap.
+        starts = np.flatnonzero(np.diff(missing, prepend=-1) > 1)
         if not len(starts):
             return longest
         first, last = missing[starts], missing[np.append(starts[1:] - 1, -1)]
@@ -100,18 +102,18 @@ class ChannelRows:
         return longest if not len(bounds) else max(longest, float(self._between(bounds).max()))
 
     def _between(self, bounds: Integers) -> Floats:
-        """Return for each pair of rows (bounds) the steps from the row before the first one to the second one."""
+        """Return, for each pair (a, b) of rows in `bounds`, the steps from row a - 1 to row b."""
         sums = np.add.reduceat(self.elapsed, bounds)[::2]
         return sums + self.elapsed[bounds[1::2]]
 
 
 def _reading_limits(limits: LimitsRecipe | None) -> LimitsRecipe | None:
-    """Return the limits that depend on readings alone, without alarms on innovations."""
+    """Return the limits without the thresholds of alarms, which depend on innovations and not only on readings."""
     return None if limits is None else limits.model_copy(update={"drift_threshold": None, "dead_variance": None})
 
 
-class _LastStages:
-    """What happens to the estimates of a filter: correction in holes, removal of implausible ones, wider sigma."""
+class _PostProcessing:
+    """The steps after a filter: correct estimates in holes, remove implausible estimates, widen sigma."""
 
     def __init__(self, recipe: ChannelRecipe, used: Filter, step_s: float) -> None:
         is_smoothed = used.lag is None
@@ -122,7 +124,7 @@ class _LastStages:
         self._verdicts = np.empty(0, np.int8)
 
     def push(self, usable: Floats, elapsed: Floats, verdicts: Codes) -> None:
-        """Take the next rows before their estimates: usable readings, steps before them, and verdicts so far (B,)."""
+        """Take the next rows before their estimates: readings, steps since the previous row, and verdicts so far."""
         self._sentinel.push(usable)
         self._verdicts = np.append(self._verdicts, verdicts)
         if self._holes is not None:
@@ -131,9 +133,9 @@ class _LastStages:
             self._timing.push(elapsed)
 
     def process(self, estimates: Sequence[EstimatedRows], *, is_last: bool) -> list[EstimatedRows]:
-        """Return the rows that are ready."""
+        """Take the filter's estimates of the next rows and return the final estimates that are ready."""
         if self._holes is not None:
-            estimates = [*self._holes.bridged(estimates), *(self._holes.finish() if is_last else [])]
+            estimates = [*self._holes.corrected(estimates), *(self._holes.finish() if is_last else [])]
         return self._uncertainty.widened([self._plausible(rows) for rows in estimates])
 
     def _plausible(self, rows: EstimatedRows) -> EstimatedRows:
@@ -144,12 +146,12 @@ class _LastStages:
 
 
 class ChannelRun:
-    """A run of a channel's filter over all its rows, or over some of them.
+    """A run of a channel's filter over all rows of the channel, or over a part of them.
 
     Parameters
     ----------
     rows : ChannelRows
-        The readings.
+        Rows of the channel.
     recipe : ChannelRecipe
         Recipe with a motion.
     lag : int or None
@@ -158,40 +160,44 @@ class ChannelRun:
     Raises
     ------
     RecipeError
-        If its parameters do not make a valid filter.
+        If the recipe's parameters do not make a valid filter.
     """
 
     def __init__(self, rows: ChannelRows, recipe: ChannelRecipe, lag: int | None) -> None:
         self._rows, self._recipe, self._lag = rows, recipe, lag
         self.filter = Filter(recipe, rows.step_s, lag)
         self.healthy = rows.healthy(recipe.limits, lag)
-        kept = self.filter.forgotten_after + (0 if recipe.gate is None else _GATED)
-        self._margin = int(min(kept, len(rows))) + BLOCK
+        readings = self.filter.readings_to_forget + (0 if recipe.gate is None else _GATED)
+        self._margin = int(min(readings, len(rows))) + BLOCK
 
     @property
-    def reach(self) -> int:
-        """Return the least number of rows before the wanted ones that are filtered too; all rows if necessary."""
+    def run_up_rows(self) -> int:
+        """Return the least number of rows that must be filtered before the wanted rows, at most the whole record."""
         return min(self._margin if self._bridges_all() else len(self._rows), len(self._rows))
 
     def estimates_of(self, first: int, stop: int) -> Iterator[EstimatedRows]:
-        """Yield the estimates of rows first to stop, in parts; the filter starts as many rows earlier as it needs."""
-        begin, end = self._run_for(first, stop)
-        flow, last_stages, at = self.filter.alone(), _LastStages(self._recipe, self.filter, self._rows.step_s), begin
-        for start in range(begin, end, _PUSHED):
-            part = slice(start, min(start + _PUSHED, end))
+        """Yield the estimates of rows `first` to `stop` - 1, in parts; the filter starts earlier, as far as needed."""
+        begin, end = self._rows_to_filter(first, stop)
+        flow, at = self.filter.open_signal_flow(), begin
+        after_filter = _PostProcessing(self._recipe, self.filter, self._rows.step_s)
+        for start in range(begin, end, _BLOCK_ROWS):
+            part = slice(start, min(start + _BLOCK_ROWS, end))
             readings, elapsed = self.healthy.readings[part], self._rows.elapsed[part]
             estimates = flow.push(readings, elapsed)
             if part.stop == end:
                 estimates = [*estimates, *flow.finish()]
-            last_stages.push(readings, elapsed, self.healthy.verdicts[part])
-            for rows in last_stages.process(estimates, is_last=part.stop == end):
+            after_filter.push(readings, elapsed, self.healthy.verdicts[part])
+            for rows in after_filter.process(estimates, is_last=part.stop == end):
                 wanted = slice(max(first - at, 0), max(min(stop - at, len(rows.signal)), 0))
                 at += len(rows.signal)
                 if wanted.start < wanted.stop:
                     yield rows.rows(wanted)
 
-    def _run_for(self, first: int, stop: int) -> tuple[int, int]:
-        """Return the rows to start with and to stop before; what is estimated in a hole depends on both of its ends."""
+    def _rows_to_filter(self, first: int, stop: int) -> tuple[int, int]:
+        """Return the row to start with and the row to stop before.
+
+        Estimates in a hole depend on the readings at both of its ends, so that these are filtered too.
+        """
         used = np.flatnonzero(np.isfinite(self.healthy.readings))
         before, after = np.searchsorted(used, first, "right") - 1, np.searchsorted(used, stop - 1)
         first = int(used[before]) if before >= 0 else 0
@@ -200,19 +206,19 @@ class ChannelRun:
         return self._start_row(first), self._stop_row(stop)
 
     def _start_row(self, first: int) -> int:
-        """Return the row to start with, so that enough readings and enough time come before `first`."""
+        """Return the row to start with; from there to `first` are enough readings, over a long enough time."""
         if not self._bridges_all():
             return 0
         rows = self._margin + self._margin // 4
         while first > rows:
-            begin = (first - rows) // self.filter.aligned * self.filter.aligned
+            begin = (first - rows) // self.filter.row_multiple * self.filter.row_multiple
             if self._is_long(slice(begin, first)):
                 return begin
             rows *= 2
         return 0
 
     def _stop_row(self, stop: int) -> int:
-        """Return the row to stop before, so that enough rows come after `stop`."""
+        """Return the row to stop before; from `stop` to there are enough rows."""
         last = len(self._rows)
         if self._lag is not None:
             return min(stop + self._lag, last)
@@ -224,10 +230,11 @@ class ChannelRun:
         return last
 
     def _is_long(self, part: slice) -> bool:
+        """Return whether a part has enough readings, and lasts enough steps, for a run-up."""
         readings = np.count_nonzero(np.isfinite(self.healthy.readings[part]))
         return bool(readings >= self._margin and self._rows.elapsed[part].sum() >= self._margin)
 
     def _bridges_all(self) -> bool:
-        """Return whether the filter bridges every gap of the record, wherever it starts."""
+        """Return whether the filter predicts across every gap of the record, in whatever row it starts."""
         limit, gap = self.filter.gap_limit, self.healthy.longest_gap
         return bool(gap <= min(limit.longest, limit.spans * self._margin))

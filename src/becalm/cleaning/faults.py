@@ -1,4 +1,4 @@
-"""Find faults of a sensor: keep faulty readings out of the filter, give verdicts, and describe the faults."""
+"""Find faults of a sensor: keep faulty readings out of the filter, give verdicts to rows, and describe the faults."""
 
 from __future__ import annotations
 
@@ -22,24 +22,28 @@ from becalm.core.rows import EstimatedRows
 from becalm.native.scans import EVERY_REPEAT
 
 FALSE_ALARMS_PER_HOUR = 1.0
-"""False alarms per hour of a healthy sensor: as stuck, or as drifting or dead; a *small* number trusts the sensor."""
+"""Rate of false alarms of a healthy sensor per hour: of "stuck", and of "drift" and "dead" together.
+
+A *small* number trusts the sensor.
+"""
 
 MOST_LOST = 0.5
-"""Share of clipped or stuck rows; above it the report calls the signal a guess."""
+"""Largest share of clipped or stuck rows; with a larger one the report calls the signal a guess."""
 
 _PIECE = 1 << 16  # rows whose arrays stay in the cache
-_HARDLY_MEASURES = (Verdict.CLIPPED, Verdict.STUCK)  # verdicts that `MOST_LOST` counts
+_COUNTED_AS_LOST = (Verdict.CLIPPED, Verdict.STUCK)  # verdicts whose share is compared with `MOST_LOST`
+# For each verdict, whether that of the filter replaces that of the check before the filter.
 _FROM_FILTER = np.isin(list(Verdict), [Verdict.OVERRANGE, Verdict.SPIKE, Verdict.STEP])
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a sensor that was found in a channel.
+    """A fault of a sensor, as found in a channel.
 
     Attributes
     ----------
     what : str
-        Name of the verdict.
+        Name of the verdict that the fault has.
     readings : int
         Number of readings with this verdict.
     first_row : int
@@ -47,8 +51,8 @@ class Fault:
     first_s : float
         Time of that row, in seconds after the first row.
     found_within_s : float
-        Longest time until such a fault is detected; for a drift of one sigma, the mean time. 0 if the first reading
-        shows it.
+        Longest time from the start of such a fault to its detection, in seconds; for a drift, the mean time for one of
+        one sigma. 0 if the first faulty reading shows the fault.
     """
 
     what: str
@@ -61,26 +65,27 @@ class Fault:
 class Findings(NamedTuple):
     """The faults that were found in the sensor of one channel."""
 
-    limits: Limits  # the limits that its readings were checked against
+    limits: Limits  # the limits that the readings were checked against
     step_s: float
     rows: int  # number of rows so far
-    of_readings: dict[Verdict, FaultCount]  # faults of readings and of their times
-    monitor: InnovationMonitor  # has the faults that the innovations show
+    reading_faults: dict[Verdict, FaultCount]  # faults of readings and of their times
+    monitor: InnovationMonitor  # `found` has the faults that the innovations show
 
     @property
     def found(self) -> dict[Verdict, FaultCount]:
-        """Return all faults; a missing reading, or a repeat in a channel that repeats its readings, is not a fault."""
+        """Return all faults. Neither a missing reading is a fault, nor a repeat if the channel repeats its readings."""
         excluded = (Verdict.MISSING, Verdict.STUCK) if self._repeats_readings else (Verdict.MISSING,)
-        found = {verdict: one for verdict, one in self.of_readings.items() if verdict not in excluded}
+        found = {verdict: one for verdict, one in self.reading_faults.items() if verdict not in excluded}
         return found | self.monitor.found
 
     @property
     def _repeats_readings(self) -> bool:
+        """Return whether a row counts as missing as soon as it repeats the previous reading."""
         return self.limits.stuck_readings == EVERY_REPEAT
 
     def _repeats(self) -> list[str]:
-        """Return a sentence on readings that only repeat the previous one, if the channel repeats its readings."""
-        found = self.of_readings.get(Verdict.STUCK)
+        """Return a sentence on rows that only repeat the previous reading, if the channel repeats its readings."""
+        found = self.reading_faults.get(Verdict.STUCK)
         if not self._repeats_readings or found is None:
             return []
         if found.readings > MOST_LOST * self.rows:
@@ -105,22 +110,22 @@ class Findings(NamedTuple):
         )
 
     def _delay(self, verdict: Verdict) -> float:
-        """Return how many readings it takes at most, or for a drift on average, to detect a fault."""
+        """Return the largest number of readings until a fault is detected; for a drift, the mean number."""
         alarms = self.monitor.alarms
         if verdict in (Verdict.DRIFT, Verdict.DEAD):
             return alarms.drift_delay if verdict == Verdict.DRIFT else alarms.dead_delay
         return float(self.limits.stuck_readings or 0) if verdict == Verdict.STUCK else 0.0
 
     def says(self) -> list[str]:
-        """Return sentences on the faults: what they are, when each came first, and what to do."""
-        lost = sum(found.readings for verdict, found in self.found.items() if verdict in _HARDLY_MEASURES)
+        """Return sentences on the faults: which faults there are, when each began, and what to do."""
+        lost = sum(found.readings for verdict, found in self.found.items() if verdict in _COUNTED_AS_LOST)
         lines = fault_messages(self.found, self.limits, self.step_s)
         if lost > MOST_LOST * self.rows:
             lines.insert(0, f"{lost} of {self.rows} readings are clipped or stuck: between them the signal is a guess.")
         return [*self._repeats(), *lines, *self.changes()]
 
     def changes(self) -> list[str]:
-        """Return a sentence on the change of the noise; empty without a change."""
+        """Return a sentence on a change of the noise; an empty list without a change."""
         return noise_change_message(self.monitor.history.change(), self.step_s)
 
     def advice(self) -> tuple[str, ...]:
@@ -128,15 +133,15 @@ class Findings(NamedTuple):
         return (*(ADVICE[verdict] for verdict in sorted(self.found)), *self.changes())
 
 
-class Healthy(NamedTuple):
-    """Readings of a channel to tune on."""
+class HealthyReadings(NamedTuple):
+    """The readings of a channel to tune on, and the limits that were found from them."""
 
     readings: Floats  # (N,) NaN where missing, impossible, clipped, stuck or a gross outlier
     outliers: Floats  # (N,) the gross outliers, clipped to the plausible range; NaN elsewhere
     limits: LimitsRecipe | None
 
 
-def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = False) -> Healthy:
+def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = False) -> HealthyReadings:
     """Find the limits of a channel, and leave out its faulty readings.
 
     Parameters
@@ -148,11 +153,11 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = Fa
     step_s : float
         One step, in seconds.
     causal : bool
-        Whether to find gross outliers from earlier readings only, as a causal filter does; this misses more of them.
+        Whether to find gross outliers from earlier readings only, as a causal filter does; this finds fewer of them.
 
     Returns
     -------
-    Healthy
+    HealthyReadings
         The readings (the same array if all are usable), the outliers and the limits.
     """
     limits = find_limits(z, elapsed, FALSE_ALARMS_PER_HOUR, step_s)
@@ -163,16 +168,16 @@ def find_healthy(z: Floats, elapsed: Floats, step_s: float, *, causal: bool = Fa
         outlier_codes = verdicts_from_neighbours(possible, rule, stuck_at_once(limits))
         codes[(outlier_codes == Verdict.OUTLIER) & ~LOST[codes]] = Verdict.OUTLIER
         codes[outlier_codes == Verdict.STUCK] = Verdict.STUCK
-    enters = ~LOST[codes] & (z != rule.blank)
+    usable = ~LOST[codes] & (z != rule.blank)
     outliers = np.where((codes == Verdict.OUTLIER) & (z != rule.blank), np.clip(z, rule.low, rule.high), np.nan)
-    return Healthy(z if enters.all() else np.where(enters, z, np.nan), outliers, limits_recipe(limits))
+    return HealthyReadings(z if usable.all() else np.where(usable, z, np.nan), outliers, limits_recipe(limits))
 
 
 class SensorWatch:
-    """Checks the readings of one channel before its filter: only usable readings enter, the others get a verdict.
+    """A check of one channel's readings before the filter: it passes usable readings and gives faulty ones a verdict.
 
-    From the filter's innovations it also detects drift and a dead sensor, if the recipe has thresholds, and a change of
-    the noise.
+    It also detects, from the filter's innovations, a change of the noise and, if the recipe has thresholds, drift and a
+    dead sensor.
 
     Parameters
     ----------
@@ -180,10 +185,10 @@ class SensorWatch:
         Limits of the channel.
     step_s : float
         One step, in seconds.
-    shown : bool
-        Whether `look` will be called with the innovations.
+    has_innovations : bool
+        Whether `add_innovations` will be called for all rows.
     ahead : int
-        Number of later rows that the outlier test uses; 0 finds gross outliers from earlier readings only.
+        Number of later rows that the outlier test uses; with 0 it uses earlier readings only.
 
     Attributes
     ----------
@@ -193,25 +198,28 @@ class SensorWatch:
         Monitor that detects faults from the innovations.
     """
 
-    def __init__(self, entry: LimitsRecipe | None, step_s: float, *, shown: bool = True, ahead: int = 0) -> None:
+    def __init__(
+        self, entry: LimitsRecipe | None, step_s: float, *, has_innovations: bool = True, ahead: int = 0
+    ) -> None:
         limits = limits_of(entry)
         self._ahead = LookAhead(limits, ahead) if ahead and limits.outliers.distance < np.inf else None
         if ahead:
             limits = limits._replace(outliers=limits.outliers.without_neighbours)
-        self._faults, self.monitor, self._shown = Faults(limits), InnovationMonitor(alarms_of(entry)), shown
-        self._verdicts: Codes = np.empty(0, np.int8)  # of rows whose estimates have not come yet
-        self._alarms: Codes = np.empty(0, np.int8)  # of rows whose innovations came before their estimates
-        self._elapsed = np.empty(0)  # steps before rows whose innovations have not come yet
+        self._faults, self.monitor = Faults(limits), InnovationMonitor(alarms_of(entry))
+        self._has_innovations = has_innovations
+        self._verdicts: Codes = np.empty(0, np.int8)  # of the rows that wait for their estimates
+        self._alarms: Codes = np.empty(0, np.int8)  # of the rows that have innovations and wait for their estimates
+        self._elapsed = np.empty(0)  # steps since the previous row, of the rows that wait for their innovations
         self._step_s, self.rows = step_s, 0
 
     def push(self, z: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
-        """Take readings (B,) and the steps before each.
+        """Take readings (B,) and the steps since the previous row (B,).
 
         Returns
         -------
         (float array, float array)
-            The next readings, NaN where none may enter the filter, and the steps before each; rows that wait for later
-            ones come with a later call.
+            The readings of the next rows, NaN where no reading may enter the filter, and the steps since the previous
+            row. Rows that wait for later rows are returned by a later call.
         """
         if self._ahead is None:
             return self._usable(z, elapsed, None), elapsed
@@ -219,7 +227,7 @@ class SensorWatch:
         return self._usable(z, elapsed, outliers), elapsed
 
     def finish(self) -> tuple[Floats, Floats]:
-        """Return the remaining readings, as `push` does."""
+        """Return the readings of the remaining rows, as `push` does."""
         if self._ahead is None:
             return np.empty(0), np.empty(0)
         z, elapsed, outliers = self._ahead.finish()
@@ -230,8 +238,8 @@ class SensorWatch:
             return z
         verdicts = self._faults.push(z, elapsed, outliers)
         self._verdicts = np.append(self._verdicts, verdicts)
-        if self._shown:
-            self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may write into its own
+        if self._has_innovations:
+            self._elapsed = np.append(self._elapsed, elapsed)  # a copy: the caller may change `elapsed` later
         self.rows += len(z)
         return np.where(LOST[verdicts], np.nan, z) if verdicts.any() else z
 
@@ -240,8 +248,8 @@ class SensorWatch:
         self._faults.set_history(before.rows, before.steps, before.least, before.most)
         self.monitor.set_history(before.readings, before.rows, before.steps)
 
-    def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
-        """Take the innovations of the next rows (B,), and their expected standard deviations."""
+    def add_innovations(self, innovations: Floats, innovation_sigma: Floats) -> None:
+        """Take the innovations of the next rows (B,), and their expected standard deviations (B,)."""
         alarms = [self._alarms]
         for start in range(0, len(innovations), _PIECE):
             piece = slice(start, start + _PIECE)
@@ -250,8 +258,8 @@ class SensorWatch:
             alarms.append(self.monitor.push(normalised, elapsed))
         self._alarms = np.concatenate(alarms)
 
-    def named(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
-        """Return the estimates of the next rows with the verdicts of this check merged into those of the filter."""
+    def with_verdicts(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
+        """Return the estimates of the next rows, with the verdicts of this check merged into those of the filter."""
         return [part._replace(verdicts=self._all_verdicts(part.verdicts)) for part in rows]
 
     def saved(self) -> dict[str, Any]:
@@ -270,22 +278,26 @@ class SensorWatch:
             self._ahead.restore(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return only the state that later verdicts depend on, for comparison."""
-        return self._faults.comparable_state() | (self.monitor.comparable_state() if self._shown else {})
+        """Return the part of the state that later verdicts depend on, for comparison."""
+        monitor = self.monitor.comparable_state() if self._has_innovations else {}
+        return self._faults.comparable_state() | monitor
 
     def _all_verdicts(self, verdicts: Codes) -> Codes:
         rows = len(verdicts)
         before, self._verdicts = self._verdicts[:rows], self._verdicts[rows:]
         alarms, self._alarms = self._alarms[:rows], self._alarms[rows:]
-        named = merged_verdicts(verdicts, before)
-        return np.where((named == Verdict.USED) & (alarms > 0), alarms, named) if alarms.any() else named
+        merged = merged_verdicts(verdicts, before)
+        return np.where((merged == Verdict.USED) & (alarms > 0), alarms, merged) if alarms.any() else merged
 
     @property
     def findings(self) -> Findings:
-        """Return the faults so far."""
+        """Return the faults found so far."""
         return Findings(self._faults.limits, self._step_s, self.rows, self._faults.found, self.monitor)
 
 
 def merged_verdicts(verdicts: Codes, before: Codes) -> Codes:
-    """Return the verdicts (B,) of the filter on rejected readings and steps; elsewhere those from before the filter."""
+    """Merge verdicts (B,) of the filter with those from `before` the filter.
+
+    A verdict of the filter replaces the earlier one only if it is `OVERRANGE`, `SPIKE` or `STEP`.
+    """
     return np.where(_FROM_FILTER[verdicts], verdicts, before) if verdicts.any() else before

@@ -1,4 +1,4 @@
-"""Describe the filter of a channel by bandwidth, lag and noise gain, for each of its modes if it has several."""
+"""Describe the filter of a channel, or each of its modes, by bandwidth, lag and noise gain."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from becalm.identification.trust.tuning_spread import independence_steps
 
 # Convert the modes of an IMM between seconds (recipes) and steps (filters).
 
-_LEAST, _GREATEST = 1e-250, 1e250  # limits of variances, unit^2: beyond them products of variances leave float64
-_GREATEST_RATIO = 1e30  # limit of q/r: above it rounding destroys the state
+_LEAST, _GREATEST = 1e-250, 1e250  # range of variances, in unit^2: outside it, products of variances exceed float64
+_GREATEST_RATIO = 1e30  # largest q/r: with a larger one, rounding errors destroy the state
 
 
-def modes_in_seconds(kind: Kind, bank: InteractingModels, step_s: float) -> SwitchingRecipe:
+def modes_in_seconds(kind: Kind, imm: InteractingModels, step_s: float) -> SwitchingRecipe:
     """Return the modes of an IMM as a recipe, converted from steps of `step_s` seconds to seconds."""
     return SwitchingRecipe(
         kind=kind,
-        wild_std=float(np.sqrt(bank.wild_variance)),
-        rejects=bank.rejects,
-        mode=tuple(_mode_in_seconds(mode, step_s) for mode in bank.modes),
+        wild_std=float(np.sqrt(imm.wild_variance)),
+        rejects=imm.rejects,
+        mode=tuple(_mode_in_seconds(mode, step_s) for mode in imm.modes),
     )
 
 
@@ -42,14 +42,14 @@ def modes_in_steps(entry: SwitchingRecipe, tuning: Tuning, step_s: float) -> Int
     entry : SwitchingRecipe
         Modes in seconds.
     tuning : Tuning
-        Fixed filter of the channel; modes with `with_tones` get its tones and coloured noise.
+        Fixed filter of the channel, in steps; modes with `with_tones` get its tones and coloured noise.
     step_s : float
         One step, in seconds.
 
     Raises
     ------
     RecipeError
-        If they do not make a valid filter at this step.
+        If the modes do not make a valid filter at this step.
     """
     try:
         with np.errstate(all="ignore"):
@@ -102,11 +102,11 @@ def _mode_in_steps(recipe: ModeRecipe, tuning: Tuning, step_s: float) -> Mode:
 
 
 _NOTHING_REMOVED = 0.8
-"""Noise gain above which a filter removes next to no noise."""
+"""Noise gain from which on a filter counts as one that removes next to no noise."""
 
 
 class Figures(NamedTuple):
-    """The figures of a filter, see `ChannelReport`.
+    """The figures of a filter; attributes as in `ChannelReport`.
 
     For a filter with a fixed lag, bandwidth_hz, lag_s and independence_s are None.
     """
@@ -115,7 +115,7 @@ class Figures(NamedTuple):
     lag_s: float | None = None
     independence_s: float | None = None
     modes: dict[str, ModeReport] = {}  # noqa: RUF012  (never changed)
-    noise_gain: float | None = None  # of a fixed filter that has a steady state
+    noise_gain: float | None = None  # None for a filter with modes or without a steady state
 
     @property
     def removes_nothing(self) -> bool:
@@ -142,7 +142,7 @@ def fixed_figures(tuning: Tuning, step_s: float, lag: int | None) -> Figures:
 
 
 def mode_figures(switching: InteractingModels, shares: dict[str, float], step_s: float, lag: int | None) -> Figures:
-    """Return the figures of each mode of an IMM; `shares` are the mean probabilities of the modes, by name."""
+    """Return the figures of each mode of an IMM; `shares` has the mean probability of each mode, by its name."""
     modes = {}
     for mode in switching.modes:
         response = _response(mode.component, mode.noise_variance, step_s, causal=lag is not None)
@@ -156,7 +156,7 @@ def mode_figures(switching: InteractingModels, shares: dict[str, float], step_s:
 
 
 def response_of(channel: ChannelRecipe, report: ChannelReport, step_s: float, causal: bool) -> Response | None:
-    """Return the response of a channel's filter; with several modes, of the most probable one.
+    """Return the response of a channel's filter; for a filter with modes, that of the most probable mode.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def fixed_response(tuning: Tuning, step_s: float, causal: bool) -> Response | No
 
 
 def _response(component: Component, noise_variance: float, step_s: float, *, causal: bool) -> Response | None:
-    """Return the response of a filter; None if it never forgets its start and so has no steady state."""
+    """Return the response of a filter; None if it never forgets its start, so that it has no steady state."""
     try:
         return describe(component.to_model(1.0, noise_variance), step_s, causal, component.signal_output[0])
     except ModelError:

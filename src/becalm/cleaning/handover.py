@@ -1,8 +1,8 @@
-"""Change the recipe of a running stream without a jump: both filters run while the new one replaces the old one.
+"""Change the recipe of a running stream without a jump: run both filters while the new one replaces the old one.
 
-The new filter starts with the next readings. Until it has forgotten its start, the stream returns the estimates of the
-old filter. Then, over as many rows again, signal and sigma change linearly from the old filter to the new one. This
-sigma is an upper bound: the standard deviation of a x + b y is at most a sigma_x + b sigma_y.
+The new filter starts with the next readings. Until the effect of its start is negligible, the stream returns the
+estimates of the old filter. Then, over the same number of rows, signal and sigma change linearly from the old filter to
+the new one. This sigma is an upper bound: the standard deviation of a x + b y is at most a sigma_x + b sigma_y.
 """
 
 from __future__ import annotations
@@ -16,32 +16,33 @@ from becalm.cleaning.figures import fixed_figures
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import in_steps
 from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
-from becalm.cleaning.stream_modes import handed_over
+from becalm.cleaning.stream_modes import modes_in_handover
 from becalm.core.arrays import Floats
 from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.errors import ModelError, RecipeError
 
-_TIMES_INDEPENDENT = 3.0  # a filter has forgotten its start after this many times its `independence_s`
+_TIMES_INDEPENDENT = 3.0  # after this many times its `independence_s`, the effect of a filter's start is negligible
 _FEWEST, _MOST = 32, 1 << 16  # limits of `rows_to_forget`
 _DAMAGED = "These bytes are not a snapshot of a change between two filters."
 
 
 class Handover:
-    """Runs two stream filters while the new one replaces the old one.
+    """Two stream filters that both run while the new one replaces the old one.
 
     Parameters
     ----------
     former : StreamCleaner
-        The old filter, which continues for a while.
+        The old filter.
     later : StreamCleaner
         The new filter, which has taken no row yet.
     rows : int
-        Number of rows until the new filter has forgotten its start; then the change takes as many rows again.
+        Number of rows after which the effect of the new filter's start is negligible. The change begins then, and
+        takes as many rows again.
 
     Raises
     ------
     RecipeError
-        If they have different lags.
+        If the two filters have different lags.
     """
 
     def __init__(self, former: StreamCleaner, later: StreamCleaner, rows: int) -> None:
@@ -59,7 +60,7 @@ class Handover:
 
     @property
     def has_begun(self) -> bool:
-        """Return whether the next estimates contain a share of the new filter."""
+        """Return whether the next estimates contain a share of the new filter's estimates."""
         return self._rows_done >= self._rows
 
     @property
@@ -70,15 +71,15 @@ class Handover:
     def push(self, values: Floats, elapsed: Floats) -> Streamed:
         """Take the next rows; see `StreamCleaner.push`.
 
-        With a lag, the first estimates are of rows from before the new filter started; the old filter gives them.
+        With a lag, the first estimates are of rows before the start of the new filter; they are the old filter's.
         """
         before, after = self.former.push(values, elapsed), self.later.push(values, elapsed)
-        return self._joined(before, after)
+        return self._mix(before, after)
 
     def finish(self) -> Streamed:
-        """Return the estimates of the waiting rows so far; the state does not change."""
+        """Return estimates of the waiting rows from the readings so far; the state does not change."""
         rows_done = self._rows_done
-        estimates = self._joined(self.former.finish(), self.later.finish())
+        estimates = self._mix(self.former.finish(), self.later.finish())
         self._rows_done = rows_done
         return estimates
 
@@ -86,20 +87,21 @@ class Handover:
         """Return the health of each channel of the new filter."""
         return self.later.health()
 
-    def _joined(self, before: Streamed, after: Streamed) -> Streamed:
-        alone = len(before.signal) - len(after.signal)  # rows from before the new filter started
+    def _mix(self, before: Streamed, after: Streamed) -> Streamed:
+        """Mix the estimates of the old filter (`before`) and of the new filter (`after`) for the next rows."""
+        old_only = len(before.signal) - len(after.signal)  # number of rows before the start of the new filter
         share = (np.arange(self._rows_done, self._rows_done + len(after.signal)) + 1 - self._rows) / self._rows
         self._rows_done += len(after.signal)
-        w = np.concatenate([np.zeros(alone), np.clip(share, 0.0, 1.0)])[:, None]
+        w = np.concatenate([np.zeros(old_only), np.clip(share, 0.0, 1.0)])[:, None]
         return Streamed(
-            _mixed(w, before.signal, np.concatenate([before.signal[:alone], after.signal])),
-            _mixed(w, before.sigma, np.concatenate([before.sigma[:alone], after.sigma])),
-            np.where(w == 0, before.verdicts, np.concatenate([before.verdicts[:alone], after.verdicts])),
-            handed_over(w, before.modes, after.modes),
+            _weighted_mean(w, before.signal, np.concatenate([before.signal[:old_only], after.signal])),
+            _weighted_mean(w, before.sigma, np.concatenate([before.sigma[:old_only], after.sigma])),
+            np.where(w == 0, before.verdicts, np.concatenate([before.verdicts[:old_only], after.verdicts])),
+            modes_in_handover(w, before.modes, after.modes),
         )
 
     def snapshot(self, former: Recipe) -> bytes:
-        """Return the whole state as plain bytes, to continue later; `former` is the recipe that is replaced."""
+        """Return the whole state as bytes, from which `resume` continues; `former` is the recipe that is replaced."""
         return packed(
             {
                 "counts": np.array([self._rows, self._rows_done], np.int64),
@@ -124,25 +126,25 @@ class Handover:
             arrays = unpacked(blob)
             rows, rows_done = (int(count) for count in arrays["counts"])
             old = Recipe.model_validate(json.loads(arrays["recipe"].tobytes()))
-            halves = arrays["former"].tobytes(), arrays["later"].tobytes()
+            snapshots = arrays["former"].tobytes(), arrays["later"].tobytes()
         except (KeyError, TypeError, ValueError) as cause:
             raise ModelError(_DAMAGED) from cause
-        former, later = (StreamCleaner.resume(half, r) for half, r in zip(halves, (old, recipe), strict=True))
+        former, later = (StreamCleaner.resume(blob, r) for blob, r in zip(snapshots, (old, recipe), strict=True))
         handover = cls(former, later, rows)
         handover._rows_done = rows_done
         return handover, old
 
 
-def _mixed(w: Floats, old: Floats, new: Floats) -> Floats:
-    """Return (1 - w) old + w new; exactly one of them at the ends, where the other may be NaN or inf."""
+def _weighted_mean(w: Floats, old: Floats, new: Floats) -> Floats:
+    """Return (1 - w) old + w new; exactly `old` where w = 0 and `new` where w = 1, even if the other is NaN or inf."""
     with np.errstate(invalid="ignore"):
         return np.where(w == 0, old, np.where(w == 1, new, (1 - w) * old + w * new))
 
 
 def rows_to_forget(recipe: Recipe, step_s: float) -> int:
-    """Return after how many rows all filters of a recipe have forgotten their start, from 32 to 65 536.
+    """Return the number of rows, 32 to 65 536, after which the effect of a start is negligible in all filters.
 
-    Of a channel with several modes only the fixed filter counts.
+    For a channel with several modes only its fixed filter counts.
     """
     longest_s = 0.0
     for channel in recipe.channel:

@@ -1,4 +1,7 @@
-"""Judge from the innovations, by the size of the effects, whether the model describes the signal."""
+"""Judge from the innovations whether the model describes the signal, and compute the uncertainty of the signal.
+
+The judgement depends on the size of effects (such as the excess of an rms error), not on their significance alone.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +27,15 @@ from becalm.metrics.whiteness import (
 )
 
 PREDICTABLE = 0.10
-"""Share of the innovation power that may be predictable: 10 % adds 5 % to the rms error of the prediction."""
+"""Largest predictable share of the innovation power: 10 % increases the rms error of the prediction by 5 %."""
 
 DESCRIBED = "The model describes the signal."
 
 COSTLY = 0.10
-"""Excess of a smoother's rms error over the least possible one, as a share; below it predictability does not matter."""
+"""Largest `excess_error` of a smoother for which predictable innovations do not matter."""
 
 MOST_EXCEPTED = 0.5
-"""The same; above it even a narrow band is more than an exception."""
+"""Largest `excess_error` for which a predictable narrow band counts as an exception ("fits except")."""
 
 FEWEST_INNOVATIONS = 8
 """Least number of innovations for a judgement."""
@@ -41,43 +44,43 @@ UNEVEN = 0.10
 """Largest share of the record in which sigma may be wrong by more than a factor of two."""
 
 MISPLACED = 0.15
-"""Largest share of the scores' probability that may be misplaced; it is 0.16 if sigma is 1.4 times too small."""
+"""Largest misplaced share of the probability of the normal scores; 0.16 is that for a sigma 1.4 times too small."""
 
-_FAR_OFF = 8.0  # factor by which the NIS of a record that is too short for blocks may differ from 1
-_NARROW = 1 / 32  # cycles per reading: half width of a narrow band, the resolution of 32 lags
-_CHANCE = 0.01  # p-value above which a predictable share counts as chance
-_LEAST = 1e-12  # least share that is not predictable
+_FAR_OFF = 8.0  # for a record too short for blocks: largest factor by which its mean NIS may differ from 1
+_NARROW = 1 / 32  # cycles per reading: half the width of a narrow band, which is the resolution of 32 lags
+_CHANCE = 0.01  # p-value from which on a predictable share counts as chance
+_LEAST = 1e-12  # least unpredictable share of the innovation power, so that the excess error is finite
 
 Decision = Literal["fits", "fits except", "does not fit", "constant", "untold"]
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """The judgement on the model of one channel, from its innovations.
+    """The judgement of one channel's model, from its innovations.
 
     Attributes
     ----------
     verdict : {"fits", "fits except", "does not fit", "constant", "untold"}
-        "fits except": a narrow band is not described, near `loudest_hz`. "untold": too few readings.
+        "fits except": the model describes all but a narrow band near `loudest_hz`. "untold": too few readings.
     whiteness_p : float or None
-        p-value of the Ljung-Box test, 20 lags.
+        p-value of the Ljung-Box test with 20 lags.
     first_correlation : float or None
-        Correlation of neighbouring innovations; positive: the filter is too slow, negative: too fast.
+        Correlation of successive innovations; it is positive if the filter is too slow and negative if it is too fast.
     predictable_share : float or None
         Share of the innovation power that is predictable from earlier innovations.
     excess_error : float or None
-        Cost of predictable innovations: the share by which an rms error exceeds the least possible one. It is the error
-        of the signal for a smoother, and of the prediction for a causal filter.
+        Cost of predictable innovations: the share by which the rms error exceeds the least possible rms error. For a
+        smoother it is the error of the signal, for a causal filter that of the prediction.
     loudest_hz : float or None
         Frequency at which the spectrum of the innovations is highest.
     uneven_share : float or None
-        Share of blocks of 50 innovations that are, as an rms, under half or over twice as large as expected.
+        Share of those blocks of 50 innovations whose rms is below half, or above twice, the expected rms.
     nis_mean : float or None
         Mean squared normalised innovation; 1 is expected.
     lagged : LaggedSums or None
         Lagged sums of the normalised innovations, for the whiteness test.
     says : str
-        The judgement as a sentence, with what to do.
+        The judgement as text.
     """
 
     verdict: Decision = "untold"
@@ -98,7 +101,7 @@ class Judgement:
 
 
 class _Sums(NamedTuple):
-    """Sums of the normalised innovations."""
+    """The sums of the normalised innovations that a judgement needs."""
 
     lagged: LaggedSums = LaggedSums()
     blocks: BlockCount = BlockCount()
@@ -106,21 +109,22 @@ class _Sums(NamedTuple):
     scores: ScoreCount | None = None  # for a filter with several modes
 
     def extended(self, piece: Floats) -> _Sums:
+        """Return the sums with the next innovations, (B,), added."""
         lagged, blocks, power, scores = self
         scores = None if scores is None else scores.extended(piece)
         return _Sums(lagged.extended(piece), blocks.extended(piece), power.extended(piece), scores)
 
 
 class InnovationJudge:
-    """Judges one channel by its innovations, which come in blocks of any length, in constant memory.
+    """A judge of one channel's model: it takes innovations in blocks of any length, and needs constant memory.
 
     Parameters
     ----------
     step_s : float
         Time between two innovations, in seconds.
     scores : bool
-        Whether the innovations are normal scores times sigma, as those of a filter with several modes; then their
-        whole distribution must be normal.
+        Whether the innovations are normal scores times sigma, as for a filter with several modes. If so, their
+        distribution must be normal.
 
     Examples
     --------
@@ -141,7 +145,7 @@ class InnovationJudge:
         Parameters
         ----------
         innovations : (B,) float array
-            Readings minus predictions, in unit, in order of time; NaN where there is none.
+            Readings minus predictions, in unit, in order of time; NaN in rows without one.
         innovation_sigma : (B,) float array or float
             Expected standard deviations, in unit; one number for a filter in steady state.
         """
@@ -151,14 +155,14 @@ class InnovationJudge:
             self._running.add(innovations[part] / sigma[part])
 
     def judgement(self, excess_of: Callable[[Colour], float] | None = None) -> Judgement:
-        """Judge all innovations so far; more may follow.
+        """Judge all innovations so far; more may be added later.
 
         Parameters
         ----------
         excess_of : callable, optional
-            Takes the colour of the innovations, and returns the excess of the rms error, as `excess_error` in
-            `becalm.identification.trust.tuning_spread` does for a smoother. The default is the excess of the
-            prediction.
+            Function from the power spectrum of the normalised innovations to the excess of the rms error, such as
+            `becalm.identification.trust.tuning_spread.excess_error` for a smoother. By default the excess is that of
+            the prediction.
         """
         sums = self._running.sums()
         if sums.power.seen < FEWEST_INNOVATIONS:
@@ -184,12 +188,12 @@ class InnovationJudge:
             uneven_share=uneven,
             nis_mean=nis,
             lagged=sums.lagged,
-            says=_sentence(faults, fault if narrow else "", loudest_hz) + _reserve(found, excess, bool(fault)),
+            says=_sentence(faults, fault if narrow else "", loudest_hz) + _remark(found, excess, bool(fault)),
         )
 
 
 def _predictable(found: Whiteness, excess: float, loudest_hz: float | None, *, limited: bool) -> str:
-    """Return a clause on the predictable share if it is large and, for a smoother (`limited`), costly; else ""."""
+    """Return a clause on the predictable share if it is too large, or ""; `limited`: only if it is also costly."""
     much = found.predictable_share > PREDICTABLE and found.p_value < _CHANCE
     if not much or (limited and excess <= COSTLY):
         return ""
@@ -202,7 +206,7 @@ def _predictable(found: Whiteness, excess: float, loudest_hz: float | None, *, l
 
 
 def _is_narrow(found: Whiteness) -> bool:
-    """Return whether the innovations are predictable only in a narrow band about the loudest frequency."""
+    """Return whether the innovations are predictable only in a narrow band around their loudest frequency."""
     middle = found.loudest or 0.0
     width = max(_NARROW, middle / 10)
     inside = width < middle < 0.5 - width
@@ -210,6 +214,7 @@ def _is_narrow(found: Whiteness) -> bool:
 
 
 def _changes(uneven: float) -> list[str]:
+    """Return a clause on innovations of uneven size, if their share of the record is too large."""
     if uneven <= UNEVEN:
         return []
     return [
@@ -219,13 +224,14 @@ def _changes(uneven: float) -> list[str]:
 
 
 def _misplaced(share: float) -> list[str]:
+    """Return a clause on scores that are not normal, if the misplaced share of their probability is too large."""
     if share <= MISPLACED:
         return []
     return [f"readings are not distributed as its modes predict: {share:.0%} of their probability is misplaced"]
 
 
-def _reserve(found: Whiteness, excess: float, at_fault: bool) -> str:
-    """Return a sentence on the predictable share if it is large but costs a smoother next to nothing; else ""."""
+def _remark(found: Whiteness, excess: float, at_fault: bool) -> str:
+    """Return a sentence on a predictable share that is large but costs a smoother next to nothing, or ""."""
     if at_fault or found.predictable_share <= PREDICTABLE or found.p_value >= _CHANCE:
         return ""
     return (
@@ -235,6 +241,7 @@ def _reserve(found: Whiteness, excess: float, at_fault: bool) -> str:
 
 
 def _sentence(faults: list[str], exception: str, loudest_hz: float | None) -> str:
+    """Return the judgement as a sentence, from clauses on faults and on a narrow band that is an exception."""
     if faults:
         return (
             f"The model does not describe this signal: {'; and '.join([*faults, exception] if exception else faults)}."
@@ -248,17 +255,17 @@ def _sentence(faults: list[str], exception: str, loudest_hz: float | None) -> st
 #
 #     u(x)^2 = ((1 + spread) sigma)^2 + (x relative_std)^2 + offset_std^2 + rounding_std^2
 #
-# Averaging reduces the first term, which is random. It does not reduce the others: they are one error for all samples
-# (JCGM 100:2008, 3.3 and 5.1).
+# Averaging reduces the first term, which is random. It does not reduce the other terms, which are systematic: all
+# samples have the same error (JCGM 100:2008, 3.3 and 5.1).
 
 
 class Uncertainty:
-    """Widens sigma for tuning, calibration and quantisation, and sums up the magnitude of the signal.
+    """A widening of sigma for tuning, calibration and quantisation; it also averages the magnitude of the signal.
 
     Parameters
     ----------
     spread : float
-        Share by which sigma grows because the tuning is uncertain.
+        Relative increase of sigma because the tuning is uncertain.
     calibration : CalibrationRecipe or None
         Uncertainty of the sensor's calibration.
     limits : LimitsRecipe or None
@@ -269,7 +276,7 @@ class Uncertainty:
         self, spread: float, calibration: CalibrationRecipe | None, limits: LimitsRecipe | None = None
     ) -> None:
         self._factor, self._calibration = 1.0 + spread, calibration
-        self._systematic = lasting_std(calibration, limits)
+        self._systematic = systematic_std(calibration, limits)
         self._magnitudes, self._rows = 0.0, 0
 
     def widened(self, estimates: Sequence[EstimatedRows]) -> list[EstimatedRows]:
@@ -280,30 +287,30 @@ class Uncertainty:
 
     @property
     def calibration_std(self) -> float | None:
-        """Return the standard uncertainty of the calibration at the mean magnitude so far, in unit, or None."""
+        """Return the standard uncertainty of the calibration, in unit, at the mean magnitude of the signal so far."""
         if self._calibration is None or not self._rows:
             return None
         mean = self._magnitudes / self._rows
         return float(np.hypot(mean * self._calibration.relative_std, self._calibration.offset_std))
 
-    def see(self, signal: Floats) -> None:
-        """Add a signal (B,) to the mean magnitude."""
+    def add_magnitudes(self, signal: Floats) -> None:
+        """Add the magnitudes of a signal (B,) to their mean."""
         if self._calibration is not None:
-            seen = np.abs(signal[np.isfinite(signal)])
-            self._magnitudes, self._rows = self._magnitudes + float(seen.sum()), self._rows + len(seen)
+            magnitudes = np.abs(signal[np.isfinite(signal)])
+            self._magnitudes, self._rows = self._magnitudes + float(magnitudes.sum()), self._rows + len(magnitudes)
 
     def _widened(self, rows: EstimatedRows) -> EstimatedRows:
         sigma = self._factor * rows.sigma
-        self.see(rows.signal)
+        self.add_magnitudes(rows.signal)
         if self._systematic is not None:
             relative_std, offset_std = self._systematic
-            sensitivity = np.hypot(rows.signal * relative_std, offset_std)
-            sigma = np.where(np.isfinite(sensitivity), np.hypot(sigma, sensitivity), sigma)
+            systematic = np.hypot(rows.signal * relative_std, offset_std)
+            sigma = np.where(np.isfinite(systematic), np.hypot(sigma, systematic), sigma)
         return rows._replace(sigma=sigma)
 
 
-def lasting_std(calibration: CalibrationRecipe | None, limits: LimitsRecipe | None) -> tuple[float, float] | None:
-    """Return the errors that averaging does not reduce, as a share of the signal and in unit; None without any."""
+def systematic_std(calibration: CalibrationRecipe | None, limits: LimitsRecipe | None) -> tuple[float, float] | None:
+    """Return the std of the errors that averaging does not reduce: a share of the signal, and one in unit; or None."""
     rounding_std = None if limits is None else limits.rounding_std
     if calibration is None:
         return None if rounding_std is None else (0.0, rounding_std)

@@ -1,4 +1,4 @@
-"""Convert the limits of a healthy sensor between a recipe and the core."""
+"""Convert the limits of a healthy sensor between recipes and the types of `becalm.core.health`."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from becalm.core.time.clock import GAP_STEPS
 from becalm.identification.likelihood import Tuning
 from becalm.identification.trust.tuning_spread import independence_steps
 
-_PARTS = 36  # a channel that comes closer to 0 than this fraction of its plausible range may rest there
-_LEAST_ROUNDING = 1e-3  # of the resolution; a smaller error is left out
+_PARTS = 36  # default of `far_from_0`: the plausible range divided by this number
+_LEAST_ROUNDING = 1e-3  # least quantisation error, as a share of the resolution, that is not ignored
 
 
 def limits_recipe(limits: Limits) -> LimitsRecipe | None:
-    """Return limits in the form of a recipe; None if there are only limits of the time, or a resolution."""
-    rails = [float(rail) if np.isfinite(rail) else None for rail in limits.rails]
+    """Return limits in the form of a recipe; None if there are only limits of times, or a resolution."""
+    saturation = [float(limit) if np.isfinite(limit) else None for limit in limits.rails]
     largest = limits.largest if limits.largest < BEYOND_ANY_SENSOR else None
-    jumps = limits.outliers
-    none_jumps = np.isinf(jumps.distance) and np.isinf(jumps.blank)
-    if rails == [None, None] and limits.stuck_readings is None and largest is None and none_jumps:
+    rule = limits.outliers
+    no_rule = np.isinf(rule.distance) and np.isinf(rule.blank)
+    if saturation == [None, None] and limits.stuck_readings is None and largest is None and no_rule:
         return None
     return LimitsRecipe(
-        low=rails[0],
-        high=rails[1],
+        low=saturation[0],
+        high=saturation[1],
         resolution=limits.resolution or None,
         stuck_readings=limits.stuck_readings,
         even_time=limits.even,
         gap_steps=None if limits.gap_steps == GAP_STEPS else limits.gap_steps,
         largest=largest,
-        outlier_distance=_finite(jumps.distance),
-        causal_outlier_distance=_finite(jumps.causal_distance),
-        plausible_low=_finite(jumps.low),
-        plausible_high=_finite(jumps.high),
-        repeats_are_one=jumps.repeats_are_one or None,
-        blank=_finite(jumps.blank),
-        far_from_0=None if np.isinf(jumps.distance) else jumps.far_from_0,
+        outlier_distance=_finite(rule.distance),
+        causal_outlier_distance=_finite(rule.causal_distance),
+        plausible_low=_finite(rule.low),
+        plausible_high=_finite(rule.high),
+        repeats_are_one=rule.repeats_are_one or None,
+        blank=_finite(rule.blank),
+        far_from_0=None if np.isinf(rule.distance) else rule.far_from_0,
     )
 
 
@@ -55,7 +55,7 @@ def _value_or(number: float | None, otherwise: float) -> float:
 
 
 def limits_of(entry: LimitsRecipe | None) -> Limits:
-    """Return the limits of a recipe; if it has none, no reading is clipped or stuck, and no row is late."""
+    """Return the limits of a recipe; for None, no reading counts as clipped or stuck, and no row as late."""
     if entry is None:
         return Limits(even=False)
     return Limits(
@@ -79,39 +79,39 @@ def limits_of(entry: LimitsRecipe | None) -> Limits:
 
 
 def _far_from_0(limits: LimitsRecipe) -> float:
-    """Return the distance from 0, in unit: a 0 whose neighbours are all farther away is missing; 0.0 if none is.
+    """Return `far_from_0` in unit: a reading of 0 is missing if all neighbours are farther than this from 0.
 
-    For recipes without this value, it comes from the plausible range if equal readings in a row count as one and gross
-    outliers are found.
+    A recipe without this value gets one from its plausible range, but only if equal readings in a row count as one and
+    gross outliers are rejected. Otherwise the result is 0.0, which keeps every reading of 0.
     """
     if limits.far_from_0 is not None or limits.plausible_low is None or limits.plausible_high is None:
         return limits.far_from_0 or 0.0
-    judged = limits.repeats_are_one and (limits.outlier_distance or limits.causal_outlier_distance)
-    return (limits.plausible_high - limits.plausible_low) / _PARTS if judged else 0.0
+    has_default = limits.repeats_are_one and (limits.outlier_distance or limits.causal_outlier_distance)
+    return (limits.plausible_high - limits.plausible_low) / _PARTS if has_default else 0.0
 
 
-def rows_that_judge(entry: LimitsRecipe | None, lag: int | None) -> int:
-    """Return how many later rows the outlier test uses, for a lag in rows (None: a smoother)."""
+def outlier_test_rows(entry: LimitsRecipe | None, lag: int | None) -> int:
+    """Return the number of later rows that the outlier test uses, for a lag in rows (None: a smoother)."""
     return rows_ahead(lag) if lag is None or np.isfinite(limits_of(entry).outliers.distance) else 0
 
 
-def rows_that_smooth(entry: LimitsRecipe | None, lag: int | None) -> int | None:
-    """Return how many rows of a lag the outlier test leaves to smooth with; None for a smoother."""
-    return None if lag is None else lag - rows_that_judge(entry, lag)
+def smoothing_rows(entry: LimitsRecipe | None, lag: int | None) -> int | None:
+    """Return the number of rows of a lag that the filter smooths with after the outlier test; None for a smoother."""
+    return None if lag is None else lag - outlier_test_rows(entry, lag)
 
 
-def delay_to_smooth(entry: LimitsRecipe | None, wait_s: float, step_s: float) -> float:
-    """Return the least lag, in seconds, that leaves `wait_s` to smooth with after the outlier test; inf for inf."""
+def least_lag_s(entry: LimitsRecipe | None, wait_s: float, step_s: float) -> float:
+    """Return the least lag, in seconds, of which `wait_s` remain for smoothing after the outlier test; inf for inf."""
     if not np.isfinite(wait_s):
         return wait_s
     wanted = lag = round(wait_s / step_s)
-    while lag - rows_that_judge(entry, lag) < wanted:
+    while lag - outlier_test_rows(entry, lag) < wanted:
         lag += 1
     return lag * step_s
 
 
 def alarms_of(entry: LimitsRecipe | None) -> Alarms:
-    """Return the thresholds of the drift and dead-sensor alarms; an alarm without a threshold is off."""
+    """Return the thresholds of the drift and dead-sensor alarms; an alarm is off if the recipe has no threshold."""
     drift = None if entry is None else entry.drift_threshold
     dead = None if entry is None else entry.dead_variance
     return Alarms(NEVER if drift is None else drift, dead or 0.0)
@@ -120,7 +120,7 @@ def alarms_of(entry: LimitsRecipe | None) -> Alarms:
 def with_rounding(
     limits: LimitsRecipe | None, tuning: Tuning, readings: Floats, *, causal: bool
 ) -> LimitsRecipe | None:
-    """Return the limits of a channel with the quantisation error that remains in the signal, if it is noticeable.
+    """Return the limits of a channel, with the quantisation error that remains in the signal if it is noticeable.
 
     Parameters
     ----------
@@ -136,6 +136,6 @@ def with_rounding(
     if limits is None or limits.resolution is None:
         return limits
     averaged = independence_steps(tuning, causal) or 1.0
-    seen = readings[np.isfinite(readings)]
-    left = rounding_left(seen, tuning.noise_variance, min(max(round(averaged), 1), max(len(seen) // 2, 1)))
-    return limits.model_copy(update={"rounding_std": left}) if left > _LEAST_ROUNDING * limits.resolution else limits
+    finite = readings[np.isfinite(readings)]
+    std = rounding_left(finite, tuning.noise_variance, min(max(round(averaged), 1), max(len(finite) // 2, 1)))
+    return limits.model_copy(update={"rounding_std": std}) if std > _LEAST_ROUNDING * limits.resolution else limits

@@ -1,6 +1,6 @@
-"""Clean one channel of a stream: with a fixed lag, with several modes, or unfiltered.
+"""Clean one channel of a stream: with a fixed lag, with several modes, or without a filter.
 
-A channel with one causal filter is a `CausalChannel`.
+A channel with one causal filter is a `CausalChannel` instead.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from becalm.cleaning.filters import FilteredChannel
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.filter.fixed_lag_flow import FixedLagFlow
-from becalm.core.filter.live_restarting import LiveFlow, LiveRestarting
+from becalm.core.filter.live_restarting import LiveFlow, LiveRestartingFlow
 from becalm.core.imm.fixed_lag_flow import FixedLagImmFlow
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels
@@ -27,19 +27,20 @@ from becalm.native.scans import HOP
 
 
 class LiveChannel(Protocol):
-    """Takes the rows of one channel and returns their estimates, perhaps later."""
+    """A cleaner of one channel of a stream: it takes rows in blocks and returns their estimates at once or later."""
 
     counts: Counter[Verdict]
     """How often each verdict was given."""
 
     sensor: SensorWatch
+    """Check of the readings for faults."""
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
+        """Take readings (B,) and the steps since the previous row (B,); return the rows that are ready, in order."""
         ...
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the remaining rows. The channel takes no more; a state that was saved before can be continued."""
+        """Return the remaining rows. Afterwards only a state that was saved before this call can be continued."""
         ...
 
     def saved(self) -> dict[str, Any]:
@@ -56,36 +57,36 @@ class LiveFilteredChannel(FilteredChannel):
 
     def __init__(self, recipe: ChannelRecipe, step_s: float, lag: int) -> None:
         super().__init__(recipe, step_s, lag)
-        runs, look = self._runs, self.sensor.look
+        design, judge = self._filter, self.sensor.add_innovations
         self._flow: LiveFlow
-        if runs.modes is None:
-            component, variance = runs.tuning.component, runs.noise_variance
-            assert runs.lag, "a causal filter without modes is a `CausalChannel`"
-            self._flow = FixedLagFlow(component, variance, lag=runs.lag, judge=look, gate=runs.gate)
+        if design.modes is None:
+            component, variance = design.tuning.component, design.noise_variance
+            assert design.lag, "a causal filter without modes is a `CausalChannel`"
+            self._flow = FixedLagFlow(component, variance, lag=design.lag, judge=judge, gate=design.gate)
         else:
-            self._flow = LiveRestarting(partial(self._open_modes, runs.modes), runs.gap_limit, runs.largest)
+            self._flow = LiveRestartingFlow(partial(self._open_modes, design.modes), design.gap_limit, design.largest)
 
     def _open_modes(self, modes: InteractingModels) -> LiveFlow:
-        lag, look = self._runs.lag, self.sensor.look
+        lag, judge = self._filter.lag, self.sensor.add_innovations
         if lag:
-            return FixedLagImmFlow(modes, lag=lag, judge=look, with_probabilities=True)
-        return ImmFlow(modes, causal=True, judge=look, with_probabilities=True)
+            return FixedLagImmFlow(modes, lag=lag, judge=judge, with_probabilities=True)
+        return ImmFlow(modes, causal=True, judge=judge, with_probabilities=True)
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and the steps before each; return the estimated rows that are ready, in order."""
+        """Take readings (B,) and the steps since the previous row (B,); return the rows that are ready, in order."""
         if self._timing is not None:
             self._timing.push(elapsed)
-        return self._counted(self._filter(*self.sensor.push(z, elapsed)))
+        return self._counted(self._estimate(*self.sensor.push(z, elapsed)))
 
     def finish(self) -> list[EstimatedRows]:
-        """Return the remaining rows. The channel takes no more; a state that was saved before can be continued."""
-        return self._counted([*self._filter(*self.sensor.finish()), *self._flow.finish()])
+        """Return the remaining rows. Afterwards only a state that was saved before this call can be continued."""
+        return self._counted([*self._estimate(*self.sensor.finish()), *self._flow.finish()])
 
-    def _filter(self, usable: Floats, elapsed: Floats) -> list[EstimatedRows]:
+    def _estimate(self, usable: Floats, elapsed: Floats) -> list[EstimatedRows]:
         if not len(usable):
             return []
         self._sentinel.push(usable)
-        steps = np.round(elapsed) if self._runs.tuning.component.has_recursion else elapsed
+        steps = np.round(elapsed) if self._filter.tuning.component.has_recursion else elapsed
         return self._flow.push(usable, steps)
 
     def _counted(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
@@ -111,13 +112,13 @@ class LiveUnfilteredChannel:
     """A channel without a filter; parameters as in `FilteredChannel`."""
 
     def __init__(self, recipe: ChannelRecipe, step_s: float) -> None:
-        self.sensor, self.counts = SensorWatch(recipe.limits, step_s, shown=False), Counter[Verdict]()
+        self.sensor, self.counts = SensorWatch(recipe.limits, step_s, has_innovations=False), Counter[Verdict]()
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
-        """Take readings (B,) and return them; faulty ones become NaN, with a verdict."""
+        """Take readings (B,) and return them; a faulty reading becomes NaN and gets a verdict."""
         (readings, _), count = self.sensor.push(z, elapsed), len(z)
         unchanged = EstimatedRows(readings, np.full(count, np.nan), np.empty((0, count)), np.zeros(count, np.int8))
-        rows = self.sensor.named([unchanged])
+        rows = self.sensor.with_verdicts([unchanged])
         self.counts.update(counted(rows[0].verdicts))
         return rows
 
@@ -136,12 +137,12 @@ class LiveUnfilteredChannel:
 
 
 def open_live(recipe: ChannelRecipe, step_s: float, lag: int) -> LiveChannel:
-    """Return the cleaner of one channel of a stream that is not causal (`is_causal`); `lag` in rows."""
+    """Return the cleaner of a stream's channel for which `is_causal` returns False; `lag` in rows."""
     return LiveUnfilteredChannel(recipe, step_s) if recipe.motion is None else LiveFilteredChannel(recipe, step_s, lag)
 
 
 def mean_nis_of_hops(sums: Floats) -> float | None:
-    """Return the mean squared normalised innovation from sums over 16 rows each (H,); None without any."""
+    """Return the mean squared normalised innovation from its sums over 16 readings each, (H,); None without sums."""
     return float(sums.mean()) / HOP if len(sums) else None
 
 

@@ -1,4 +1,7 @@
-"""Measure the noise of a recording at rest: R, its split at a cut-off, and the Allan deviation."""
+"""Measure the noise of a recording at rest: R, the noise above and below a cut-off, and the Allan deviation.
+
+A rest is a stretch of time in which the sensor does not move.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +18,19 @@ from becalm.core.time.timebase import GAP_STEPS
 from becalm.errors import RecordingError, UsageError
 from becalm.identification.at_rest.allan import allan_deviation
 from becalm.identification.at_rest.allan_terms import noise_terms
-from becalm.identification.at_rest.detection import Stretch, detect_rests, named_rests, quantum, runs_of
+from becalm.identification.at_rest.detection import Stretch, detect_rests, quantum, rests_in_spans, runs_of
 from becalm.identification.at_rest.rest_noise import RestNoise, noise_at_rest, split_at_cutoff
 
 MOST_SLOW = 1.5
-"""Ratio of the variance within half a second to R; above it the report calls the noise slower than the readings."""
+"""Largest ratio of the variance within half a second to R; with a larger one the report calls the noise slow."""
 
 MOST_REPEATED = 0.4
-"""Share of readings equal to the previous one; above it the sensor is slower than the rows of its record."""
+"""Largest share of readings that equal the previous one; with a larger share the sensor is slower than its rows."""
 
 MOST_MISFIT = 2.0
-"""Misfit (about 1 is expected); above it the report says that the terms do not describe the Allan deviation."""
+"""Largest misfit (1 is expected) for which the three terms describe the Allan deviation."""
 
-_JITTER = 4.0  # standard deviations of the jitter by which a step may be longer without a gap
+_JITTER = 4.0  # standard deviations of the jitter that a step may be longer than `GAP_STEPS` without counting as a gap
 
 
 @dataclass(frozen=True)
@@ -41,19 +44,20 @@ class ChannelNoise:
     rest : str
         A sentence on where the rests are, or why there is none.
     stretches_s : tuple of (float, float)
-        The rests, each from and to, in seconds after the first sample.
+        Start and end of each rest, in seconds after the first sample.
     noise_std, noise_std_error : float or None
-        Square root of R, from differences of neighbours, and its standard error if the noise is white, in unit.
+        Square root of R, from differences of successive readings, and its standard error for white noise, in unit.
     slowness : float or None
         Variance within half a second, divided by R; see `becalm.identification.at_rest.rest_noise.RestNoise`.
     spikes : int
-        Number of jumps beyond six standard deviations; they do not count in `noise_std`.
+        Number of jumps of more than six standard deviations; `noise_std` leaves them out.
     cutoff_hz : float
-        Frequency at which the longest rest without a hole is split.
+        Frequency that separates `above_std` from `below_std`.
     above_std, below_std : float or None
-        Standard deviation above and below the cut-off, in unit.
+        Standard deviation of the readings above and below the cut-off, in unit, in the longest part of a rest without a
+        missing reading.
     allan : AllanNoise or None
-        Allan figures of the longest rest.
+        Figures of the Allan deviation over the longest rest.
     says : tuple of str
         Sentences on figures that are unknown or doubtful.
     """
@@ -89,35 +93,35 @@ def report_noise(
     Parameters
     ----------
     recording : Recording
-        Channels that rest together, such as those of one sensor; NaN where missing.
+        Channels that are at rest at the same time, such as those of one sensor; NaN where missing.
     still : iterable of (float, float), optional
-        Rests, each from and to, in seconds after the first sample; detected by default.
+        Start and end of each rest, in seconds after the first sample; by default the rests are detected.
     cutoff_hz : float
         Cut-off, in Hz: noise above it counts as measurement noise, noise below it as variation of the signal. With a
-        *small* one more of the noise is measurement noise.
+        *small* cut-off more of the noise counts as measurement noise.
     progress : callable, optional
         Called with the name of each channel when it is done.
 
     Returns
     -------
     tuple of ChannelNoise
-        One for each channel; without figures if there is no rest.
+        One element for each channel; without figures if there is no rest.
 
     Raises
     ------
     RecordingError
-        If `still` has no span, or one that is reversed, starts before the recording or has fewer than 32 samples.
+        If `still` is empty, or one of its rests is reversed, starts before the recording or has fewer than 32 samples.
     UsageError
         If the cut-off is not positive.
 
     Notes
     -----
-    Noise at rest is a lower bound: vibration of a sensor in use is not in it.
+    Noise at rest is a lower bound, because it does not contain the vibration of a sensor in use.
     """
     if not 0 < cutoff_hz < np.inf:
         raise UsageError(f"cutoff_hz = {cutoff_hz} is not a cut-off; give a positive number of hertz, such as 1.0.")
     recording = _without_impossible(recording)
-    stillness = detect_rests(recording) if still is None else named_rests(recording, still)
+    stillness = detect_rests(recording) if still is None else rests_in_spans(recording, still)
     spans_s = tuple(_span_s(recording, stretch) for stretch in stillness.stretches)
     reports = []
     for name, unit in zip(recording.names, recording.units, strict=True):
@@ -128,12 +132,12 @@ def report_noise(
 
 
 def _measured(channel: ChannelNoise, recording: Recording, stretches: Sequence[Stretch]) -> ChannelNoise:
-    """Return the channel with its figures over the rests added."""
+    """Return the channel with its figures over the rests; `recording` has only this channel."""
     (noise,) = noise_at_rest(recording, stretches)
-    parts = [_in_a_row(recording, rest) for rest in stretches]
+    parts = [_with_gaps(recording, rest) for rest in stretches]
     step = quantum(recording.samples[:, 0])
-    if hidden := _hidden(noise, step, _repeated(parts)):
-        return replace(channel, spikes=noise.spikes, says=(hidden,))
+    if reason := _why_hidden(noise, step, _repeated_share(parts)):
+        return replace(channel, spikes=noise.spikes, says=(reason,))
     above, below, no_split = _split(parts, recording.rate_hz, channel.cutoff_hz)
     allan, no_allan = _allan(recording, max(stretches, key=lambda rest: rest.stop - rest.start))
     std = float(np.sqrt(noise.variance))
@@ -150,13 +154,13 @@ def _measured(channel: ChannelNoise, recording: Recording, stretches: Sequence[S
     )
 
 
-def _repeated(parts: Sequence[Floats]) -> float:
-    """Return the share of readings that equal the previous one, among those that directly follow another."""
+def _repeated_share(parts: Sequence[Floats]) -> float:
+    """Return the share of readings that equal the reading in the previous row, if that row has one."""
     steps = np.concatenate([np.diff(part) for part in parts])
     return float(np.mean(steps[np.isfinite(steps)] == 0)) if np.isfinite(steps).any() else 0.0
 
 
-def _hidden(noise: RestNoise, step: float, repeated: float) -> str:
+def _why_hidden(noise: RestNoise, step: float, repeated: float) -> str:
     """Return a sentence on why the readings do not show the noise, or "" if they do; `step` as in `_doubts`."""
     if not np.isfinite(noise.variance):
         return f"At rest {noise.differences} readings follow another without a gap; 32 are needed to measure the noise."
@@ -187,7 +191,7 @@ def _doubts(noise: RestNoise, step: float) -> list[str]:
 
 
 def _split(parts: Sequence[Floats], rate_hz: float, cutoff_hz: float) -> tuple[float | None, float | None, list[str]]:
-    """Return the standard deviations above and below the cut-off, and sentences on why there are none."""
+    """Return the standard deviations above and below the cut-off, and sentences on why they are unknown."""
     if cutoff_hz >= rate_hz / 2:
         return None, None, [f"A rate of {rate_hz:.4g} Hz does not show the noise above {cutoff_hz:g} Hz."]
     longest = max(map(_longest_complete, parts), key=len)
@@ -199,9 +203,9 @@ def _split(parts: Sequence[Floats], rate_hz: float, cutoff_hz: float) -> tuple[f
 
 
 def _allan(recording: Recording, rest: Stretch) -> tuple[AllanNoise | None, list[str]]:
-    """Return the Allan figures over one rest, and sentences on those that are unknown."""
+    """Return the figures of the Allan deviation over one rest, and sentences on unknown or doubtful figures."""
     try:
-        terms = noise_terms(allan_deviation(_in_a_row(recording, rest), recording.rate_hz))
+        terms = noise_terms(allan_deviation(_with_gaps(recording, rest), recording.rate_hz))
     except RecordingError as cause:
         return None, [str(cause)]
     found = allan_noise(terms, recording.units[0], _span_s(recording, rest), recording.rate_hz)
@@ -214,10 +218,10 @@ def _allan(recording: Recording, rest: Stretch) -> tuple[AllanNoise | None, list
     return found, says
 
 
-def _in_a_row(recording: Recording, rest: Stretch) -> Floats:
-    """Return the readings of one channel over a rest, in unit, with a NaN for each gap; jitter is not a gap.
+def _with_gaps(recording: Recording, rest: Stretch) -> Floats:
+    """Return the readings of one channel over a rest, in unit, with one NaN inserted for each gap between rows.
 
-    One NaN is enough for a gap of any length: differences across it are left out.
+    One NaN for a gap of any length is enough to leave out differences across the gap. Jitter does not count as a gap.
     """
     readings, time = recording.samples[slice(*rest), 0], recording.timebase
     jitter_steps = 0.0 if time.uniform else time.jitter_s / time.step_s
@@ -226,7 +230,7 @@ def _in_a_row(recording: Recording, rest: Stretch) -> Floats:
 
 
 def _longest_complete(readings: Floats) -> Floats:
-    """Return the longest run of readings without a missing one."""
+    """Return the longest run of readings without a missing reading."""
     runs = runs_of(np.isfinite(readings))
     first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, -1))
     return readings[first : last + 1]

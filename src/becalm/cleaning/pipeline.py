@@ -1,4 +1,4 @@
-"""Clean a recording with a recipe, and adapt recipes to recordings."""
+"""Clean a recording with a recipe; change the mode or the channels of a recipe."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.tuning import Wishes, listed, refuse_causal_lag, refuse_empty, tune
+from becalm.cleaning.tuning import Wishes, as_list, refuse_causal_lag, refuse_empty, tune
 from becalm.core.arrays import Codes
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
@@ -24,13 +24,13 @@ class Cleaned:
     Attributes
     ----------
     signal : Recording
-        The clean channels, (N, m), same names, units and times.
+        The clean channels, (N, m), with the names, units and times of the recording.
     sigma : Recording
-        Standard uncertainty (k = 1) of each sample, same units; NaN where it is unknown.
+        Standard uncertainty (k = 1) of each sample, in the same units; NaN where it is unknown.
     recipe : Recipe
-        Recipe that was used; with it the cleaning can be repeated.
+        Recipe that was used; it makes the cleaning repeatable.
     reports : tuple of ChannelReport
-        Results for each channel, and whether to trust them.
+        Report of each channel, with whether to trust its result.
     parts : Recording or None
         Parts of all channels, (N, p), such as "ax_motion" and "ax_tone_50Hz"; None without `split`.
     verdicts : dict of str to (N,) int8 array
@@ -59,7 +59,7 @@ def clean(  # noqa: PLR0913  (keyword options of the main function)
     channels: Sequence[str] | None = None,
     split: bool = False,
 ) -> Cleaned:
-    """Clean a recording with a recipe, or with one that is tuned on it.
+    """Clean a recording with a recipe that is given, or that is tuned on the recording.
 
     Parameters
     ----------
@@ -71,12 +71,13 @@ def clean(  # noqa: PLR0913  (keyword options of the main function)
         Whether estimates use only the past; by default the mode of the recipe, or False. A recipe that was tuned
         for the other mode keeps its parameters; `tune(..., causal=...)` might choose different ones.
     lag_s : float, optional
-        How long each estimate may wait for later readings, in seconds; by default it uses none (causal) or all
-        (smoothed). With a *small* lag a live filter returns its estimates sooner, but they are noisier.
+        How long each estimate may wait for later readings, in seconds. By default an estimate uses no later readings
+        (causal) or all of them (smoothed). With a *small* lag a live filter returns its estimates sooner, but they are
+        noisier.
     channels : sequence of str, optional
         Names of the channels to clean; by default all, or all channels of the recipe.
     split : bool
-        Whether to return the parts of each channel too: motion, tones, coloured noise.
+        Whether to return the parts of each channel as well: motion, tones, coloured noise.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def clean(  # noqa: PLR0913  (keyword options of the main function)
     if recipe is None:
         recipe = tune(recording, causal=bool(causal), channels=channels, wishes=Wishes(lag_s=lag_s))
     else:
-        recipe = fitted(in_mode(recipe, causal, lag_s), recording.names, recording.units, channels=channels)
+        recipe = fit_to_recording(in_mode(recipe, causal, lag_s), recording.names, recording.units, channels=channels)
     chosen = recording.select([channel.name for channel in recipe.channel])
     refuse_empty(chosen)
     time = chosen.timebase
@@ -129,11 +130,11 @@ def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = No
     Parameters
     ----------
     recipe : Recipe
-        The recipe; its filters stay the same.
+        The recipe; the parameters of its filters stay the same.
     causal : bool, optional
         Whether estimates use only the past (True), or the whole record (False).
     lag_s : float, optional
-        How long each estimate waits for later readings, in seconds; with a *small* lag it comes sooner, but is noisier.
+        How long each estimate waits for later readings, in seconds; with a *small* lag estimates are noisier.
 
     Raises
     ------
@@ -148,8 +149,8 @@ def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = No
     return recipe.model_copy(update={"mode": "causal" if causal else "smoothed", "lag_s": None})
 
 
-def joined(recipes: Sequence[Recipe]) -> Recipe:
-    """Return one recipe with the channels of several recipes; everything else is from the first one.
+def join_recipes(recipes: Sequence[Recipe]) -> Recipe:
+    """Return one recipe with the channels of several recipes; all other settings are those of the first recipe.
 
     Parameters
     ----------
@@ -159,24 +160,25 @@ def joined(recipes: Sequence[Recipe]) -> Recipe:
     return recipes[0].model_copy(update={"channel": tuple(channel for recipe in recipes for channel in recipe.channel)})
 
 
-def _narrowed(recipe: Recipe, channels: Sequence[str] | None) -> Recipe:
+def _select_channels(recipe: Recipe, channels: Sequence[str] | None) -> Recipe:
+    """Return the recipe with only the named channels (None: all), in the order of the names."""
     if channels is None:
         return recipe
     by_name = {channel.name: channel for channel in recipe.channel}
-    missing = [name for name in listed(channels) if name not in by_name]
+    missing = [name for name in as_list(channels) if name not in by_name]
     if missing:
         raise RecipeError(f"The recipe has no channel {missing[0]!r}; it has {', '.join(map(repr, by_name))}.")
-    return recipe.model_copy(update={"channel": tuple(by_name[name] for name in listed(channels))})
+    return recipe.model_copy(update={"channel": tuple(by_name[name] for name in as_list(channels))})
 
 
-def fitted(
+def fit_to_recording(
     recipe: Recipe,
     names: Sequence[str],
     units: Sequence[str],
     *,
     channels: Sequence[str] | None = None,
 ) -> Recipe:
-    """Return the recipe for a recording with these channel names and units.
+    """Return a recipe with only the wanted channels, after checking that a recording has them in the right units.
 
     Parameters
     ----------
@@ -192,7 +194,7 @@ def fitted(
     RecipeError
         If the recipe names a channel that the recording does not have, or has in another unit.
     """
-    recipe = _narrowed(recipe, channels)
+    recipe = _select_channels(recipe, channels)
     for channel in recipe.channel:
         if channel.name not in names:
             raise RecipeError(

@@ -1,4 +1,4 @@
-"""Find the rests of an accelerometer in its poses, for a calibration."""
+"""Find the rests of an accelerometer that lay in many poses, to calibrate it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from becalm.identification.at_rest.detection import SHORTEST_S, detect_rests
 from becalm.sensors.poses import FEWEST_POSES, Rests
 
 _AXES = 3
-_BLOCKS = 8  # parts of a rest: their means give the uncertainty of its mean, even with coloured noise
+_BLOCKS = 8  # number of blocks of a rest: their means give the standard error of its mean, even for coloured noise
 
 
 def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
@@ -21,12 +21,12 @@ def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
     recording : Recording
         Readings of the three axes.
     shortest_s : float
-        Shortest rest that counts, in seconds; a *small* one also uses short rests.
+        Shortest rest that counts, in seconds.
 
     Returns
     -------
     Rests
-        The rests that have eight rows or more with readings of all axes, and in which every axis varies.
+        The rests that have eight or more rows with readings of all axes, and in which the readings of each axis vary.
 
     Raises
     ------

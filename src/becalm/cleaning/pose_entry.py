@@ -1,4 +1,4 @@
-"""Calibrate an accelerometer from a recording in many poses; report the result and make its sensor file entry."""
+"""Calibrate an accelerometer from a recording in many poses; report the result and make an entry for a sensor file."""
 
 from __future__ import annotations
 
@@ -45,11 +45,13 @@ class PoseReport(NamedTuple):
     calibration : PoseCalibration
         Calibration from these rests.
     before : float
-        Standard deviation of |a| over the rests without this calibration, in unit: of the readings themselves if they
-        are accelerations, otherwise with the best zero and one factor for all axes.
-    after, held_out : float
-        The same after calibration; and the root mean square difference of |a| from gravity, for each rest with a
-        calibration from the others. The latter is NaN for ten rests, or if the others are too similar without one.
+        Standard deviation of |a| over the rests without this calibration, in unit. If the readings are accelerations,
+        |a| is that of the readings; otherwise that with the best zero and one factor for all axes.
+    after : float
+        Standard deviation of |a| over the rests with this calibration, in unit.
+    held_out : float
+        Root mean square difference of |a| from gravity, in unit, if each rest is converted with a calibration from all
+        other rests. NaN if there are only ten rests, or if the other rests are too similar for a calibration.
     gravity_relative_std : float
         Standard uncertainty (k = 1) of gravity, as a share.
     """
@@ -71,7 +73,7 @@ class PoseReport(NamedTuple):
 
     @property
     def scale_uncertainties_percent(self) -> Floats:
-        """Return the expanded (k = 2) uncertainty of each scale, (3,), in percent, including that of gravity."""
+        """Return the expanded (k = 2) uncertainty of each scale, (3,), in percent; that of gravity is included."""
         relative = np.diag(self.calibration.matrix_std) / np.abs(self.scales)
         return np.asarray(100 * COVERAGE * np.hypot(relative, self.gravity_relative_std))
 
@@ -97,7 +99,7 @@ class PoseReport(NamedTuple):
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
+        """Return the report as plain values for JSON."""
         found = self.calibration
         return {
             "channels": list(self.channels),
@@ -118,17 +120,17 @@ class PoseReport(NamedTuple):
 
 
 def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | None = None) -> PoseReport:
-    """Calibrate a triaxial accelerometer from a recording in which it lay in many poses.
+    """Calibrate a triaxial accelerometer from a recording in which the sensor lay in many poses.
 
     Parameters
     ----------
     recording : Recording
-        Three channels, all in V, mV, mV/V, counts, g or m/s^2; readings without a unit count as counts.
+        Three channels, all in V, mV, mV/V, counts, g or m/s^2; readings without a unit are taken as counts.
     unit : str
         Unit of the result: m/s^2 or g.
     gravity : float, optional
-        Local gravity, in m/s^2, without uncertainty. By default standard gravity, with an uncertainty for its
-        variation over the Earth.
+        Local gravity, in m/s^2, taken as exact. By default standard gravity, with an uncertainty for the variation of
+        gravity over the Earth.
 
     Raises
     ------
@@ -139,7 +141,7 @@ def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | Non
         raise SensorError(f"--unit {unit} is not a unit for a calibration; write --unit m/s^2 or --unit g.")
     rests, raw_unit = find_poses(recording), _raw_unit(recording.units)
     gravity_m_s2 = STANDARD_GRAVITY if gravity is None else positive("--gravity", gravity, "9.81")
-    width = (MOST_GRAVITY - LEAST_GRAVITY) / np.sqrt(12)  # standard deviation of a uniform distribution over places
+    gravity_std = (MOST_GRAVITY - LEAST_GRAVITY) / np.sqrt(12)  # standard deviation of a uniform distribution
     g = gravity_m_s2 / ACCELERATIONS[unit]
     found = calibrate_by_length(rests, g)
     return PoseReport(
@@ -151,11 +153,12 @@ def report_poses(recording: Recording, unit: str = "m/s^2", gravity: float | Non
         before=_before(rests.means, raw_unit, unit, g),
         after=found.spread(rests.means),
         held_out=_held_out(rests, g),
-        gravity_relative_std=float(width / STANDARD_GRAVITY) if gravity is None else 0.0,
+        gravity_relative_std=float(gravity_std / STANDARD_GRAVITY) if gravity is None else 0.0,
     )
 
 
 def _raw_unit(units: tuple[str, ...]) -> RawUnit:
+    """Return the unit of all three channels; raise a SensorError if they differ or a calibration cannot use it."""
     found = sorted(set(units))
     known: dict[str, RawUnit] = {unit: unit for unit in get_args(RawUnit)} | {"": "counts"}
     if len(found) != 1 or found[0] not in known:
@@ -169,20 +172,21 @@ def _raw_unit(units: tuple[str, ...]) -> RawUnit:
 def _before(means: Floats, raw_unit: str, unit: str, gravity: float) -> float:
     """Return the standard deviation of |a| over the rests without this calibration, in `unit`."""
     if raw_unit in ACCELERATIONS:
-        as_read = np.linalg.norm(means, axis=1) * ACCELERATIONS[raw_unit] / ACCELERATIONS[unit]
-        return float(as_read.std())
+        magnitudes = np.linalg.norm(means, axis=1) * ACCELERATIONS[raw_unit] / ACCELERATIONS[unit]
+        return float(magnitudes.std())
     return common_factor(means, nearest_sphere(means)[0], gravity).spread(means)
 
 
 def _held_out(rests: Rests, gravity: float) -> float:
+    """Return `PoseReport.held_out`, by leave-one-out cross-validation over the rests."""
     if len(rests.means) <= FEWEST_POSES:
         return np.nan
-    left = []
-    for one in range(len(rests.means)):
-        others = np.arange(len(rests.means)) != one
+    errors = []
+    for held_out in range(len(rests.means)):
+        others = np.arange(len(rests.means)) != held_out
         try:
             found = calibrate_by_length(Rests(rests.means[others], rests.stds[others]), gravity)
-        except SensorError:  # without this pose the others are too similar
+        except SensorError:  # the other rests are too similar
             return np.nan
-        left.append(float(np.linalg.norm(found.acceleration(rests.means[[one]]))) - gravity)
-    return float(np.sqrt(np.mean(np.square(left))))
+        errors.append(float(np.linalg.norm(found.acceleration(rests.means[[held_out]]))) - gravity)
+    return float(np.sqrt(np.mean(np.square(errors))))

@@ -1,4 +1,4 @@
-"""Recipe: the filter of each channel, as TOML that a person can read and change."""
+"""A recipe: the parameters of each channel's filter, as TOML that a person can read and change."""
 
 from __future__ import annotations
 
@@ -24,63 +24,67 @@ from becalm.cleaning.recipe_parts import (
 )
 from becalm.errors import RecipeError, SensorError
 
-# Parse TOML that a person wrote; the message of an error is one sentence.
+# Parse TOML that a person wrote.
 
 Document = TypeVar("Document", bound=FrozenSettings)
 
 
 class TomlKind(NamedTuple):
-    """The name of a kind of TOML file, and the error for a file that is not valid."""
+    """A kind of TOML file: its name in messages, and the type of error for a file that is not valid."""
 
     name: str
     error: type[RecipeError | SensorError]
 
-    def text_of(self, path: str | Path, way_out: str) -> str:
-        """Return the text of a file; `way_out` is the advice at the end of an error message.
+    def read_text(self, path: str | Path, advice: str) -> str:
+        """Return the text of a file; an error message ends with `advice`.
 
         Raises
         ------
         RecipeError or SensorError
-            The error of this kind, if the file cannot be read or is not UTF-8.
+            An error of the type `error`, if the file cannot be read or is not UTF-8.
         """
         try:
             return Path(path).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError) as cause:
             reason = getattr(cause, "strerror", None) or "it is not UTF-8 text"
-            raise self.error(f"The {self.name} {path} cannot be read: {reason}. {way_out}") from cause
+            raise self.error(f"The {self.name} {path} cannot be read: {reason}. {advice}") from cause
 
-    def parsed(self, model: type[Document], text: str, source: str, way_out: str) -> Document:
-        """Return the settings that a TOML text contains; an error message starts with `source` and ends with `way_out`.
+    def parse(self, model: type[Document], text: str, source: str, advice: str) -> Document:
+        """Return the settings that a TOML text contains; an error message starts with `source` and ends with `advice`.
 
         Raises
         ------
         RecipeError or SensorError
-            The error of this kind, if the text is not TOML, or a value is missing, unknown or impossible.
+            An error of the type `error`, if the text is not TOML, or a value is missing, unknown or impossible.
         """
         try:
             return model.model_validate(tomlkit.parse(text).unwrap())
         except ValidationError as cause:
             faults = "; ".join(_faults({error["loc"]: _plain(error["msg"]) for error in cause.errors()}))
-            raise self.error(f"{source} is not a valid {self.name}: {faults}. {way_out}") from cause
+            raise self.error(f"{source} is not a valid {self.name}: {faults}. {advice}") from cause
         except (tomlkit.exceptions.TOMLKitError, ValueError) as cause:
-            raise self.error(f"{source} is not TOML ({cause}). {way_out}") from cause
+            raise self.error(f"{source} is not TOML ({cause}). {advice}") from cause
 
 
 def _faults(messages: dict[tuple[int | str, ...], str]) -> list[str]:
-    """Return each fault with its place; the fault of a list or table is left out if its entries have faults."""
-    inside = {where[:depth] for where in messages for depth in range(1, len(where))}
-    named = {where: ".".join(str(part + 1) if isinstance(part, int) else part for part in where) for where in messages}
-    return [f"{named[at]}: {fault}" if at else fault for at, fault in messages.items() if at not in inside]
+    """Return each message after the key that it is about; leave out a table or list whose entries have messages.
+
+    The keys of `messages` are paths in the document: names of keys and positions in lists, counted from 0.
+    """
+    parents = {path[:depth] for path in messages for depth in range(1, len(path))}
+    names = {path: ".".join(str(part + 1) if isinstance(part, int) else part for part in path) for path in messages}
+    return [f"{names[path]}: {fault}" if path else fault for path, fault in messages.items() if path not in parents]
 
 
 def _plain(message: str) -> str:
-    """Return the message without the prefix that pydantic adds, and without the full stop."""
+    """Return a message of pydantic without its prefix "Value error, " and without the full stop."""
     return message.removeprefix("Value error, ").removesuffix(".")
 
 
-VERSION: Literal[5] = 5  # 2 added tones; 3 disturbances; 4 gates, lags, spread; 5 damping, outliers; all can be read
+# Version 2 added tones, 3 disturbances, 4 gates, lags and spread, 5 damping and outliers. All versions can be read.
+VERSION: Literal[5] = 5
 
-# Journals and fleets compare the whole text of recipes: a stream that was saved with another header cannot continue.
+# Journals and fleets compare the whole text of recipes: if this header changes, a saved stream cannot continue.
 _HEADER = """A recipe of becalm: what was decided for each channel.
 Use it again:  becalm clean FILE -o OUT --recipe THIS
 A small process_noise_density trusts the model and smooths more; a small noise_std trusts the readings.
@@ -96,7 +100,9 @@ sigma is widened by the share tuning_spread; [channel.calibration] with relative
 does not lower; [channel.timing] with std_s adds to the noise where the signal moves, beyond its included_std."""
 
 
-_KNOWS_NOTHING = 0.95  # sigma over spread_std: the model leaves nine tenths of the readings' variance unexplained
+# Sigma over spread_std from which on a row in a hole has no estimate: the model then leaves nine tenths of the
+# readings' variance unexplained.
+_UNKNOWN_SHARE = 0.95
 
 _KIND = TomlKind("recipe", RecipeError)
 
@@ -104,7 +110,7 @@ Mode = Literal["smoothed", "causal", "lagged"]
 
 
 class TunedMotion(NamedTuple):
-    """The parameters of a motion model, with its tones and its coloured noise; units as in `ChannelRecipe`."""
+    """The parameters of a motion model, its tones and its coloured noise; attributes as in `ChannelRecipe`."""
 
     order: int
     process_noise_density: float
@@ -120,44 +126,43 @@ class ChannelRecipe(FrozenSettings):
     Attributes
     ----------
     name, unit : str
-        As in the recording.
+        Name and unit of the channel, as in the recording.
     model : {"motion", "constant", "untold"}
-        "motion" is filtered; "constant" and "untold" (too few readings) pass unchanged.
+        "motion": the channel is filtered; "constant" or "untold" (too few readings): the channel passes unchanged.
     order : int or None
         Order n of the motion: the n-th derivative of the signal is white noise.
     process_noise_density : float or None
-        q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
+        q, in unit^2/s^(2 order - 1); a *small* value trusts the model and smooths more.
     noise_std : float or None
-        Standard deviation of one reading's noise, in unit; a *small* one trusts the readings.
+        Standard deviation of one reading's noise, in unit; a *small* value trusts the readings.
     damped_below_hz : float or None
-        Motion slower than this is damped: without readings the signal returns to its own level, and sigma to its own
-        spread. With a *small* value it returns slowly; None for a motion that does not return.
+        Motion slower than this is damped: without readings the estimate returns to the level of the signal, and sigma
+        grows to the spread of the signal. With a *small* value this takes long. None for a motion without damping.
     tuning_spread : float
-        Share by which sigma is larger because the tuning is uncertain; a *small* one trusts the tuning.
+        Relative increase of sigma because the tuning is uncertain; a *small* value trusts the tuning.
     spread_std : float or None
-        Standard deviation of the readings, in unit. Where no reading came and sigma is nearly as large, the model
-        predicts nothing, and there is no estimate; None for an estimate in every row.
+        Standard deviation of the readings, in unit. In a row without a reading and with a sigma nearly as large, the
+        model predicts nothing, so that the row has no estimate. None for an estimate in every row.
     fill : bool
-        Whether to return an estimate even there.
+        Whether to return an estimate even in rows in which the model predicts nothing.
     rate_hz : float or None
-        Rate of new readings, in Hz, if it is lower than the rate of the rows; bandwidth and tests refer to it.
+        Rate of new readings, in Hz, if it is lower than the rate of the rows; bandwidth and tests refer to this rate.
     coloured_noise : ColouredNoiseRecipe or None
         Coloured noise, in addition to the white noise.
     calibration : CalibrationRecipe or None
         Uncertainty of the sensor's calibration.
     timing : TimingRecipe or None
-        Uncertainty of the time of its readings.
+        Uncertainty of the times of the channel's readings.
     tone : tuple of ToneRecipe
         Tones that are added to the motion.
     hole : tuple of HoleRecipe
-        Corrections of a smoother's estimates where readings are missing, one for each of some lengths of holes; ()
-        corrects nothing.
+        Corrections of a smoother's estimates in holes, where readings are missing; each is for one length of holes.
     gate : GateRecipe or None
-        The gate that rejects spikes; None uses every reading.
+        The gate that rejects spikes; None for a filter that uses every reading.
     switching : SwitchingRecipe or None
-        Modes, one of which is in force at a time, instead of one filter.
+        The modes of an interacting multiple model; None for one fixed filter.
     limits : LimitsRecipe or None
-        Limits of a healthy sensor; with None no reading is clipped or stuck.
+        Limits of a healthy sensor; with None no reading counts as clipped or stuck.
     """
 
     name: str
@@ -181,23 +186,23 @@ class ChannelRecipe(FrozenSettings):
     limits: LimitsRecipe | None = None
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _check_motion(self) -> Self:
         if self.model == "motion" and None in (self.order, self.process_noise_density, self.noise_std):
             raise ValueError("a motion needs order, process_noise_density and noise_std")
         return self
 
     def own_steps(self, step_s: float) -> float:
-        """Return how many steps of a recording are between two readings; 1 where every row has a reading."""
+        """Return the number of steps of a recording from one reading to the next; 1 if every row has a reading."""
         return 1.0 if self.rate_hz is None else max(1.0, 1 / (self.rate_hz * step_s))
 
     @property
     def unknown_from(self) -> float:
-        """Return the sigma from which a row without a reading has no estimate, in unit; inf if it always has one."""
-        return np.inf if self.fill or self.spread_std is None else _KNOWS_NOTHING * self.spread_std
+        """Return the sigma, in unit, from which on a row without a reading has no estimate; inf without a limit."""
+        return np.inf if self.fill or self.spread_std is None else _UNKNOWN_SHARE * self.spread_std
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return the names of the parts that a split estimates, in order; probabilities of several modes come last."""
+        """Return the names of the parts that a split estimates, in order; the probabilities of modes come last."""
         if self.model != "motion":
             return (self.model,)
         tones = [f"{tone.frequency_hz:.6g}Hz" for tone in self.tone]
@@ -210,7 +215,7 @@ class ChannelRecipe(FrozenSettings):
 
     @property
     def motion(self) -> TunedMotion | None:
-        """Return the parameters of the motion, or None if the channel passes unchanged."""
+        """Return the parameters of the motion model; None if the channel passes unchanged."""
         if self.model != "motion" or self.order is None or self.process_noise_density is None or self.noise_std is None:
             return None
         return TunedMotion(
@@ -229,13 +234,13 @@ class Origin(FrozenSettings):
     Attributes
     ----------
     sha256 : str
-        SHA-256 of the file; "" if there was none.
+        SHA-256 of the file; "" if the recording was not a file.
     rows : int
-        Number of its rows.
+        Number of rows of the recording.
     rate_hz : float
         Rows per second: 1 / step.
     becalm : str
-        Version of becalm that tuned it.
+        Version of becalm that tuned the recipe.
     """
 
     sha256: str = ""
@@ -250,21 +255,21 @@ class Recipe(FrozenSettings):
     Attributes
     ----------
     becalm_recipe : int
-        Version of this format.
+        Version of the recipe format.
     mode : {"smoothed", "causal", "lagged"}
         Whether estimates use all later readings, none, or those within a lag.
     lag_s : float or None
-        Lag of the mode "lagged", in seconds; with a *small* one the estimates come sooner, but are noisier.
+        Lag of the mode "lagged", in seconds; with a *small* lag the estimates come sooner, but are noisier.
     time : str or None
-        Name of the time column, if a person gave it.
+        Name of the time column, if a person gave one.
     rate_hz : float or None
-        Rate that replaces the time column, if a person gave it.
+        Rate of the rows, in Hz, that replaces the time column, if a person gave one.
     stamps : "as-written" or None
-        "as-written" keeps stamps that a driver made up; None corrects them.
+        With "as-written", stamps that a driver made up are used as they are; with None they are corrected.
     tuned_on : Origin
         The recording that the recipe was tuned on.
     channel : tuple of ChannelRecipe
-        One for each channel to clean.
+        The filters of the channels to clean, one for each.
     """
 
     becalm_recipe: Literal[1, 2, 3, 4, 5] = VERSION
@@ -278,13 +283,13 @@ class Recipe(FrozenSettings):
 
     @property
     def nominal_rate_hz(self) -> float:
-        """Return the rate for a stream without stamps, in Hz: `rate_hz`, or else that of the tuning recording."""
+        """Return the rate of a stream without stamps, in Hz: `rate_hz`, or the rate of the tuning recording."""
         return self.rate_hz or self.tuned_on.rate_hz
 
     @field_validator("becalm_recipe")
     @classmethod
-    def _as_written_now(cls, _: int) -> int:
-        return VERSION  # every key of an older version can still be read
+    def _upgrade_version(cls, _: int) -> int:
+        return VERSION  # every key of an older version is still valid
 
     @model_validator(mode="after")
     def _lag_belongs_to_lagged(self) -> Self:
@@ -300,7 +305,7 @@ class Recipe(FrozenSettings):
         return self
 
     def to_toml(self) -> str:
-        """Write the recipe as TOML; the same recipe gives the same text."""
+        """Return the recipe as TOML; equal recipes have equal texts."""
         document = tomlkit.document()
         for line in _HEADER.splitlines():
             document.add(tomlkit.comment(line))
@@ -316,14 +321,14 @@ class Recipe(FrozenSettings):
 
     @classmethod
     def from_toml(cls, text: str, source: str = "The recipe") -> Recipe:
-        """Read a recipe.
+        """Return the recipe in a TOML text; an error message starts with `source`.
 
         Raises
         ------
         RecipeError
             If the text is not TOML, or a value is missing, unknown or impossible.
         """
-        return _KIND.parsed(cls, text, source, "Make one with: becalm tune FILE -o R.toml")
+        return _KIND.parse(cls, text, source, "Make one with: becalm tune FILE -o R.toml")
 
     @classmethod
     def load(cls, path: str | Path) -> Recipe:
@@ -334,5 +339,5 @@ class Recipe(FrozenSettings):
         RecipeError
             If the file cannot be read or is not a recipe.
         """
-        text = _KIND.text_of(path, f"Make one with: becalm tune FILE -o {path}")
+        text = _KIND.read_text(path, f"Make one with: becalm tune FILE -o {path}")
         return cls.from_toml(text, f"The recipe {path}")

@@ -9,12 +9,12 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from becalm.core.reading_verdicts import AGREE, AT_MOST
 from becalm.core.time.clock import GAP_STEPS
 
-# Strict: neither true nor "1.0" is a number.
+# "strict" refuses values that are not numbers, such as true and "1.0".
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 
-_MOST_REJECTS = 1 << 31  # rejected readings in a row: more than any stream has
+_MOST_REJECTS = 1 << 31  # largest `at_most`: no stream has so many rejected readings in a row
 
 
 class FrozenSettings(BaseModel):
@@ -33,9 +33,9 @@ class ToneRecipe(FrozenSettings):
     bandwidth_hz : float
         Width of the resonance at half its power, in Hz.
     process_noise_density : float
-        Process noise of each of the two states, in unit^2/s; with a *small* one the tone changes slowly.
+        Process noise of each of the two states, in unit^2/s; with a *small* value the tone changes slowly.
     disturbance : bool
-        Whether the tone is removed from the signal, as mains hum is.
+        Whether the tone is removed from the signal, for example mains hum.
     """
 
     frequency_hz: Positive
@@ -50,11 +50,11 @@ class ColouredNoiseRecipe(FrozenSettings):
     Attributes
     ----------
     rate_hz : float
-        Rate of the readings that it was identified from, in Hz.
+        Rate of the readings that the coloured noise was identified from, in Hz.
     coefficients : tuple of float
         phi_1, phi_2, ... of e[k] = phi_1 e[k-1] + phi_2 e[k-2] + ... + w[k].
     std : float
-        Standard deviation of e, in unit; a *small* one leaves more to the signal.
+        Standard deviation of e, in unit; with a *small* value more of the readings counts as signal.
     """
 
     rate_hz: Positive
@@ -63,19 +63,19 @@ class ColouredNoiseRecipe(FrozenSettings):
 
 
 class HoleRecipe(FrozenSettings):
-    """Correction of a smoother in holes of one length, measured with hidden readings.
+    """The correction of a smoother's estimates in holes of one length.
 
-    r is sigma in the hole divided by sigma at the edge of the hole.
+    Let r be sigma in the hole divided by sigma at the edge of the hole.
 
     Attributes
     ----------
     readings : int
-        How many readings are missing in such a hole.
+        Number of missing readings in the hole.
     model_fading : float
-        The estimate's departure from a straight line across the hole is divided by r to this power; a *small* one
+        The estimate's departure from a straight line across the hole is divided by r to this power; a *small* value
         trusts the model.
     sigma_growth : float
-        Sigma is multiplied by r to this power; a *small* one trusts the model.
+        Sigma is multiplied by r to this power; a *small* value trusts the model.
     """
 
     readings: Annotated[int, Field(ge=2)]
@@ -91,10 +91,11 @@ class GateRecipe(FrozenSettings):
     false_alarms_per_hour : float
         Good readings per hour that may be rejected as spikes; a *small* number trusts the readings.
     agree : int
-        Number of rejected readings in a row that are a step, which the filter follows, if they agree with each other.
-        With a *small* number it follows steps sooner, but also spikes that agree by chance.
+        Number of rejected readings in a row that count as a step if they agree with each other; the filter then follows
+        the step. With a *small* number it follows steps sooner, but also spikes that agree by chance.
     at_most : int
-        Number of rejected readings in a row that the filter follows in any case; a *small* number trusts the readings.
+        Number of rejected readings in a row after which the filter follows the readings in any case. A *small* number
+        trusts the readings.
     """
 
     false_alarms_per_hour: Positive = 1.0
@@ -114,44 +115,46 @@ class LimitsRecipe(FrozenSettings):
     Attributes
     ----------
     low, high : float or None
-        Saturation limits, in unit: readings at or beyond them are clipped, and count as missing.
+        Saturation limits, in unit: readings at or beyond a limit are clipped, and count as missing.
     resolution : float or None
         Difference between two neighbouring codes, in unit; None where readings are not quantised.
     rounding_std : float or None
         Standard deviation of the quantisation error that averaging does not remove, in unit; it widens sigma.
     stuck_readings : int or None
-        Number of equal readings in a row from which on they count as missing; a *small* number finds a stuck channel
-        sooner, but also calls slow signals stuck.
+        Number of equal readings in a row that count as stuck, and thus as missing. A *small* number finds a stuck
+        channel sooner, but also calls slow signals stuck.
     even_time : bool or None
-        Whether rows come at even intervals; only then a row can be late.
+        Whether rows come at even intervals; a row can be late only at even intervals.
     gap_steps : float or None
-        More steps than this since the previous row are a gap; 1.5 by default.
+        Time since the previous row, in steps, above which there is a gap; 1.5 by default.
     largest : float or None
-        Readings of a greater magnitude, in unit, are invalid and count as missing; None for 1e100.
+        Largest magnitude of a valid reading, in unit; a larger reading counts as missing. None for 1e100.
     outlier_distance : float or None
-        For a smoother, or a lag of 11 rows or more. A reading is a gross outlier, and counts as missing, if its
-        distance from the median of its six nearest neighbours exceeds this, in unit, and 8 times their spread (without
-        the lowest and the highest). A *small* value also rejects motion; None finds no outliers.
+        Least distance of a gross outlier, in unit, for a smoother or a lag of 11 rows or more. A reading is a gross
+        outlier, and counts as missing, if its distance from the median of its six nearest neighbours exceeds this value
+        and 8 times their spread (without the lowest and the highest neighbour). A *small* value also rejects motion;
+        with None there are no gross outliers.
     causal_outlier_distance : float or None
-        The same for a causal filter or a shorter lag: the distance from the median of the six previous readings.
+        Least distance of a gross outlier, in unit, for a causal filter or a lag below 11 rows: the distance from the
+        median of the six previous readings.
     plausible_low, plausible_high : float or None
-        Range of plausible readings, in unit. Outside it a first or a single reading is a gross outlier, and an estimate
-        may be a runaway. A *narrow* range trusts the record that it was tuned on.
+        Range of plausible readings, in unit. Outside this range, a first or isolated reading is a gross outlier, and an
+        estimate may be a runaway. A *narrow* range trusts the tuning record.
     repeats_are_one : bool or None
-        Whether equal readings in a row count as one: all of them are gross outliers, or none.
+        Whether equal readings in a row count as one: either all of them are gross outliers, or none.
     blank : float or None
-        Value that stands for a missing reading, in unit; it counts as missing.
+        Value that a log writes in place of a missing reading, in unit; it counts as missing.
     far_from_0 : float or None
-        A 0 whose neighbours are all farther than this from 0, in unit, counts as missing. A 0 that lasts 128 rows is a
-        reading, unless 0 is well inside the plausible range. A *small* value leaves out more of them, but the value 0
-        none. It needs `outlier_distance` or `causal_outlier_distance`. By default it is a 36th of the plausible range,
-        or 0 if equal readings in a row do not count as one.
+        A reading of 0 counts as missing if all its neighbours are farther than this from 0, in unit. A 0 that lasts 128
+        rows is a reading, unless 0 is well inside the plausible range. A *small* value rejects more readings of 0, but
+        with `far_from_0 = 0` none is rejected. The value needs `outlier_distance` or `causal_outlier_distance`. By
+        default it is a 36th of the plausible range, or 0 if equal readings in a row do not count as one.
     drift_threshold : float or None
-        Threshold of the cumulative sum of normalised innovations, in sigma: a *small* one finds a drift sooner, with
-        more false alarms; None reports no drift.
+        Threshold of the cumulative sum of normalised innovations, in sigma. A *small* value finds a drift sooner, but
+        with more false alarms; with None no drift is reported.
     dead_variance : float or None
-        Variance of a window of innovations, as a share of the expected one, below which the channel is dead; a *small*
-        one allows quieter signals, None reports no dead channel.
+        Variance of a window of normalised innovations (1 is expected) below which the channel is dead. A *small* value
+        allows quieter signals; with None no dead channel is reported.
     """
 
     low: Finite | None = None
@@ -182,17 +185,17 @@ class LimitsRecipe(FrozenSettings):
 
 
 class TareRecipe(FrozenSettings):
-    """A zero that was measured while the recording was read.
+    """The zero of a sensor, as measured in a stretch of the recording without load.
 
     It is only a record: whenever the file is read, the zero is measured again.
 
     Attributes
     ----------
     start_s, stop_s : float
-        Stretch that the zero was measured in, in seconds after the first row.
+        Start and end of the stretch, in seconds after the first row.
     reading, reading_std : float, float or None
-        Mean reading without load, and its standard uncertainty, in raw_unit; the latter is None if readings did not
-        vary.
+        Mean reading without load, and its standard uncertainty, in raw_unit; `reading_std` is None if the readings did
+        not vary.
     raw_unit : str
         Unit of the readings.
     readings : int
@@ -211,16 +214,16 @@ class TareRecipe(FrozenSettings):
 
 
 class CalibrationRecipe(FrozenSettings):
-    """Uncertainty of the sensor's calibration: one error for all samples, which averaging does not reduce.
+    """The uncertainty of a sensor's calibration. All samples have the same error, which averaging does not reduce.
 
     Attributes
     ----------
     relative_std : float
-        Standard uncertainty (k = 1) of the sensitivity, as a share; a *small* one trusts the calibration.
+        Relative standard uncertainty (k = 1) of the sensitivity; a *small* value trusts the calibration.
     offset_std : float
-        Standard uncertainty (k = 1) of the zero, in unit; a *small* one trusts it.
+        Standard uncertainty (k = 1) of the zero, in unit; a *small* value trusts the zero.
     tare : TareRecipe or None
-        The zero that was measured.
+        The measured zero; None if the zero is from the data sheet.
     """
 
     relative_std: NotNegative = 0.0
@@ -229,15 +232,16 @@ class CalibrationRecipe(FrozenSettings):
 
 
 class TimingRecipe(FrozenSettings):
-    """Uncertainty of the time of readings: it adds noise where the signal moves.
+    """The uncertainty of the times of readings, which adds noise where the signal has a slope.
 
     Attributes
     ----------
     std_s : float
-        Standard uncertainty (k = 1) of the time of each reading, independent of the others, in seconds; a *small* one
-        trusts the stamps.
+        Standard uncertainty (k = 1) of the time of each reading, in seconds; the errors are independent. A *small*
+        value trusts the stamps.
     included_std : float
-        Root mean square of the part of this noise that noise_std includes, in unit; 0 if noise_std is that at rest.
+        Root mean square of the part of this noise that noise_std already includes, in unit; 0 if noise_std was measured
+        at rest.
     """
 
     std_s: Positive
@@ -248,7 +252,7 @@ class TimingRecipe(FrozenSettings):
 
 
 class ModeRecipe(FrozenSettings):
-    """One mode of a channel: one way in which its signal may behave.
+    """One mode of a channel: a motion model and its noise, for one kind of behaviour of the signal.
 
     Attributes
     ----------
@@ -257,22 +261,22 @@ class ModeRecipe(FrozenSettings):
     order : int
         Order n of the motion: the n-th derivative of the signal is white noise.
     process_noise_density : float
-        q, in unit^2/s^(2 order - 1); a *small* one trusts the model and smooths more.
+        q, in unit^2/s^(2 order - 1); a *small* value trusts the model and smooths more.
     level_noise_density : float
-        Additional random walk of the level, in unit^2/s; a *large* one lets the level jump, while slopes and tones
-        continue.
+        Density of an additional random walk of the level, in unit^2/s. With a *large* value the level may jump, while
+        slopes and tones continue.
     noise_std : float
         Standard deviation of one reading's noise in this mode, in unit.
     lasts_s : float
-        Mean duration of the mode, in seconds; with a *large* one the filter leaves the mode late.
+        Mean duration of the mode, in seconds; with a *large* value the filter leaves the mode late.
     then : str
-        Name of the mode that follows it; "" for any other.
+        Name of the mode that follows this mode; "" if any other mode may follow.
     wild_share : float
-        Share of outliers among the readings; with a *small* one the filter changes its mode sooner.
+        Share of outliers among the readings; with a *small* value the filter changes its mode sooner.
     damped_below_hz : float or None
-        Motion slower than this is damped, as in the channel's recipe.
+        Motion slower than this is damped, as in `ChannelRecipe`.
     with_tones : bool
-        Whether this mode has the tones and the coloured noise of the channel.
+        Whether the model of this mode includes the tones and the coloured noise of the channel.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -288,17 +292,17 @@ class ModeRecipe(FrozenSettings):
 
 
 class SwitchingRecipe(FrozenSettings):
-    """The modes of a filter with several modes (IMM).
+    """The modes of an interacting multiple model (IMM).
 
     Attributes
     ----------
     kind : {"resting", "jumping", "noisy", "spiky", "bursting"}
         Kind of change that the modes describe.
     wild_std : float
-        Additional standard deviation of outliers, in unit; with a *small* one a far reading is a change of mode rather
-        than an outlier.
+        Standard deviation that outliers have in addition, in unit. With a *small* value a large innovation counts as a
+        change of mode rather than an outlier.
     rejects : bool
-        Whether outliers are left out.
+        Whether the filter leaves outliers out.
     mode : tuple of ModeRecipe
         The modes, one of which is in force at a time.
     """

@@ -1,4 +1,4 @@
-"""The report of one channel: its filter, the faults of its sensor, and whether to trust the result."""
+"""The report of one channel: its filter, the faults of its sensor, and whether its result can be trusted."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from becalm.cleaning.judging import Judgement
 
 @dataclass(frozen=True)
 class ModeReport:
-    """One mode of a filter with several modes.
+    """The figures of one mode of a filter with several modes.
 
     Attributes
     ----------
     share : float
         Mean probability of the mode over the rows.
     bandwidth_hz, lag_s : float or None
-        Those of a filter with this mode alone, in steady state.
+        Bandwidth and lag of a filter that has only this mode, in steady state.
     noise_left : float or None
         Standard deviation of the noise that passes this filter, in unit.
     """
@@ -37,42 +37,43 @@ class ChannelReport(Judgement):
     Attributes
     ----------
     name, unit : str
-        As in the recording.
+        Name and unit of the channel, as in the recording.
     model : str
         "motion", "constant" or "untold".
     order : int or None
         Order of the motion model.
     tones_hz, removed_hz : tuple of float
-        Frequencies of tones: of the signal, and of disturbances that were removed.
+        Frequencies of the tones that are part of the signal, and of those that were removed as disturbances.
     noise_std, coloured_std : float or None
-        Standard deviation of one reading's white noise (with several modes: in the first one), and of its coloured
-        noise, in unit.
+        Standard deviations of one reading's white noise and coloured noise, in unit. With several modes, `noise_std` is
+        that of the first mode.
     q_over_r : float or None
-        Process noise density over the noise variance of a reading, with time in steps.
+        Process noise density divided by the noise variance of a reading, with time in steps.
     bandwidth_hz, lag_s : float or None
         -3 dB bandwidth and lag, as in `becalm.core.steady.response.Response`.
     delay_s : float or None
-        Lag of a filter that waits for later readings; bandwidth_hz and lag_s are None then.
+        Lag of a filter that waits for later readings; such a filter has no bandwidth_hz and no lag_s.
     independence_s : float or None
-        How far apart samples must be for their errors to count as independent: the mean over T seconds has
-        the random uncertainty sigma sqrt(independence_s / T), and never more than sigma.
+        Time between two samples from which on their errors count as independent: the mean over T seconds has the random
+        uncertainty sigma sqrt(independence_s / T), at most sigma.
     tuning_spread : float or None
-        Share by which sigma is larger because the tuning is uncertain.
+        Relative increase of sigma because the tuning is uncertain.
     calibration_std : float or None
         Standard uncertainty (k = 1) of the calibration, at the mean magnitude of the signal, in unit. Averaging does
         not reduce it. None if the recipe has no calibration.
     timing_share : float or None
-        Largest share by which sigma grows for an uncertain time of readings; None where the recipe has no timing.
+        Largest relative increase of sigma because the times of readings are uncertain; None if the recipe has no
+        timing.
     modes : dict of str to ModeReport
-        Modes of a filter with several modes, which has neither one bandwidth nor one lag.
+        Figures of each mode, by its name; a filter with several modes has no bandwidth_hz and no lag_s of its own.
     log_likelihood : float or None
         Log-likelihood of the readings, given the recipe.
     settled_row : int or None
-        First row with the steady-state gain.
+        First row in which the filter has its steady-state gain, counted from 0.
     verdicts : dict
         How often each verdict was given, by its name: "used", "missing" and so on.
     advice : tuple of str
-        What to do about these verdicts.
+        What to do about the verdicts and the faults.
     faults : tuple of Fault
         Faults of the sensor, and of the times of its rows.
     """
@@ -114,12 +115,12 @@ def _finite(value: object) -> object:
 
 # Write the report of a channel as cells of a table.
 
-_MOST_PLAIN = 1e6  # larger numbers are printed with powers of ten
-_SELDOM = 0.01  # mean probability of a mode below which its bandwidth is not shown
+_MOST_PLAIN = 1e6  # numbers from here on are printed with powers of ten
+_SELDOM = 0.01  # least mean probability of a mode whose bandwidth is shown
 
 
 def cells(report: ChannelReport, causal: bool) -> tuple[str, ...]:
-    """Return the cells of a channel: model, noise, bandwidth, lag, and whether its model describes the signal."""
+    """Return the cells of a channel: model, noise, bandwidth, lag, and whether the model describes the signal."""
     return (
         _model(report),
         amount(report.noise_std, report.unit),
@@ -132,15 +133,15 @@ def cells(report: ChannelReport, causal: bool) -> tuple[str, ...]:
 def _bandwidth(report: ChannelReport) -> str:
     """Return the bandwidth, or the range of bandwidths of the modes."""
     if report.modes:
-        return _between([mode.bandwidth_hz for mode in report.modes.values() if mode.share >= _SELDOM], "Hz")
+        return _range_text([mode.bandwidth_hz for mode in report.modes.values() if mode.share >= _SELDOM], "Hz")
     return amount(report.bandwidth_hz, "Hz")
 
 
 def _lag(report: ChannelReport, causal: bool) -> str:
-    """Return the lag of a causal filter, or the delay of one that waits for later readings."""
+    """Return the lag of a causal filter, the delay of a filter with a lag, or "none" for a smoother."""
     if report.delay_s is not None:
         return f"delayed {amount(report.delay_s, 's')}"
-    if report.modes and causal:  # the lag of the still mode does not matter: the filter leaves that mode first
+    if report.modes and causal:  # the lag of the mode "still" does not matter: on motion the filter leaves this mode
         moving = {name: mode for name, mode in report.modes.items() if name != "still"}
         name = max(moving, key=lambda name: moving[name].share)
         return f"{amount(moving[name].lag_s, 's')} while {name}"
@@ -169,14 +170,14 @@ def _model(report: ChannelReport) -> str:
     return ", ".join(parts)
 
 
-def _between(values: list[float | None], unit: str) -> str:
+def _range_text(values: list[float | None], unit: str) -> str:
     known = sorted(value for value in values if value is not None)
     single = not known or known[0] == known[-1]
     return amount(known[0] if known else None, unit) if single else f"{known[0]:.3g} to {amount(known[-1], unit)}"
 
 
 def amount(value: float | None, unit: str) -> str:
-    """Return a value with its unit; a dash where there is none."""
+    """Return a value with its unit as text; a dash for None."""
     if value is None:
         return "-"
     rounded = unit in ("s", "Hz") and abs(value) < 1e-12

@@ -1,4 +1,4 @@
-"""The entries of a sensor file, one class for each kind of sensor, and their conversion to records."""
+"""The entries of a sensor file, one class for each kind of sensor, and their conversion to sensor records."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class AccelerometerEntry(OneChannel):
     """
 
     kind: Literal["accelerometer"]
-    zero_line: ClassVar[str] = "bias_mv"
+    zero_key: ClassVar[str] = "bias_mv"
     sensitivity_mv: Finite
     sensitivity_uncertainty_mv: NotNegative = 0.0
     bias_mv: Finite = 0.0
@@ -38,27 +38,32 @@ class AccelerometerEntry(OneChannel):
     def record(self) -> SensorRecord:
         """Return the sensor record."""
         sensitivity = Sensitivity(self.sensitivity_mv, f"mV/{self.unit}", self.sensitivity_uncertainty_mv)
-        one = Accelerometer(sensitivity_matrix([self.sensitivity_mv / 1e3]), np.array([self.bias_mv / 1e3]))
-        return SensorRecord(**self.shared(), conversion=one, reading_size=self.volts(), sensitivities=(sensitivity,))
+        conversion = Accelerometer(sensitivity_matrix([self.sensitivity_mv / 1e3]), np.array([self.bias_mv / 1e3]))
+        return SensorRecord(
+            **self.shared_fields(),
+            conversion=conversion,
+            reading_size=self.volts_per_reading(),
+            sensitivities=(sensitivity,),
+        )
 
 
 class TriaxialEntry(SensorEntryBase):
-    """A triaxial accelerometer, calibrated by its data sheet or by its rests in many poses.
+    """A triaxial accelerometer, calibrated by its data sheet or by readings at rest in many poses.
 
     Attributes
     ----------
     channels : tuple of three str
         Names of the channels of the three axes.
     sensitivity_mv, sensitivity_uncertainty_mv, bias_mv : tuple of three float
-        As for an accelerometer, each axis along itself.
+        As in `AccelerometerEntry`, for each axis along its own direction.
     cross_axis_percent : three tuples of three float, or None
-        Sensitivity of each axis (a tuple) to each direction, in percent of its own sensitivity.
+        One tuple for each axis: its sensitivity to the three directions, in percent of that to its own direction.
     correction : three tuples of three float, or None
         Matrix that replaces the sensitivities: a = correction (readings - bias), in unit per raw_unit.
     bias : tuple of three float
-        Zero of each axis, in raw_unit, with `correction`.
+        Zero of each axis, in raw_unit; only with `correction`.
     scale_uncertainty_percent : tuple of three float
-        Expanded (k = 2) uncertainty of the scale of each axis, with `correction`.
+        Expanded (k = 2) uncertainty of the scale of each axis, in percent; only with `correction`.
     """
 
     kind: Literal["triaxial"]
@@ -90,15 +95,21 @@ class TriaxialEntry(SensorEntryBase):
             for value, u in zip(self.sensitivity_mv, self.sensitivity_uncertainty_mv, strict=True)
         )
         conversion = Accelerometer(matrix, np.array(self.bias_mv) / 1e3)
-        return SensorRecord(**self.shared(), conversion=conversion, reading_size=self.volts(), sensitivities=by_axis)
+        return SensorRecord(
+            **self.shared_fields(),
+            conversion=conversion,
+            reading_size=self.volts_per_reading(),
+            sensitivities=by_axis,
+        )
 
-    def _corrected(self, found: Accelerometer) -> SensorRecord:
-        sizes = np.linalg.norm(found.sensitivity, axis=1).tolist()  # sensitivity of each axis along its own direction
+    def _corrected(self, conversion: Accelerometer) -> SensorRecord:
+        """Return the sensor record for a sensor with a `correction`."""
+        sizes = np.linalg.norm(conversion.sensitivity, axis=1).tolist()  # of each axis, along its own direction
         by_axis = tuple(
             Sensitivity(size, f"{self.raw_unit}/{self.unit}", percent / 100 * size)
             for size, percent in zip(sizes, self.scale_uncertainty_percent, strict=True)
         )
-        return SensorRecord(**self.shared(), conversion=found, sensitivities=by_axis)
+        return SensorRecord(**self.shared_fields(), conversion=conversion, sensitivities=by_axis)
 
 
 class LoadCellEntry(OneChannel):
@@ -113,7 +124,7 @@ class LoadCellEntry(OneChannel):
     """
 
     kind: Literal["load cell"]
-    zero_line: ClassVar[str] = "zero_balance_mv_per_v"
+    zero_key: ClassVar[str] = "zero_balance_mv_per_v"
     rated_output_mv_per_v: Finite
     rated_output_uncertainty_mv_per_v: NotNegative = 0.0
     capacity: Positive
@@ -124,8 +135,8 @@ class LoadCellEntry(OneChannel):
         """Return the sensor record."""
         cell = LoadCell(self.rated_output_mv_per_v, self.capacity, self.zero_balance_mv_per_v, self.excitation_v)
         sensitivity = Sensitivity(self.rated_output_mv_per_v, "mV/V", self.rated_output_uncertainty_mv_per_v)
-        size = 1e3 * self.ratio(self.excitation_v)
-        return SensorRecord(**self.shared(), conversion=cell, reading_size=size, sensitivities=(sensitivity,))
+        size = 1e3 * self.bridge_ratio_per_reading(self.excitation_v)
+        return SensorRecord(**self.shared_fields(), conversion=cell, reading_size=size, sensitivities=(sensitivity,))
 
 
 class CurveEntry(OneChannel):
@@ -134,7 +145,7 @@ class CurveEntry(OneChannel):
     Attributes
     ----------
     coefficients : tuple of float
-        Coefficients of the powers 0, 1, 2, ... of a reading in raw_unit; the sum is the result in unit.
+        Coefficients of a polynomial, constant first, that converts a reading in raw_unit to a result in unit.
     """
 
     kind: Literal["polynomial"]
@@ -142,7 +153,7 @@ class CurveEntry(OneChannel):
 
     def record(self) -> SensorRecord:
         """Return the sensor record."""
-        return SensorRecord(**self.shared(), conversion=CalibrationCurve(self.coefficients))
+        return SensorRecord(**self.shared_fields(), conversion=CalibrationCurve(self.coefficients))
 
 
 SensorEntry = Annotated[

@@ -1,4 +1,4 @@
-"""The settings that all kinds of sensors have: units, converter, full scale and data sheet."""
+"""The settings that every kind of sensor has in a sensor file: units, converter, full scale and data sheet."""
 
 from __future__ import annotations
 
@@ -50,20 +50,20 @@ class SheetEntry(FrozenSettings):
 
 
 class SensorEntryBase(FrozenSettings, ABC):
-    """The common settings of every kind of sensor.
+    """The entry of one sensor in a sensor file, with the settings that every kind of sensor has.
 
     Attributes
     ----------
     raw_unit : {"V", "mV", "mV/V", "counts", "g", "m/s^2"}
-        Unit of the readings; the last two only with a `correction` of an already calibrated accelerometer.
+        Unit of the readings; "g" and "m/s^2" only for a triaxial accelerometer with a `correction`.
     unit : str
         Unit of the result.
     span_v, bits : float, int or None
-        Converter, for readings in counts: voltage from its least to its greatest input, and its resolution in bits.
+        Range of the analogue-to-digital converter in volts, and its resolution in bits; for readings in counts.
     lowest_reading, highest_reading : float or None
-        Full scale, in raw_unit; readings at or beyond 0.999 of it are clipped, and count as missing.
+        Full scale, in raw_unit; readings at or beyond 0.999 of full scale are clipped, and count as missing.
     zero_uncertainty : float
-        Expanded (k = 2) uncertainty of the result without load, in unit; a *small* one trusts the zero.
+        Expanded (k = 2) uncertainty of the result without load, in unit; a *small* value trusts the zero.
     sheet : SheetEntry
         Data sheet of the sensor.
     """
@@ -78,7 +78,7 @@ class SensorEntryBase(FrozenSettings, ABC):
     sheet: SheetEntry = SheetEntry()
 
     @model_validator(mode="after")
-    def _makes_a_record(self) -> Self:
+    def _check_record(self) -> Self:
         self.record()
         return self
 
@@ -89,10 +89,10 @@ class SensorEntryBase(FrozenSettings, ABC):
 
     @abstractmethod
     def record(self) -> SensorRecord:
-        """Return the sensor record; raise a ValueError with a sentence if the entry is not valid."""
+        """Return the sensor record; raise a ValueError if the entry is not valid."""
 
-    def shared(self) -> dict[str, Any]:
-        """Return the fields that the records of all kinds have, by name; raise a ValueError if they are not valid."""
+    def shared_fields(self) -> dict[str, Any]:
+        """Return the fields that sensor records of every kind have, by name; raise a ValueError if one is not valid."""
         low, high = self.lowest_reading, self.highest_reading
         if (low is None) != (high is None) or (low is not None and high is not None and low >= high):
             raise ValueError("lowest_reading must be less than highest_reading; give both, or neither")
@@ -107,8 +107,8 @@ class SensorEntryBase(FrozenSettings, ABC):
             "sheet": Sheet(**self.sheet.model_dump()),
         }
 
-    def volts(self) -> float:
-        """Return the voltage of a reading of 1, in V; raise a ValueError if raw_unit does not give a voltage."""
+    def volts_per_reading(self) -> float:
+        """Return the voltage at a reading of 1, in V; raise a ValueError if raw_unit cannot be converted to volts."""
         if self.raw_unit == "counts":
             if self.span_v is None or self.bits is None:
                 raise ValueError('raw_unit = "counts" needs the converter\'s span_v and bits, such as 10.0 and 16')
@@ -119,13 +119,13 @@ class SensorEntryBase(FrozenSettings, ABC):
             raise ValueError(f'raw_unit = "{self.raw_unit}" is only for a triaxial sensor with correction; give volts')
         return _VOLTS[self.raw_unit]
 
-    def ratio(self, excitation_v: float | None) -> float:
-        """Return the bridge output at a reading of 1, in V/V; raise a ValueError if raw_unit does not give one."""
+    def bridge_ratio_per_reading(self, excitation_v: float | None) -> float:
+        """Return the bridge output at a reading of 1, in V/V; raise a ValueError if raw_unit cannot be converted."""
         if self.raw_unit == "mV/V":
             return 1e-3
         if excitation_v is None:
             raise ValueError(f'raw_unit = "{self.raw_unit}" needs excitation_v, such as 5.0; readings in mV/V do not')
-        return self.volts() / excitation_v
+        return self.volts_per_reading() / excitation_v
 
 
 class OneChannel(SensorEntryBase):
@@ -134,28 +134,28 @@ class OneChannel(SensorEntryBase):
     Attributes
     ----------
     tare : str or None
-        Stretch without load in which the zero is measured: "0s:20s" is the first 20 s. The stretch must be quiet. The
-        zero of an accelerometer includes gravity.
+        Stretch of the recording without load in which the zero is measured: "0s:20s" is the first 20 s. The readings
+        must be quiet there. The zero of an accelerometer includes gravity.
     """
 
     channel: Name
     tare: str | None = None
-    zero_line: ClassVar[str] = ""  # key of the entry that gives the zero if there is no tare
+    zero_key: ClassVar[str] = ""  # name of the setting that gives the zero if there is no tare
 
     @property
     def names(self) -> tuple[str, ...]:
         """Return the name of the one channel."""
         return (self.channel,)
 
-    def shared(self) -> dict[str, Any]:
-        """Return the fields that the records of all kinds have, and the stretch of the tare."""
-        if self.tare is not None and self.zero_line in self.model_fields_set:
-            raise ValueError(f"tare and {self.zero_line} both give the zero; give only one of them")
-        return super().shared() | {"tare_s": None if self.tare is None else _span_s(self.tare)}
+    def shared_fields(self) -> dict[str, Any]:
+        """Return the fields that sensor records of every kind have, and the stretch of the tare."""
+        if self.tare is not None and self.zero_key in self.model_fields_set:
+            raise ValueError(f"tare and {self.zero_key} both give the zero; give only one of them")
+        return super().shared_fields() | {"tare_s": None if self.tare is None else _span_s(self.tare)}
 
 
 def _span_s(text: str) -> tuple[float, float]:
-    """Return the start and stop of a stretch, in seconds; raise a ValueError if the text is not START:STOP."""
+    """Return the start and end of a stretch, in seconds; raise a ValueError if the text is not START:STOP."""
     span_s = stretch_s(text)
     if span_s is None:
         raise ValueError(

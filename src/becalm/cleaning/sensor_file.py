@@ -17,10 +17,12 @@ from becalm.errors import SensorError
 from becalm.sensors.record import SensorRecord
 
 _KIND = TomlKind("sensor file", SensorError)
-_WAY_OUT = "Each sensor starts with [[sensor]] and has kind, channel, raw_unit and unit."
+_ADVICE = "Each sensor starts with [[sensor]] and has kind, channel, raw_unit and unit."
 
 
 class _Sensors(FrozenSettings):
+    """The content of a sensor file."""
+
     sensor: Annotated[tuple[SensorEntry, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
@@ -33,19 +35,19 @@ class _Sensors(FrozenSettings):
 
 
 def load_sensors(path: str | Path) -> tuple[SensorRecord, ...]:
-    """Read the sensors of a file, in the order of the file.
+    """Read the sensor records of a sensor file, in the order of the file.
 
     Raises
     ------
     SensorError
         If the file cannot be read or is not TOML, or a value is missing, unknown or impossible.
     """
-    text = _KIND.text_of(path, _WAY_OUT)
-    return tuple(entry.record() for entry in _KIND.parsed(_Sensors, text, f"The sensor file {path}", _WAY_OUT).sensor)
+    text = _KIND.read_text(path, _ADVICE)
+    return tuple(entry.record() for entry in _KIND.parse(_Sensors, text, f"The sensor file {path}", _ADVICE).sensor)
 
 
 def to_toml(entries: Iterable[SensorEntry], comment: str = "") -> str:
-    """Return a sensor file as TOML that begins with a comment; default values are left out."""
+    """Return the TOML text of a sensor file; it begins with `comment`, and leaves out default values."""
     document, sensors = tomlkit.document(), tomlkit.aot()
     for line in comment.splitlines():
         document.add(tomlkit.comment(line))
@@ -56,7 +58,7 @@ def to_toml(entries: Iterable[SensorEntry], comment: str = "") -> str:
 
 
 def due_warnings(records: Iterable[SensorRecord], today: date) -> tuple[str, ...]:
-    """Return a warning for each sensor that was due for calibration on `today` or before."""
+    """Return a warning for each sensor whose calibration was due on `today` or before."""
     return tuple(
         f"The sensor of {', '.join(record.channels)}{_serial(record)} was due for calibration on {record.sheet.due}; "
         "its sensitivity and its uncertainty may no longer be valid."

@@ -1,4 +1,4 @@
-"""Compute the slope of a clean signal, and the noise that uncertain times of readings add to it."""
+"""Compute the slope of a clean signal, the noise from uncertain times of readings, and warn about a resonance."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
 from becalm.sensors.resonance import Resonance
 
-_NOTICEABLE = 0.001  # share of sigma: a smaller increase is not reported
+_NOTICEABLE = 0.001  # least relative increase of sigma that is reported
 
 
 class Slopes:
-    """Computes backward differences of a signal that comes in blocks; the cuts between blocks change nothing.
+    """The backward differences of a signal in blocks; the division into blocks does not change the result.
 
     Parameters
     ----------
@@ -27,7 +27,9 @@ class Slopes:
         self._step_s, self._last, self._slope = step_s, np.nan, 0.0
 
     def of(self, signal: Floats, elapsed: Floats) -> Floats:
-        """Return the slope at the next rows, (B,), in unit/s; the previous one where a time repeats or a value is NaN.
+        """Return the slope at the next rows, (B,), in unit/s.
+
+        Where no time has elapsed, or the signal is NaN, the slope is that of the previous row.
 
         Parameters
         ----------
@@ -38,9 +40,9 @@ class Slopes:
         """
         if not len(signal):
             return np.empty(0)
-        risen = np.diff(signal, prepend=self._last)
-        valid = (elapsed > 0.0) & np.isfinite(risen)
-        slopes = np.divide(risen, elapsed * self._step_s, out=np.full(len(signal), self._slope), where=valid)
+        differences = np.diff(signal, prepend=self._last)
+        valid = (elapsed > 0.0) & np.isfinite(differences)
+        slopes = np.divide(differences, elapsed * self._step_s, out=np.full(len(signal), self._slope), where=valid)
         latest = np.maximum.accumulate(np.where(valid, np.arange(len(signal)), -1))
         slopes = np.where(latest >= 0, slopes[latest], self._slope)
         self._last, self._slope = float(signal[-1]), float(slopes[-1])
@@ -50,13 +52,13 @@ class Slopes:
         """Return the state as an array."""
         return np.array([self._last, self._slope])
 
-    def restore(self, moved: Floats) -> None:
+    def restore(self, state: Floats) -> None:
         """Restore the state that `saved` returned."""
-        self._last, self._slope = moved.tolist()
+        self._last, self._slope = state.tolist()
 
 
 class TimingNoise:
-    """Widens sigma for the noise that uncertain times of readings add.
+    """A widening of sigma for the noise that uncertain times of readings add.
 
     Parameters
     ----------
@@ -71,20 +73,20 @@ class TimingNoise:
     def __init__(self, timing: TimingRecipe, noise_std: float, step_s: float) -> None:
         self._timing, self._variance, self._slopes = timing, noise_std**2, Slopes(step_s)
         self._elapsed: list[Floats] = []
-        self.most = 0.0
-        """Largest increase of sigma so far, as a share."""
+        self.largest_share = 0.0
+        """Largest relative increase of sigma so far."""
 
     def push(self, elapsed: Floats) -> None:
-        """Take the steps before each of the next rows, (B,)."""
+        """Take the steps since the previous row, (B,), for each of the next rows."""
         self._elapsed.append(elapsed)
 
     def widened(self, estimates: EstimatedRows) -> EstimatedRows:
-        """Return the next rows with sigma widened for the uncertain times."""
-        slopes = self._slopes.of(estimates.signal, self._taken(len(estimates.signal)))
-        more = (slopes * self._timing.std_s) ** 2 - self._timing.included_std**2
-        wider = np.sqrt(1.0 + np.maximum(more, 0.0) / self._variance)
-        self.most = max(self.most, float(wider.max(initial=1.0)) - 1.0)
-        return estimates._replace(sigma=wider * estimates.sigma)
+        """Return the estimates of the next rows with a wider sigma."""
+        slopes = self._slopes.of(estimates.signal, self._take_elapsed(len(estimates.signal)))
+        extra_variance = (slopes * self._timing.std_s) ** 2 - self._timing.included_std**2
+        factor = np.sqrt(1.0 + np.maximum(extra_variance, 0.0) / self._variance)
+        self.largest_share = max(self.largest_share, float(factor.max(initial=1.0)) - 1.0)
+        return estimates._replace(sigma=factor * estimates.sigma)
 
     def saved(self) -> dict[str, Floats]:
         """Return the state as arrays."""
@@ -95,41 +97,42 @@ class TimingNoise:
         self._slopes.restore(arrays["timing_slopes"])
         self._elapsed = [arrays["timing_elapsed"]]
 
-    def _taken(self, count: int) -> Floats:
+    def _take_elapsed(self, count: int) -> Floats:
+        """Remove the steps of the next `count` rows from the queue and return them."""
         waiting = np.concatenate([*self._elapsed, np.empty(0)])
         self._elapsed = [waiting[count:]]
         return waiting[:count]
 
 
 def timing_sentences(timing: TimingRecipe | None, share: float) -> list[str]:
-    """Return a sentence on the largest increase of sigma (a share) by uncertain times, if it is noticeable."""
+    """Return a sentence on the largest relative increase of sigma, `share`, if it is noticeable."""
     if timing is None or share < _NOTICEABLE:
         return []
     return [f"An uncertainty of {1e6 * timing.std_s:.3g} us in time increases sigma by up to {share:.1%}."]
 
 
-# Check whether the result has frequencies at which the sensor's resonance distorts amplitudes.
+# Check whether the clean signal contains frequencies at which the sensor's resonance distorts amplitudes.
 
 FLAT_PERCENT = 5.0
 """Largest error of an amplitude in the flat band of a sensor, in percent."""
 
 
-def beyond_flat(name: str, resonance: Resonance, passed_hz: float | None, rate_hz: float) -> str:
-    """Return a warning if the result has frequencies beyond the flat band of the sensor (5 %); "" if not.
+def resonance_warning(name: str, resonance: Resonance, passed_hz: float | None, rate_hz: float) -> str:
+    """Return a warning if the clean signal contains frequencies above the sensor's flat band (5 %); "" otherwise.
 
     Parameters
     ----------
     name : str
         Name of the channel.
     resonance : Resonance
-        Resonance of its sensor.
+        Resonance of the channel's sensor.
     passed_hz : float or None
         -3 dB bandwidth of the filter; None if it is unknown, or no filter was chosen.
     rate_hz : float
-        Rate of the rows, which contain frequencies up to half of it.
+        Rate of the rows, which contain frequencies up to half of this rate.
     """
-    flat_hz, held_hz = resonance.right_to_hz(FLAT_PERCENT), rate_hz / 2
-    band_hz = held_hz if passed_hz is None else min(passed_hz, held_hz)
+    flat_hz, nyquist_hz = resonance.accurate_to_hz(FLAT_PERCENT), rate_hz / 2
+    band_hz = nyquist_hz if passed_hz is None else min(passed_hz, nyquist_hz)
     if band_hz <= flat_hz:
         return ""
     what = f"its rows, at {rate_hz:.6g} Hz, contain frequencies" if passed_hz is None else "its filter passes"

@@ -18,22 +18,22 @@ from becalm.errors import ModelError, RecipeError, UsageError
 from becalm.identification.likelihood import Tuning
 from becalm.identification.spectrum import ToneOscillator
 
-_SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles per step: limits of a tone's frequency and of its bandwidth
-_LEAST_DAMPING = 1e-12  # cycles per step: `damped_below_hz` must be more
-_APART = 1e-6  # relative difference of frequencies: closer tones cannot be distinguished
-_LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # limits of q/r: beyond them readings are ignored or fully trusted
+_SLOWEST, _QUICKEST, _WIDEST = 1e-8, 0.5, 1.0  # cycles per step: range of a tone's frequency, and its largest bandwidth
+_LEAST_DAMPING = 1e-12  # cycles per step: `damped_below_hz` must be greater
+_APART = 1e-6  # relative difference of frequencies up to which two tones cannot be distinguished
+_LEAST_RATIO, _GREATEST_RATIO = 1e-60, 1e12  # range of q/r: outside it, readings are ignored or fully trusted
 _SAME_RATE = 1e-3  # largest relative difference of rates that count as equal
 SOON = 3
-"""Lag in readings up to which a filter that is tuned as a causal one has a smaller error than one tuned as a smoother.
+"""Largest lag, in readings, at which a filter with a lag is tuned like a causal filter instead of a smoother.
 
-Measured by `benchmarks/fixed_lag.py`.
+Up to this lag, tuning it like a causal filter gives the smaller error, as `benchmarks/fixed_lag.py` measures.
 """
 
-_WHOLE = 1e-6  # of a step: tolerance when a lag is rounded down to whole readings
+_WHOLE = 1e-6  # of a step: a lag may be this much shorter than a whole number of readings
 
 
 def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: float = 0.0) -> ChannelRecipe:
-    """Return the recipe of a channel, in seconds, from its tuning in steps; `spread` is its `tuning_spread`."""
+    """Return the recipe of a channel, in seconds, from its tuning in steps; `spread` becomes its `tuning_spread`."""
     noise = tuning.coloured
     return ChannelRecipe(
         name=name,
@@ -53,15 +53,15 @@ def in_seconds(name: str, unit: str, tuning: Tuning, step_s: float, spread: floa
     )
 
 
-@lru_cache(maxsize=256)  # tuning opens the same channel many times
+@lru_cache(maxsize=256)  # tuning calls this many times for the same channel
 def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     """Return the parameters of a recipe in steps.
 
     Raises
     ------
     RecipeError
-        If they do not make a valid filter at this step: a number is out of the range of float64, a tone is too fast
-        or too wide for the rate, two tones cannot be distinguished, the damping is out of range, or coloured noise
+        If the parameters do not make a valid filter at this step: a number exceeds the range of float64, a tone is too
+        fast or too wide for the rate, two tones cannot be distinguished, the damping is out of range, or coloured noise
         was identified at another rate or is unstable.
     """
     with np.errstate(all="ignore"):
@@ -74,13 +74,13 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
             f" not make a valid filter at {1 / step_s:.6g} Hz; correct them in the recipe, or tune one on"
             " this recording."
         )
-    _refuse_twins(tuned.tones)
+    _refuse_equal_tones(tuned.tones)
     tones = tuple(_tone_in_steps(tone, variance, step_s) for tone in tuned.tones)
     coloured = _coloured_in_steps(tuned.coloured_noise, step_s)
     damping = _damping_in_steps(tuned.damped_below_hz, step_s)
     found = Tuning(tuned.order, density / variance, variance, 0, tones=tones, coloured=coloured, damping=damping)
     try:
-        found.component  # noqa: B018  (refuses unstable noise)
+        found.component  # noqa: B018  (raises an error if the coloured noise is unstable)
     except ModelError as cause:
         raise RecipeError(f"The recipe's coloured noise does not make a valid filter: {cause}") from cause
     return found
@@ -92,12 +92,12 @@ def gate_of(entry: GateRecipe, step_s: float) -> Gate:
 
 
 def lag_in_rows(lag_s: float, step_s: float) -> int:
-    """Return a lag as a number of later readings.
+    """Return a lag as a number of readings, rounded down.
 
     Parameters
     ----------
     lag_s : float
-        Lag in seconds; a reading counts if the lag is at most a millionth of a step too short for it.
+        Lag in seconds. A lag that is at most a millionth of a step below a whole number of readings is rounded up.
     step_s : float
         One step, in seconds.
 
@@ -117,7 +117,7 @@ def lag_in_rows(lag_s: float, step_s: float) -> int:
     return int(rows)
 
 
-def _refuse_twins(tones: Sequence[ToneRecipe]) -> None:
+def _refuse_equal_tones(tones: Sequence[ToneRecipe]) -> None:
     for low, high in pairwise(sorted(tone.frequency_hz for tone in tones)):
         if high - low <= _APART * high:
             raise RecipeError(

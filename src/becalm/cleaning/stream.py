@@ -1,7 +1,7 @@
-"""Clean the rows of a stream as they are measured, with a recipe, and with the same results as for a file.
+"""Clean the rows of a stream as they are measured, with a recipe and with the same results as for a file.
 
-The results are bitwise equal to those of a causal `clean`, and equal to those of a lagged one within 1e-12. They do not
-change by a bit with the division of the rows into blocks, or with pauses of the stream.
+The results are bitwise equal to those of a causal `clean`, and equal within 1e-12 to those of `clean` with a lag. They
+depend neither on the division of the rows into blocks nor on interruptions of the stream, bit for bit.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ from becalm.cleaning.cleaner import ReadyRows
 from becalm.cleaning.live_channel import mean_nis_of_hops, open_live
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.steps import lag_in_rows
-from becalm.cleaning.stream_modes import NO_MODES, modes_in, modes_of, with_modes
+from becalm.cleaning.stream_modes import NO_MODES, count_modes, mode_probabilities, with_modes
 from becalm.core.arrays import Codes, Floats, input_of
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
 from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.errors import ModelError, RecipeError
 
-_VERSION = 8  # of snapshots; changed: 2 gross outliers, 3 filters, 4 to 7 states, 8 the wait of the outlier test
-_LONGEST = 2.0**52  # steps between two rows: longer than any clock runs
+# Version of snapshots. Version 2 added gross outliers, 3 changed the filters, 4 to 7 changed the states, and 8 changed
+# how long the outlier test waits.
+_VERSION = 8
+_LONGEST = 2.0**52  # largest number of steps between two rows; no clock runs so long
 _NOT_A_SNAPSHOT = "These bytes are not a snapshot of a stream"
 
 
@@ -48,14 +50,14 @@ class ChannelHealth:
     name : str
         Name of the channel.
     counts : dict of str to int
-        How often each verdict was given since the stream began, by its name.
+        How often each verdict was given since the stream began, by the name of the verdict.
     nis : float or None
-        Mean squared normalised innovation of the last 512 readings, each limited to 6 sigma; 1 is expected. None before
-        the first sixteen, and for a channel that passes unchanged.
+        Mean squared normalised innovation of the last 512 readings, each limited to 6 sigma; 1 is expected. None for
+        fewer than sixteen readings, and for a channel that passes unchanged.
     drift_since_row : int or None
         Row in which the first reported drift began, counted from 0; None without a drift.
     dead : bool
-        Whether the latest innovations are those of a dead sensor.
+        Whether the latest window of innovations is as quiet as that of a dead sensor.
     """
 
     name: str
@@ -66,19 +68,20 @@ class ChannelHealth:
 
 
 class StreamCleaner:
-    """Cleans the rows of a stream as they arrive.
+    """A cleaner of a stream's rows, as they arrive.
 
     Parameters
     ----------
     recipe : Recipe
-        The recipe; every push has its channels as columns, in this order. The mode "smoothed" runs as "causal".
+        The recipe. Each push has the recipe's channels as columns, in the same order. The mode "smoothed" is run as
+        "causal".
     step_s : float
         Length of one step, in seconds; elapsed time is counted in steps.
 
     Attributes
     ----------
     lag_rows : int
-        Lag in rows; 0 if each push returns the estimates of its own rows.
+        Lag in rows; 0 if each push returns the estimates of the rows pushed.
 
     Raises
     ------
@@ -91,14 +94,14 @@ class StreamCleaner:
     def __init__(self, recipe: Recipe, step_s: float) -> None:
         self.lag_rows = 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
         self._recipe, self._step_s, self._rows = recipe, step_s, 0
-        self._mark = _mark_of(recipe)
+        self._recipe_hash = _hash_of(recipe)
         channels = dict(enumerate(recipe.channel))
         self._causal = {c: CausalChannel(one, step_s) for c, one in channels.items() if is_causal(one, self.lag_rows)}
         self._others = {
             c: open_live(one, step_s, self.lag_rows) for c, one in channels.items() if c not in self._causal
         }
         self._ready = {c: ReadyRows() for c in self._others}
-        self._modes = [modes_in(one) for one in recipe.channel]
+        self._modes = [count_modes(one) for one in recipe.channel]
 
     def push(self, values: Floats, elapsed: Floats) -> Streamed:
         """Take the next rows.
@@ -108,18 +111,18 @@ class StreamCleaner:
         values : (B, m) float array
             Readings in the channels' units, NaN where missing.
         elapsed : (B,) float array
-            Steps since the previous row, whole or not; ignored for the very first row.
+            Steps since the previous row, 0 or more, not necessarily whole; ignored for the first row of the stream.
 
         Returns
         -------
         Streamed
-            Estimates of these rows; with a lag, of the rows that are ready now, perhaps none.
+            Estimates of the rows pushed; with a lag, estimates of the rows that are now ready, perhaps of none.
 
         Raises
         ------
         ModelError
-            If an argument is not an array of numbers, the shapes do not fit each other or the recipe, or time goes
-            backwards.
+            If an argument is not an array of numbers, the shapes do not fit each other or the recipe, or a value of
+            `elapsed` is negative.
         """
         values, elapsed = self._checked(values, elapsed)
         if not len(values):
@@ -132,7 +135,7 @@ class StreamCleaner:
         return self._ready_rows(found)
 
     def finish(self) -> Streamed:
-        """Return the estimates of the waiting rows so far; the state does not change, and more rows may follow."""
+        """Return estimates of the waiting rows from the readings so far; the state does not change."""
         if not self.lag_rows:
             return self.push(np.empty((0, len(self._recipe.channel))), np.empty(0))
         other = type(self).resume(self.snapshot(), self._recipe)
@@ -155,20 +158,20 @@ class StreamCleaner:
         return tuple(found[c] for c in range(len(names)))
 
     def snapshot(self) -> bytes:
-        """Return the whole state as plain bytes, to continue later; the same state gives the same bytes."""
+        """Return the whole state as bytes, from which `resume` continues; equal states have equal bytes."""
         head = np.array([_VERSION, self._rows], np.int64)
-        arrays: dict[str, Any] = {"told": head, "recipe": self._mark, "step_s": np.array([self._step_s])}
+        arrays: dict[str, Any] = {"told": head, "recipe": self._recipe_hash, "step_s": np.array([self._step_s])}
         for c, causal in self._causal.items():
             arrays |= {f"channel{c}.{name}": array for name, array in causal.state_dict().items()}
         for c, channel in self._others.items():
             arrays |= {f"channel{c}.{name}": array for name, array in channel.saved().items()}
             if self.lag_rows:
-                arrays |= {f"ready{c}.{name}": array for name, array in self._ready[c].held()._asdict().items()}
+                arrays |= {f"ready{c}.{name}": array for name, array in self._ready[c].peek()._asdict().items()}
         return packed(arrays)
 
     @classmethod
     def resume(cls, blob: bytes, recipe: Recipe) -> Self:
-        """Continue from a snapshot; the results are those of a stream that was never stopped.
+        """Continue from a snapshot; the results are those of an uninterrupted stream.
 
         Parameters
         ----------
@@ -185,7 +188,7 @@ class StreamCleaner:
             If the snapshot is of a stream with another recipe.
         """
         arrays = _read(blob)
-        if not np.array_equal(arrays["recipe"], _mark_of(recipe)):
+        if not np.array_equal(arrays["recipe"], _hash_of(recipe)):
             raise RecipeError(
                 "The snapshot is of a stream with another recipe. Use that recipe, or start a new stream with this one."
             )
@@ -209,7 +212,7 @@ class StreamCleaner:
                 self._ready[c].add(with_modes(waiting, self._modes[c]))
 
     def _checked(self, values: Floats, elapsed: Floats) -> tuple[Floats, Floats]:
-        """Return the pushed arrays in the form that the kernels need."""
+        """Return the pushed arrays in the form that the filters need; raise a ModelError if they are not valid."""
         values, elapsed = input_of(_numbers("values", values)), input_of(_numbers("elapsed", elapsed))
         wanted = len(self._recipe.channel)
         if values.ndim != 2 or values.shape[1] != wanted or elapsed.shape != (len(values),):
@@ -226,7 +229,7 @@ class StreamCleaner:
         return values, np.minimum(elapsed, _LONGEST)
 
     def _ready_rows(self, causal: Mapping[int, EstimatedRows]) -> Streamed:
-        """Return the rows that are ready in all channels; `causal` has those of the channels in `_causal`."""
+        """Return the rows that are ready in all channels; `causal` has the estimates of the channels in `_causal`."""
         found = dict(causal)
         if self._others:
             count = min(ready.count for ready in self._ready.values())
@@ -236,12 +239,12 @@ class StreamCleaner:
             np.column_stack([one.signal for one in channels]),
             np.column_stack([one.sigma for one in channels]),
             np.column_stack([one.verdicts for one in channels]),
-            modes_of(found, self._modes),
+            mode_probabilities(found, self._modes),
         )
 
     def _no_rows(self) -> Streamed:
         shape = 0, len(self._recipe.channel)
-        return Streamed(np.empty(shape), np.empty(shape), np.empty(shape, np.int8), modes_of({}, self._modes))
+        return Streamed(np.empty(shape), np.empty(shape), np.empty(shape, np.int8), mode_probabilities({}, self._modes))
 
 
 def _numbers(name: str, given: object) -> Any:
@@ -251,8 +254,8 @@ def _numbers(name: str, given: object) -> Any:
     raise ModelError(f"{name} is not an array of numbers; give float64, as np.asarray(rows, float) does.")
 
 
-def _mark_of(recipe: Recipe) -> Codes:
-    """Return a hash that identifies the recipe."""
+def _hash_of(recipe: Recipe) -> Codes:
+    """Return a hash of the recipe, to compare recipes."""
     return np.frombuffer(hashlib.sha256(recipe.model_dump_json().encode()).digest(), np.int8)
 
 

@@ -11,39 +11,42 @@ from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
 
 NO_MODES: Floats = np.empty((0, 0))
-"""Mode probabilities of a stream in which no channel has modes, whatever the number of rows."""
+"""Mode probabilities of a stream in which no channel has modes, for any number of rows."""
 
 
-def modes_in(channel: ChannelRecipe) -> int:
-    """Return how many modes a channel has; 0 for one fixed filter."""
+def count_modes(channel: ChannelRecipe) -> int:
+    """Return the number of modes of a channel; 0 for a channel without modes."""
     return 0 if channel.switching is None or channel.motion is None else len(channel.switching.mode)
 
 
 def with_modes(estimates: EstimatedRows, modes: int) -> list[EstimatedRows]:
-    """Return waiting rows, if any, with probabilities of `modes` modes: NaN if an older version saved the rows."""
+    """Return saved rows with the probabilities of `modes` modes, or [] for no rows.
+
+    The probabilities are NaN if an older version saved the rows without them.
+    """
     if not len(estimates.signal):
         return []
     unknown = np.full((modes, len(estimates.signal)), np.nan)
     return [estimates if len(estimates.parts) == modes else estimates._replace(parts=unknown)]
 
 
-def modes_of(estimates: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:
-    """Return the probabilities (R, K) of all modes for R rows; (0, K) without rows.
+def mode_probabilities(estimates: Mapping[int, EstimatedRows], modes: Sequence[int]) -> Floats:
+    """Return the probabilities (R, K) of the modes of all channels, for R rows; (0, K) without rows.
 
-    `estimates` are by the number of the channel; `modes` has the number of modes of each channel.
+    `estimates` has the number of the channel as key; `modes` has the number of modes of each channel.
     """
     if not any(modes):
         return NO_MODES
     if not estimates or not len(next(iter(estimates.values())).signal):
         return np.empty((0, sum(modes)))
-    return np.concatenate([estimates[c].parts for c, some in enumerate(modes) if some]).T
+    return np.concatenate([estimates[c].parts for c, count in enumerate(modes) if count]).T
 
 
-def handed_over(share: Floats, before: Floats, after: Floats) -> Floats:
-    """Return mode probabilities (R, K) while a new filter replaces an old one; `share` (R, 1) is that of the new one.
+def modes_in_handover(share: Floats, before: Floats, after: Floats) -> Floats:
+    """Return mode probabilities (R, K) while a new filter replaces an old one; `share` is that of the new, (R, 1).
 
-    In each row they are those of the filter with the larger share. Those of the old one are NaN if the new one has
-    another number of modes.
+    A row has the probabilities of the filter with the larger share. Those of the old filter are NaN if the two filters
+    have different numbers of modes.
     """
     if not after.shape[1]:
         return NO_MODES

@@ -1,4 +1,4 @@
-"""Read a stretch of time as a person writes it: START:STOP after the first row."""
+"""Parse a stretch of time as a person writes it: START:STOP, each after the first row."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
 def stretch_s(text: str) -> tuple[float, float] | None:
-    """Return the start and stop of a stretch of time, in seconds; None if the text is not one.
+    """Return the start and end of a stretch of time, in seconds; None if the text is not such a stretch.
 
     Parameters
     ----------

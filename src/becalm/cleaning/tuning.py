@@ -24,7 +24,7 @@ from becalm.core.reading_verdicts import judge
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import Timebase
 from becalm.errors import RecordingError, UsageError
-from becalm.identification.at_rest.detection import named_rests
+from becalm.identification.at_rest.detection import rests_in_spans
 from becalm.identification.choose import Choice, PriorKnowledge
 from becalm.identification.coloured import NoiseModel, fit_noise
 from becalm.identification.damping import spread_std
@@ -34,7 +34,7 @@ from becalm.identification.likelihood import FEWEST_FOR_TONES, Evidence, Tuning
 from becalm.identification.modes.switching import IdentifiedImm, choose_robust, find_switching
 from becalm.identification.tones import MOST_TONES
 from becalm.identification.trust.tuning_spread import tuning_spread
-from becalm.identification.wishes.dial import Dial, may_judge, turn
+from becalm.identification.wishes.dial import Dial, may_gate, tune_by_dial
 from becalm.installation import load_scipy, version
 
 if TYPE_CHECKING:
@@ -42,21 +42,22 @@ if TYPE_CHECKING:
 
 # Noise from an uncertain time of readings: R[k] = R - included^2 + (dx/dt std_s)^2.
 #
-# The error of a reading taken a little early or late is the slope of the signal times the error of its time. The filter
-# averages this error like the rest of the noise, so that sigma grows by the root of R[k] / R, and not by the error
-# itself. Where the slope is small, sigma does not shrink: such an estimate also depends on readings on nearby slopes.
+# A reading that is taken too early or too late has an error: the slope of the signal times the error of its time. The
+# filter averages this error like all other noise. Sigma is thus multiplied by the root of R[k] / R, and this error is
+# not added to it. Where the slope is small, sigma does not shrink, because the estimate also depends on readings nearby
+# where the slope may be large.
 
-_WORTH = 0.01  # steps: a smaller standard deviation of rounded stamps is ignored
+_LEAST_STD_STEPS = 0.01  # least standard deviation of rounded stamps, in steps, that is not ignored
 
 
 def time_std_of(time: Timebase) -> float:
     """Return the standard uncertainty of rounded stamps, in seconds; 0 if it is negligible, or the times are even."""
-    rounded = time.resolution_s / np.sqrt(12.0)
-    return 0.0 if time.uniform or rounded < _WORTH * time.step_s else float(rounded)
+    std_s = time.resolution_s / np.sqrt(12.0)
+    return 0.0 if time.uniform or std_s < _LEAST_STD_STEPS * time.step_s else float(std_s)
 
 
 def with_timing(recipe: Recipe, recording: Recording, std_s: float, *, at_rest: bool) -> Recipe:
-    """Return a recipe with the uncertainty of the time of readings.
+    """Return the recipe with the uncertainty of the times of readings added.
 
     Parameters
     ----------
@@ -65,7 +66,7 @@ def with_timing(recipe: Recipe, recording: Recording, std_s: float, *, at_rest: 
     recording : Recording
         Recording that has the recipe's channels, and perhaps others.
     std_s : float
-        Standard uncertainty (k = 1) of the time of each reading, independent of the others, in seconds.
+        Standard uncertainty (k = 1) of the time of each reading, in seconds; the errors are independent.
     at_rest : bool
         Whether the noise was measured at rest, where an uncertain time adds no noise.
     """
@@ -76,6 +77,7 @@ def with_timing(recipe: Recipe, recording: Recording, std_s: float, *, at_rest: 
 
 
 def _rms_slopes(recipe: Recipe, columns: Sequence[Floats], time: Timebase) -> list[float]:
+    """Return the root mean square slope of each clean channel, in unit/s."""
     with Cleaner(recipe, time.step_s) as cleaner:
         (estimates,) = [*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()]
     slopes = (Slopes(time.step_s).of(channel.signal, time.elapsed_steps) for channel in estimates)
@@ -89,35 +91,35 @@ def _with_timing(channel: ChannelRecipe, std_s: float, rms_slope: float) -> Chan
     return channel.model_copy(update={"timing": timing})
 
 
-_NEARLY_EMPTY = 64  # readings: a channel with fewer raises no error if too few are at rest
+_NEARLY_EMPTY = 64  # a channel with fewer readings raises no error if too few of them are at rest
 
 Progress = Callable[[str], None]
 
 
 class Wishes(NamedTuple):
-    """The options of a tuning, which a person sets; everything else is identified from the recording.
+    """The options of a tuning, which a person sets; all other parameters are identified from the recording.
 
     Attributes
     ----------
     dial : Dial or None
         A lag, a bandwidth or a noise gain that every filter must have.
     still_s : tuple of (float, float)
-        Stretches in which the sensor lay still, for measuring the noise; start and stop of each, in seconds after the
+        Stretches in which the sensor lay still, to measure the noise there: start and end of each, in seconds after the
         first row.
     rest : Recording or None
-        Recording of the same channels that `still_s` refers to; by default the recording that is tuned on.
+        Recording of the same channels, to which `still_s` refers; by default the recording that the recipe is tuned on.
     removed_hz : tuple of float
         Frequencies of tones to remove, such as mains hum.
     lag_s : float or None
-        How long each estimate may wait for later readings, in seconds; with a *small* lag it comes sooner, but is
-        noisier.
+        How long each estimate may wait for later readings, in seconds; with a *small* lag estimates come sooner, but
+        are noisier.
     robust : bool
-        Whether one in a hundred to one in ten readings are outliers, which must be left out.
+        Whether to choose a filter for readings of which 1 to 10 % are outliers, which the filter leaves out.
     fill : bool
         Whether to return an estimate even in holes in which the model predicts nothing.
     time_std_s : float or None
-        Standard uncertainty (k = 1) of the time of each reading, independent of the others: jitter of the sampling
-        clock, in seconds. None takes it from the last digit of the stamps, unless they are an even grid.
+        Standard uncertainty (k = 1) of the time of each reading, such as the jitter of the sampling clock, in seconds;
+        the errors are independent. With None it is that of the rounding of the stamps, or 0 for even times.
     """
 
     dial: Dial | None = None
@@ -137,12 +139,12 @@ class ChannelTuning(NamedTuple):
     """The result of tuning one channel."""
 
     channel: ChannelRecipe  # the tuned recipe
-    choice: Choice  # the chosen model, with its rivals
-    believed: Evidence  # the readings that the channel was tuned on
+    choice: Choice  # the chosen model, and the models that it was compared with
+    evidence: Evidence  # the readings that the channel was tuned on
 
 
 class Tuned(NamedTuple):
-    """A recipe, and the tuning results of its channels."""
+    """A tuned recipe, and the tuning results of its channels."""
 
     recipe: Recipe
     found: tuple[ChannelTuning, ...]
@@ -156,7 +158,7 @@ def tune(
     wishes: Wishes = NO_WISHES,
     progress: Progress | None = None,
 ) -> Recipe:
-    """Identify the noise of each channel and choose its filter; no option is required.
+    """Identify the noise of each channel and choose its filter; every option has a default.
 
     Parameters
     ----------
@@ -167,15 +169,15 @@ def tune(
     channels : sequence of str, optional
         Names of the channels to clean; all by default.
     wishes : Wishes
-        Options; by default everything is identified from the recording.
+        Options; by default all parameters are identified from the recording.
     progress : callable, optional
-        Called with a channel's name when it is done.
+        Called with the name of each channel that is done.
 
     Raises
     ------
     RecordingError
-        If a channel does not exist, or there are no channels or samples, or too few where `still_s` says that
-        the sensor lay still.
+        If a channel does not exist, there are no channels or samples, or the stretches of `still_s` have too few
+        samples.
     UsageError
         If no filter can meet the dial, wishes contradict each other, or the lag is shorter than one step or too long.
     """
@@ -192,13 +194,13 @@ def explore(
 ) -> Tuned:
     """Tune as `tune` does; also return the model choice and the readings of each channel."""
     refuse_empty(recording)
-    chosen = recording if channels is None else recording.select(listed(channels))
+    chosen = recording if channels is None else recording.select(as_list(channels))
     refuse_empty(chosen)
     if not isinstance(wishes, Wishes):
         raise UsageError(f"Wishes are needed; {wishes!r:.60} came. Make some: becalm.Wishes(lag_s=0.01).")
     _refuse_contradictions(wishes, chosen)
     as_filter = tuned_as_filter(causal, wishes.lag_s, chosen.timebase.step_s)
-    one = partial(_tune_channel, chosen, as_filter, wishes, progress or _silent)
+    one = partial(_tune_channel, chosen, as_filter, wishes, progress or _ignore_progress)
     load_scipy()
     pool = ThreadPoolExecutor()
     try:
@@ -215,7 +217,7 @@ def explore(
 def _tune_channel(recording: Recording, causal: bool, wishes: Wishes, progress: Progress, name: str) -> ChannelTuning:
     tuned = _identify_channel(recording, causal, wishes, name)
     if not causal and wishes.lag_s is None and tuned.channel.motion is not None:
-        hole = measure_hole_corrections(tuned.channel, tuned.believed, recording.timebase.step_s)
+        hole = measure_hole_corrections(tuned.channel, tuned.evidence, recording.timebase.step_s)
         tuned = tuned._replace(channel=tuned.channel.model_copy(update={"hole": hole}))
     progress(name)
     return tuned
@@ -236,23 +238,23 @@ def _identify_channel(recording: Recording, causal: bool, wishes: Wishes, name: 
         return ChannelTuning(ChannelRecipe(name=name, unit=unit, model=choice.kind, limits=limits), choice, evidence)
     tuning, spread = choice.tuning, 0.0
     if wishes.dial is not None:
-        tuning = turn(choice.motion, wishes.dial, time.step_s, causal)
-        gated = gated and may_judge(tuning, choice.tuning)
+        tuning = tune_by_dial(choice.motion, wishes.dial, time.step_s, causal)
+        gated = gated and may_gate(tuning, choice.tuning)
     unknown = {"spread_std": spread_std(evidence), "fill": wishes.fill}
     limits = with_rounding(limits, tuning, readings, causal=causal)
     predicted = forecasts(tuning, readings, elapsed, gate if gated else None)
-    if wishes.dial is None:  # a dial is not an estimate: it has no spread, and modes do not replace it
+    if wishes.dial is None:  # a dial sets the filter: its tuning has no spread, and modes must not replace it
         if not wishes.still_s and not wishes.removed_hz:
             spikes = None if wishes.robust else bool(predicted.rejected.any())
             all_readings = Evidence.of(np.where(np.isfinite(outliers), outliers, readings), elapsed)
             own = evidence.own_step
-            seen, every = evidence.counted_in(own), all_readings.counted_in(own)
-            switched = _switched(tuning.counted_in(own), seen, causal, spikes, every)
-            if switched is not None:
-                modes = modes_in_seconds(switched.kind, switched.switching, own * time.step_s)
-                switching = in_seconds(name, unit, switched.tuning.counted_in(1 / own), time.step_s)
+            usable, with_outliers = evidence.counted_in(own), all_readings.counted_in(own)
+            imm = _identify_imm(tuning.counted_in(own), usable, causal, spikes, with_outliers)
+            if imm is not None:
+                modes = modes_in_seconds(imm.kind, imm.switching, own * time.step_s)
+                channel = in_seconds(name, unit, imm.tuning.counted_in(1 / own), time.step_s)
                 more = {"switching": modes, "limits": limits, **unknown}
-                return ChannelTuning(switching.model_copy(update=more), choice, evidence)
+                return ChannelTuning(channel.model_copy(update=more), choice, evidence)
         evidence = Evidence.of(np.where(predicted.rejected, np.nan, readings), elapsed) if gated else evidence
         own = 1.0 if tuning.coloured else evidence.own_step
         steps = tuning.counted_in(own), evidence.counted_in(own)
@@ -265,26 +267,29 @@ def _identify_channel(recording: Recording, causal: bool, wishes: Wishes, name: 
     )
 
 
-def _switched(
-    tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | None, wild: Evidence
+def _identify_imm(
+    tuning: Tuning, evidence: Evidence, causal: bool, spikes: bool | None, with_outliers: Evidence
 ) -> IdentifiedImm | None:
-    """Return modes for a channel, or None; `spikes`: whether a gate rejects readings, None for a robust filter."""
+    """Identify the modes of a channel; return None if a fixed filter is as good.
+
+    `spikes` is whether a gate rejects readings of the channel, or None if a robust filter is wanted.
+    """
     if spikes is None:
         return choose_robust(tuning, evidence, causal)
-    return find_switching(tuning, evidence, causal, spikes, wild)
+    return find_switching(tuning, evidence, causal, spikes, with_outliers)
 
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
-    """Return a channel's noise at rest (in uneven time as white noise); None if all readings at rest are equal."""
+    """Return a channel's noise at rest, all of it as white noise if times are uneven; None if it cannot be measured."""
     readings, elapsed = judge(rest.channel(name)).readings, rest.timebase.elapsed_steps
-    parts = [slice(*stretch) for stretch in named_rests(rest, still_s).stretches]
+    parts = [slice(*stretch) for stretch in rests_in_spans(rest, still_s).stretches]
     if not any(np.nanstd(readings[part]) > 0 for part in parts if np.isfinite(readings[part]).any()):
         return None
     try:
         noise = fit_noise([readings[part] for part in parts])
     except RecordingError as cause:
         if np.isfinite(readings).sum() < _NEARLY_EMPTY:
-            return None  # the noise of such a channel is identified without rests
+            return None  # the noise of a nearly empty channel is identified without rests
         raise RecordingError(f"{name}: {cause}") from cause
     even = all(np.array_equal(elapsed[part][1:], np.round(elapsed[part][1:])) for part in parts)
     if even or noise.coloured is None:
@@ -314,18 +319,18 @@ def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
 
 
 def _longest_even(recording: Recording) -> int:
-    """Return the length of the longest stretch at an even rate, in rows; short holes are allowed in it."""
+    """Return the length of the longest stretch at an even rate, in rows; it may have short holes."""
     rows = Evidence.of(np.zeros(len(recording)), recording.timebase.elapsed_steps)
     return max(len(rows.z[part]) for part in (nearly_complete(rows), *rows.even))
 
 
 def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
-    """Return whether to tune as for a causal filter (likelihood of the next reading), rather than as for a smoother.
+    """Return whether to tune as for a causal filter, by the likelihood of the next reading, and not as for a smoother.
 
     Parameters
     ----------
     causal : bool
-        Whether estimates use only the past.
+        Whether estimates use no later readings.
     lag_s : float or None
         How long each estimate waits for later readings, in seconds; None without a lag.
     step_s : float
@@ -349,7 +354,7 @@ def refuse_causal_lag(causal: bool | None, lag_s: float | None) -> None:
 
 
 def refuse_empty(recording: Recording) -> None:
-    """Raise a RecordingError if there is nothing to clean."""
+    """Raise a RecordingError if the argument is not a Recording, or has no channels or samples."""
     if not isinstance(recording, Recording):
         raise RecordingError(
             f"A Recording is needed; {type(recording).__name__} came. Make one: becalm.Recording(samples, rate_hz=...)."
@@ -360,27 +365,27 @@ def refuse_empty(recording: Recording) -> None:
         raise RecordingError("The recording has no samples.")
 
 
-def listed(channels: Sequence[str]) -> list[str]:
-    """Return names as a list; a single name may be a str."""
+def as_list(channels: Sequence[str]) -> list[str]:
+    """Return names as a list; a str is a single name."""
     return [channels] if isinstance(channels, str) else list(channels)
 
 
-def _silent(_: str) -> None:
-    """Ignore progress."""
+def _ignore_progress(_: str) -> None:
+    """Do nothing, as a default for `progress`."""
 
 
 # Add the calibration uncertainty and the tare of a sensor to the recipes of its channels.
 
 
 def calibrated(channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]) -> tuple[ChannelRecipe, ...]:
-    """Return the recipes with the calibrations of their sensors; `calibrations` are by the name of the channel."""
+    """Return the recipes with the calibrations of their sensors; `calibrations` has channel names as keys."""
     return tuple(_calibrated(channel, calibrations.get(channel.name)) for channel in channels)
 
 
 def with_new_tares(
     channels: Sequence[ChannelRecipe], calibrations: Mapping[str, Calibration]
 ) -> tuple[ChannelRecipe, ...]:
-    """Return the recipes with the calibrations of those sensors whose zero was measured in the present recording."""
+    """Return the recipes with the calibrations of those sensors whose zero was measured in this recording."""
     tares = {name: one for name, one in calibrations.items() if one.tare is not None}
     return calibrated(channels, tares)
 

@@ -1,1 +1,1 @@
-"""The command line: data on stdout, messages on stderr, exit codes from the exceptions."""
+"""The command line. Data go to stdout and messages to stderr; an exception's class determines the exit code."""

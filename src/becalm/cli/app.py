@@ -22,11 +22,11 @@ from becalm.web.needed_libraries import need_app
 DEFAULT_PORT = 8765
 _SIZE = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)\s*(?P<unit>kb|mb|gb|tb)", re.IGNORECASE)
 _BYTES = {"kb": 1e3, "mb": 1e6, "gb": 1e9, "tb": 1e12}
-_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
 
 
 class TunerFolder(NamedTuple):
-    """The folder whose files may be opened, the file to open first, and its time options."""
+    """The folder of the files that the page may open, the file to open first, and the time options of that file."""
 
     folder: Path
     file: Path | None
@@ -34,7 +34,7 @@ class TunerFolder(NamedTuple):
 
 
 class PageAddress(NamedTuple):
-    """The address of the page and the file of its token; without a port, the default one or any free one."""
+    """The address of the page, and the file of its token. If `port` is None, it is `DEFAULT_PORT` or any free port."""
 
     host: str
     port: int | None
@@ -42,7 +42,7 @@ class PageAddress(NamedTuple):
 
 
 def place_of(file: Path | None, folder: Path | None, options: ReadOptions) -> TunerFolder:
-    """Return the folder and the file that the page offers.
+    """Return the folder and the first file of the page.
 
     Raises
     ------
@@ -77,12 +77,12 @@ def bytes_of(text: str) -> int:
 
 
 def run(place: TunerFolder, where: PageAddress, limit_bytes: int, *, browser: bool) -> None:
-    """Serve the page until a signal comes; a second signal ends the process at once.
+    """Serve the page until a signal arrives; a second signal ends the process at once.
 
     Raises
     ------
     UsageError
-        If a library that serves pages is not installed, the port cannot be used, or the token file is not one.
+        If a library that serves pages is not installed, the port cannot be used, or the token file has no token.
     """
     need_app()
     from becalm.web.access import Access, token_of
@@ -94,7 +94,7 @@ def run(place: TunerFolder, where: PageAddress, limit_bytes: int, *, browser: bo
     with _open_listener(where) as listener:
         access = Access(where.host, listener.getsockname()[1], token)
         tuner = Tuner(place.folder, place.file, limit_bytes, place.options)
-        stopped = _hear_signals()
+        stopped = _catch_signals()
         try:
             with Server(listener, site(Page(html_of("tuner.html"), tuner.wire, tuner.routes), access)):
                 stderr.print(f"Open {access.url}\nCtrl-C ends it.")
@@ -102,24 +102,24 @@ def run(place: TunerFolder, where: PageAddress, limit_bytes: int, *, browser: bo
                     stderr.print(access.warning)
                 if browser:
                     _open_browser(access.ticket())
-                while not stopped.wait(1):  # a timeout, because on some systems signals do not interrupt a wait
+                while not stopped.wait(1):  # a short timeout, because signals do not interrupt a wait on all systems
                     pass
         finally:
             tuner.close()
 
 
 def _open_listener(where: PageAddress) -> socket.socket:
-    from becalm.web.serving import TakenError, listen
+    from becalm.web.serving import PortInUseError, listen
 
     if where.port is not None:
         return listen(where.host, where.port)
     try:
         return listen(where.host, DEFAULT_PORT)
-    except TakenError:  # for example by another becalm
+    except PortInUseError:  # another process, such as another becalm, uses the port
         return listen(where.host, 0)
 
 
-def _hear_signals() -> threading.Event:
+def _catch_signals() -> threading.Event:
     """Return an event that the first signal sets; a second signal ends the process at once."""
     stopped = threading.Event()
     end = call_in_thread(stopped.set)
@@ -135,7 +135,7 @@ def _hear_signals() -> threading.Event:
 
 
 def _open_browser(address: str) -> None:
-    """Open the page in a graphical browser, if there is one; a text browser would take over the terminal."""
+    """Open the page in a graphical browser, if there is one; a text browser would occupy the terminal."""
     windows = sys.platform in ("darwin", "win32") or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")))
     if windows:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

@@ -1,4 +1,4 @@
-"""Calibrate an accelerometer from rests in many poses; print a table on stderr and write its sensor file."""
+"""Calibrate an accelerometer from rests in many poses; print a table on stderr and write a sensor file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from becalm.cli.messages import print_notes, stderr
 from becalm.cli.opened_file import FileOptions, open_as, refuse_overwriting, shown_name
 from becalm.errors import SensorError, UsageError
 from becalm.files.atomic_file import refuse_unwritable, write_text
-from becalm.files.portions import beginning, cut_short
+from becalm.files.portions import read_beginning, unused_rows_note
 from becalm.sensors.checks import STANDARD_GRAVITY
 from becalm.sensors.record import COVERAGE
 
@@ -26,14 +26,14 @@ _AXES = 3
 def run(  # noqa: PLR0913  (one argument for each option)
     file: Path, file_options: FileOptions, output: Path, unit: str, gravity: float | None, *, as_json: bool
 ) -> None:
-    """Calibrate the accelerometer of a file, and write its sensor file.
+    """Calibrate an accelerometer from a recording, and write its sensor file.
 
     Raises
     ------
     UsageError
         If there are not exactly three channels, or the output is the input.
     SensorError
-        If its rests are too few or too similar, or a unit or gravity is impossible.
+        If the rests are too few or too similar, or the unit or the gravity is not valid.
     """
     refuse_overwriting(file, output)
     refuse_unwritable(output)
@@ -44,8 +44,8 @@ def run(  # noqa: PLR0913  (one argument for each option)
                 "Choose them with --channels x,y,z."
             )
         print_notes(source)
-        recording = beginning(source)
-        cut = cut_short(source, recording)
+        recording = read_beginning(source)
+        cut = unused_rows_note(source, recording)
         try:
             report = report_poses(recording, unit, gravity)
         except SensorError as cause:
@@ -63,7 +63,7 @@ def run(  # noqa: PLR0913  (one argument for each option)
 
 
 def _show(found: PoseReport, gravity: float | None) -> None:
-    """Print the axes, the standard deviation of |a| before and after, and what remains uncertain."""
+    """Print the calibration of each axis, the spread of |a| before and after, and remarks on uncertainty."""
     raw, unit, calibration = found.raw_unit, found.unit, found.calibration
     table = Table(box=None, pad_edge=False)
     for heading in (

@@ -1,4 +1,4 @@
-"""Clean a file: check all options, then write the clean file and its recipe together; report and figures follow."""
+"""Clean a file: check all options, write the clean file and its recipe together, then the report and the figures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
-from becalm.cleaning.pipeline import fitted, in_mode, joined
+from becalm.cleaning.pipeline import fit_to_recording, in_mode, join_recipes
 from becalm.cleaning.tuning import with_new_tares
 from becalm.cli.messages import print_bands, print_not_removed, print_reports, progress
 from becalm.cli.opened_file import (
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 class CleanOptions(NamedTuple):
-    """The recipe, or how to make one."""
+    """The given recipe, or the options for tuning one."""
 
     recipe: Path | None
     causal: bool
@@ -81,7 +81,7 @@ def run(file: Path, file_options: FileOptions, options: CleanOptions, outputs: O
         for source in sources:
             refuse_columns(output, source.schema)
         source_recipes = [_recipe_for(source, file_options, options, given) for source in sources]
-        recipe = joined(source_recipes)
+        recipe = join_recipes(source_recipes)
         for source in sources:
             refuse_existing_columns(recipe, source.schema.names, split=outputs.split, verdicts=outputs.verdicts)
         if options.recipe is not None and is_same(recipe_path, options.recipe) and recipe != given:
@@ -127,7 +127,7 @@ def run(file: Path, file_options: FileOptions, options: CleanOptions, outputs: O
 
 
 def _summary(recipe: Recipe, sources: Sequence[OpenSource], reports: Sequence[ChannelReport]) -> dict[str, object]:
-    """Return for JSON what was read and found."""
+    """Return the facts about the recording and the reports of its channels, for JSON."""
     times = [{"group": one.group, "rows": one.rows, "rate_hz": one.rate_hz} for one in sources]
     return {
         **({"rows": times[0]["rows"], "rate_hz": times[0]["rate_hz"]} if len(times) == 1 else {"times": times}),
@@ -138,12 +138,12 @@ def _summary(recipe: Recipe, sources: Sequence[OpenSource], reports: Sequence[Ch
 
 
 def _recipe_for(source: OpenSource, file_options: FileOptions, options: CleanOptions, given: Recipe | None) -> Recipe:
-    """Return the recipe for one time base: the given one, or one that is tuned on it."""
+    """Return the recipe for one time base: the given recipe, or a recipe tuned on this time base."""
     recipe = tuned(source, options.causal, options.filters, options.lag_s) if given is None else given
-    wanted = in_mode(recipe, options.causal or None, options.lag_s)  # without --causal, the mode of the recipe stays
-    # A recipe may have channels of other time bases.
+    wanted = in_mode(recipe, options.causal or None, options.lag_s)  # without --causal, the recipe's mode is used
+    # A recipe may have channels of other time bases; `names` selects those of this one.
     names = source.names if file_options.channels or source.group else None
-    chosen = fitted(wanted, source.names, source.units, channels=names)
+    chosen = fit_to_recording(wanted, source.names, source.units, channels=names)
     return file_options.with_time_options(
         chosen.model_copy(update={"channel": with_new_tares(chosen.channel, source.calibrations)})
     )

@@ -15,7 +15,7 @@ from becalm.cli.messages import print_notes, stderr
 from becalm.cli.opened_file import AS_WRITTEN, shown_name
 from becalm.files.atomic_file import make_folder, refuse_unwritable, write_text
 from becalm.files.opening import open_source
-from becalm.files.portions import beginning, cut_short
+from becalm.files.portions import read_beginning, unused_rows_note
 from becalm.files.read_options import ReadOptions, RequestOrigin, RequiredUnits
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from becalm.core.recording import Recording
     from becalm.files.opening import OpenSource
 
-_WORDS = 3  # first columns, which are text and left-aligned
+_WORDS = 3  # number of first columns, which have text and are left-aligned
 
 
 class CompareOptions(NamedTuple):
@@ -36,11 +36,11 @@ class CompareOptions(NamedTuple):
 
 
 def run(source: OpenSource, file_options: FileOptions, options: CompareOptions, *, as_json: bool) -> None:
-    """Compare on a file, or on the beginning of a long one, and print the result."""
+    """Compare filters on a file, or on the beginning of a long file, and print the result."""
     truth, causal, folder = options
     page = None if folder is None else _page_in(folder)
     print_notes(source)
-    recording = beginning(source)
+    recording = read_beginning(source)
     true_signal = None if truth is None else _truth(truth, source, file_options)
     comparison = compare(
         recording, file_options.recipe, truth=true_signal, causal=causal or None, channels=source.names
@@ -51,7 +51,7 @@ def run(source: OpenSource, file_options: FileOptions, options: CompareOptions, 
         _show(comparison, true_signal is not None)
     if page is not None:
         _write(page, source, (recording, true_signal), comparison)
-    if cut := cut_short(source, recording):
+    if cut := unused_rows_note(source, recording):
         stderr.print(cut.strip())
 
 
@@ -81,16 +81,16 @@ def _write(page: Path, source: OpenSource, read: tuple[Recording, Recording | No
 
 
 def _truth(path: Path, source: OpenSource, file_options: FileOptions) -> Recording:
-    """Read the channels of `source` from the file with the true signal; the time options hold for both files."""
+    """Read the true signal of the channels of `source` from a file, with the same time options."""
     origin = RequestOrigin("The recording", " Give a truth of the same channels, or choose some with --channels.")
     fitting = RequiredUnits(origin, dict(zip(source.names, source.units, strict=True)))
     kept = file_options.stamps == AS_WRITTEN
     options = ReadOptions(
-        file_options.time, file_options.rate_hz, tuple(source.names), origin, fitting=fitting, as_written=kept
+        file_options.time, file_options.rate_hz, tuple(source.names), origin, required_units=fitting, as_written=kept
     )
     with open_source(path, options) as other:
         print_notes(other)
-        return beginning(other)
+        return read_beginning(other)
 
 
 def _summary(source: OpenSource, recording: Recording, comparison: Comparison) -> dict[str, object]:
@@ -113,7 +113,7 @@ def _summary(source: OpenSource, recording: Recording, comparison: Comparison) -
 
 
 def _show(comparison: Comparison, with_truth: bool) -> None:
-    out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # wide, so that no number is broken
+    out = Console(highlight=False, soft_wrap=True, markup=False, width=1000)  # wide, so that no number wraps
     for channel in comparison.channels:
         out.print(f"{channel.name}: {channel.says}")
         out.print(_table(channel, with_truth))

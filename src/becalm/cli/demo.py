@@ -1,4 +1,4 @@
-"""Run the demonstration: clean a simulated drive automatically, and compare with the best hand-tuned filter."""
+"""Run the demonstration: clean a simulated drive without options, and compare with the best hand-tuned filter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def run(folder: Path) -> None:
-    """Write the drive and its clean signal into a folder, and print the errors."""
+    """Write a simulated drive and its clean signal into a folder, and print the errors."""
     from becalm.cleaning.pipeline import clean
     from becalm.cli.opened_file import recipe_path_of
     from becalm.files.atomic_file import make_folder, write_text

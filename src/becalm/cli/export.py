@@ -1,4 +1,4 @@
-"""Export the filters of a recipe: as C in a folder, or as one file for other programs."""
+"""Export the filters of a recipe: as a folder of C code, or as one file for other programs."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from becalm.files.atomic_file import make_folder, refuse_unwritable, removed_aft
 
 if TYPE_CHECKING:
     from becalm.export.number_type import Precision
-    from becalm.export.proof.verifying import Compared
+    from becalm.export.proof.verifying import RecordComparison
 
 _FORMS = ("json", "sos", "scipy")
 _CERTIFICATE = "certificate.md"
-_SHOWN = 2000  # first rows of a recording that go into a test vector
+_SHOWN = 2000  # number of first rows of a recording that are in a test vector
 
 
 class CExportOptions(NamedTuple):
@@ -41,7 +41,7 @@ class CExportOptions(NamedTuple):
     precision: str | None
     gain: str | None
     channels: str | None
-    ranges: list[str] | None  # as `spans_of` reads them
+    ranges: list[str] | None  # texts in the form that `spans_of` reads
     recording: Path | None
     verify: bool
 
@@ -54,7 +54,7 @@ def run(recipe: Path, output: Path, to: str, wanted: CExportOptions, *, as_json:
     UsageError
         If an option is invalid.
     BecalmError
-        If the recipe cannot be read, a filter cannot be exported in this form, or the C code differs from becalm.
+        If the recipe cannot be read, a filter cannot be exported in this form, or the C code and becalm disagree.
     """
     if is_same(recipe, output):
         raise UsageError(f"{output} is the recipe itself; give another output with -o.")
@@ -70,13 +70,13 @@ def run(recipe: Path, output: Path, to: str, wanted: CExportOptions, *, as_json:
 
 
 def _to_form(recipe: Recipe, to: str, output: Path, wanted: CExportOptions) -> dict[str, Any]:
-    from becalm.export.forms import written_as
+    from becalm.export.forms import write_filters_as
 
     if any(value for name, value in wanted._asdict().items() if name != "channels"):
         raise UsageError(f"With --to {to} only --channels is possible; the other options are for --to c.")
     refuse_unwritable(output)
     channels = None if wanted.channels is None else split_names(wanted.channels)
-    text, notes = written_as(recipe, to, channels)
+    text, notes = write_filters_as(recipe, to, channels)
     write_text(output, text)
     for note in notes:
         stderr.print(note)
@@ -99,7 +99,7 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: CExportOptions) -> d
         summary["compared"] = [_comparison_dict(one) for one in verified.compared]
     write_folder(output, files)
     earlier = {_CERTIFICATE, *_library_in(output, bundle.stem)}
-    for name in earlier - set(files):  # files of an earlier export
+    for name in earlier - set(files):  # stale files of an earlier export
         (output / name).unlink(missing_ok=True)
     _print_summary(bundle, summary)
     typer.echo(f"Wrote {output}. Try it with: make -C {output} check", err=True)
@@ -107,26 +107,26 @@ def _to_c(recipe: Recipe, path: Path, output: Path, wanted: CExportOptions) -> d
 
 
 def _library_in(output: Path, stem: str) -> set[str]:
-    """Return the library files of an earlier export with this name."""
+    """Return the library files that an earlier export with the name `stem` wrote."""
     folders = FOLDER, f"arduino/{library_name(stem)}/src/{FOLDER}"
     return {f"{folder}/{name}" for folder in folders for name in own_files() if (output / folder / name).exists()}
 
 
 @contextmanager
 def _scratch() -> Iterator[Path]:
-    """Provide an empty folder that is removed at the end, even if a signal stops the process."""
+    """Provide an empty temporary folder in a `with`; it is removed even if a signal stops the process."""
     place = Path(tempfile.mkdtemp(prefix="becalm-export-"))
     with removed_afterwards(place):
         yield place
 
 
 def _refuse_foreign(output: Path) -> None:
-    """Raise an error if a folder cannot be written to, or has files but none from an export.
+    """Raise an error if a folder cannot be written to, or has foreign files.
 
     Raises
     ------
     UsageError
-        If it has files, but no `becalm.h`.
+        If the folder has files, but no `becalm.h` of an earlier export.
     OutputError
         If the folder cannot be written to.
     """
@@ -138,8 +138,8 @@ def _refuse_foreign(output: Path) -> None:
     refuse_unwritable(output / "becalm.h")
 
 
-def _comparison_dict(one: Compared) -> dict[str, Any]:
-    """Return the comparison for JSON; an infinite `snr_db`, which means no difference, becomes None."""
+def _comparison_dict(one: RecordComparison) -> dict[str, Any]:
+    """Return a comparison for JSON; an infinite `snr_db`, for identical outputs, becomes None."""
     return {**one._asdict(), "snr_db": one.snr_db if np.isfinite(one.snr_db) else None}
 
 
@@ -155,7 +155,7 @@ def _export_options(recipe: Recipe, wanted: CExportOptions, recorded: dict[str, 
 
 
 def _ranges_of(recipe: Recipe, recorded: dict[str, Floats]) -> dict[str, Span]:
-    """Return the ranges of a recording's readings, widened to twice, for channels without both saturation limits."""
+    """Return twice the range of a recording's readings, for channels that lack a saturation limit."""
     ranges: dict[str, Span] = {}
     for channel in recipe.channel:
         finite = recorded.get(channel.name, np.empty(0))
@@ -167,12 +167,12 @@ def _ranges_of(recipe: Recipe, recorded: dict[str, Floats]) -> dict[str, Span]:
 
 
 def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:
-    """Return the ranges of channels from texts: NAME=LOW:HIGH, or LOW:HIGH for every channel without its own.
+    """Return the ranges of channels from texts: NAME=LOW:HIGH, or LOW:HIGH for all channels that are not named.
 
     Raises
     ------
     UsageError
-        If a range cannot be read, has an unknown channel, or contradicts another.
+        If a text is not a range, names an unknown channel, or contradicts another text.
     """
     given: dict[str, Span] = {}
     for text in texts:
@@ -193,9 +193,9 @@ def spans_of(texts: list[str], names: list[str]) -> dict[str, Span]:
 
 def _read_recording(recipe: Recipe, file: Path, channels: str | None) -> dict[str, Floats]:
     """Return the readings of a recording by channel, in the recipe's units."""
-    from becalm.cli.options import When
+    from becalm.cli.options import TimeOptions
 
-    file_options = read_file_options(channels, When(None, None, None, None), None, None).with_defaults_of(recipe)
+    file_options = read_file_options(channels, TimeOptions(None, None, None, None), None, None).with_defaults_of(recipe)
     with open_as(file, file_options) as source:
         read = source.recording()
         step_s = read.timebase.step_s

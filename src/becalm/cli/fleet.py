@@ -1,4 +1,4 @@
-"""Clean a lake on Spark; check all options first, because starting Spark takes seconds."""
+"""Clean a lake on Spark; check all options before Spark starts, because its start takes seconds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from pyspark.sql import SparkSession
 
-_MOST_NAMED = 5  # sentences that `say_some` prints
+_MOST_NAMED = 5  # largest number of sentences that `print_some` prints
 _STOPPED = b"becalm: Stopped; what is finished stays, and half-written files are not read. Repeat it to continue.\n"
 
 
@@ -38,19 +38,19 @@ class FleetOptions(NamedTuple):
 
 
 class SparkAddress(NamedTuple):
-    """The address and the settings of Spark."""
+    """The address and the settings of Spark, as they were typed."""
 
     master: str | None
     settings: Sequence[str] | None
 
     @property
     def spark(self) -> dict[str, str]:
-        """Return the settings of Spark.
+        """Return the settings of Spark, by name.
 
         Raises
         ------
         UsageError
-            If a setting has no value.
+            If a setting has no name or no value.
         """
         settings = dict[str, str]()
         for setting in self.settings or ():
@@ -64,15 +64,15 @@ class SparkAddress(NamedTuple):
 
 @contextmanager
 def spark_at(where: SparkAddress, *, schedules: bool = True) -> Iterator[SparkSession]:
-    """Start Spark in a `with`. A signal still ends the process at once, with a message on unfinished work.
+    """Start Spark in a `with`. A signal ends the process at once, with a message on unfinished work.
 
     Raises
     ------
     UsageError
-        As in `becalm.fleet.session`, or if a setting has no value.
+        As in `becalm.fleet.session`, or if a setting has no name or no value.
     """
     with session(where.master, where.spark, schedules=schedules) as spark:
-        stop_cleanly(_STOPPED)  # again, because Spark has replaced the handler of SIGINT
+        stop_cleanly(_STOPPED)  # set again, because Spark has replaced the handler of SIGINT
         yield spark
 
 
@@ -84,7 +84,7 @@ def clean_lake(lake: Path, output: Path, asking: FleetOptions, where: SparkAddre
     BecalmError
         As in `becalm.fleet.clean`, or if an option is invalid or Spark does not start.
     Exit
-        With the code `NOT_DESCRIBED` if a sensor was refused, or its model does not describe it.
+        With exit code `NOT_DESCRIBED` if a sensor was refused, or a model does not describe its sensor.
     """
     if asking.stretch_rows is not None and asking.stretch_rows < 1:
         raise UsageError(f"--stretch {asking.stretch_rows} is not a number of rows; give 1 or more, or leave it out.")
@@ -99,8 +99,8 @@ def clean_lake(lake: Path, output: Path, asking: FleetOptions, where: SparkAddre
         raise typer.Exit(NOT_DESCRIBED)
 
 
-def say_some(sentences: Sequence[str]) -> None:
-    """Print the first of some sentences, and how many more there are."""
+def print_some(sentences: Sequence[str]) -> None:
+    """Print the first sentences of a list, and the number of sentences left out."""
     for sentence in sentences[:_MOST_NAMED]:
         typer.echo(sentence, err=True)
     if len(sentences) > _MOST_NAMED:
@@ -109,7 +109,7 @@ def say_some(sentences: Sequence[str]) -> None:
 
 def _print_results(fleet: Fleet, output: Path, *, as_json: bool) -> None:
     typer.echo(fleet.summary, err=True)
-    say_some([f"{one.sensor}: {one.reason}" for one in fleet.outcomes if one.state == "refused"])
+    print_some([f"{one.sensor}: {one.reason}" for one in fleet.outcomes if one.state == "refused"])
     if fleet.unused:
         typer.echo(f"These recipes match no sensor: {listed(fleet.unused)}.", err=True)
     typer.echo(f"Wrote {output} and its report, {fleet.report}.", err=True)

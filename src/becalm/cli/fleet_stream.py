@@ -1,4 +1,4 @@
-"""Run the streams of a fleet on Spark until they end, fail or are stopped."""
+"""Run the stream of a fleet on Spark until it ends, fails or is stopped."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class FleetStreamOptions(NamedTuple):
 
 @contextmanager
 def _locked_output(plan: StreamPlan) -> Iterator[None]:
-    """Lock a local output against other streams; of two streams into one remote output, Spark ends the first."""
+    """Lock a local output in a `with`. A remote one is not locked; of two streams into it, Spark ends the first."""
     if "://" in plan.output:
         yield
         return
@@ -72,7 +72,7 @@ def stream_sensors(source: str, output: str, asking: FleetStreamOptions, where: 
     Raises
     ------
     BecalmError
-        If it cannot start, or fails; a restart continues from the last commit.
+        If the stream cannot start, or fails; a restart continues from the last commit.
     """
     times = asking.times
     sensors = SensorPlan(

@@ -1,4 +1,4 @@
-"""Tune recipes for a lake on Spark; check all options first, because starting Spark takes seconds."""
+"""Tune recipes for a lake on Spark; check all options before Spark starts, because its start takes seconds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from shlex import quote
 
 import typer
 
-from becalm.cli.fleet import SparkAddress, say_some, spark_at
+from becalm.cli.fleet import SparkAddress, print_some, spark_at
 from becalm.errors import NOT_DESCRIBED
 from becalm.fleet.lake import FILE
 from becalm.fleet.tuning.lake import LakeTuningOptions, TunedLake, chosen_in, tune
@@ -24,7 +24,7 @@ def tune_lake(lake: Path, output: Path, asked: LakeTuningOptions, where: SparkAd
     BecalmError
         As in `becalm.fleet.tuning.tune`, or if Spark does not start.
     Exit
-        With the code `NOT_DESCRIBED` if a sensor was refused, or a class has no recipe.
+        With exit code `NOT_DESCRIBED` if a sensor was refused, or a class has no recipe.
     """
     chosen_in(lake, output, asked)
     with spark_at(where) as spark:
@@ -33,16 +33,16 @@ def tune_lake(lake: Path, output: Path, asked: LakeTuningOptions, where: SparkAd
     if as_json:
         results = {"recipes": tuned.recipes, "report": str(tuned.report), "sensors": values_of(tuned.classes)}
         print(json.dumps({"output": str(output), **results}, indent=2))  # noqa: T201
-    if any(klass.typical is None for klass in tuned.classes) or any(row.state == "refused" for row in tuned.rows):
+    if any(klass.class_recipe is None for klass in tuned.classes) or any(row.state == "refused" for row in tuned.rows):
         raise typer.Exit(NOT_DESCRIBED)
 
 
 def _print_results(lake: Path, output: Path, options: LakeTuningOptions, tuned: TunedLake) -> None:
     for klass in tuned.classes:
         typer.echo(klass.says, err=True)
-    say_some([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])
+    print_some([f"{row.sensor}: {row.reason}" for row in tuned.rows if row.state == "refused"])
     outlying = [row for row in tuned.rows if row.outlying]
-    say_some([f"{row.sensor}, {row.channel}: {row.outlying}" for row in outlying])
+    print_some([f"{row.sensor}, {row.channel}: {row.outlying}" for row in outlying])
     if outlying and not options.own:
         advice = "To write separate recipes for the sensors that differ from their class, repeat with --own --replace."
         typer.echo(advice, err=True)

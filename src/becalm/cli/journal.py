@@ -39,7 +39,7 @@ class JournalOptions(NamedTuple):
 
 
 def run(folder: Path, action: str, asked: JournalOptions, as_json: bool) -> bool:
-    """Run an action; return False if it found damage.
+    """Run an action; return False if the action found damage.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def _summary(journal: JournalReader) -> dict[str, Any]:
 
 
 def _verify(folder: Path, as_json: bool) -> bool:
-    """Print every fault, and rows that are known to be lost, which are no fault; return whether there is no fault."""
+    """Print all faults of a journal, and the rows recorded as lost, which are no fault; return True without faults."""
     damage = list(faults(folder))
     holes, rows = ([], None) if damage else _holes_and_rows(folder)
     if as_json:
@@ -150,7 +150,7 @@ def _export(folder: Path, options: JournalOptions) -> bool:
 def _prune(folder: Path, older: str | None) -> bool:
     if older is None:
         raise UsageError("becalm journal DIR prune needs the age of the files to remove: --older 30d.")
-    with open_journal(folder):  # raises an error if there is no journal; prune would make one
+    with open_journal(folder):  # raises an error if there is no journal; `prune` would create one
         pass
     removed = prune(folder, seconds_of("--older", older))
     rows = sum(roll.rows for roll in removed)
@@ -159,12 +159,12 @@ def _prune(folder: Path, older: str | None) -> bool:
 
 
 def moment_of(option: str, text: str | None, default: float) -> float:
-    """Return a time stamp in seconds from a text: seconds, or a date, which is UTC unless it has a time zone.
+    """Return a time stamp in seconds from a text: a number of seconds, or a date (UTC if it has no time zone).
 
     Raises
     ------
     UsageError
-        If the text is neither, or not finite.
+        If the text is not a date or a finite number.
     """
     if text is None:
         return default
@@ -194,6 +194,6 @@ def _stamp(stamp_s: float | None, dated: bool) -> str:
 
 
 def _holes_and_rows(folder: Path) -> tuple[list[tuple[int, int]], int]:
-    """Return the spans of rows that are known to be lost, and the number of rows that the journal holds."""
+    """Return the spans of rows recorded as lost, and the number of rows in the journal."""
     with open_journal(folder) as journal:
         return journal.holes(), sum(one.rows for one in journal.stretches() if not one.pruned)

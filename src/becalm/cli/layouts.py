@@ -13,11 +13,13 @@ if TYPE_CHECKING:
 
 
 def summary(opened: OpenFile) -> dict[str, Any]:
-    """Return the layout of a file for JSON; with several time bases, a list of layouts."""
+    """Return the layout of a file for JSON: one layout, or for several time bases a list of layouts."""
     layouts = [source.layout.as_dict() for source in opened.sources]
-    if len(layouts) == 1 and not opened.passed:
+    if len(layouts) == 1 and not opened.passed_through:
         return layouts[0]
-    passed = [{"group": raw.group, "rows": raw.count, "columns": raw.names, "why": why} for raw, why in opened.passed]
+    passed = [
+        {"group": raw.group, "rows": raw.count, "columns": raw.names, "why": why} for raw, why in opened.passed_through
+    ]
     return {"times": layouts, "passed": passed}
 
 
@@ -27,7 +29,7 @@ def show(file: Path, opened: OpenFile) -> None:
     out.print(f"{file}")
     for source in opened.sources:
         _show_time(out, source.layout.as_dict())
-    for raw, why in opened.passed:
+    for raw, why in opened.passed_through:
         out.print(f"Nothing to clean: {raw.group} ({why}).")
 
 

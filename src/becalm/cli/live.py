@@ -1,4 +1,4 @@
-"""Run a live stream: check the options, then filter until the stream ends or a signal stops it."""
+"""Run a live stream: check the options, then filter until the stream ends or a signal arrives."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ from becalm.live.watching.meter import Meter
 from becalm.live.watching.metrics import MetricsServer
 from becalm.live.watching.status import StatusFile
 from becalm.live.watching.watch import Watch
-from becalm.web.access import PageAsked
+from becalm.web.access import PageOptions
 
 DEFAULT_SINK = "journal:becalm-journal"
 POLICIES = get_args(Policy)
 _TIMED_BY_RECIPE = ("replay", "stdin", "serial")  # sources that take the time options of a recipe
-_GATHER_S, _GATHER_SHARE = 0.05, 0.05  # longest gathering of datagrams; the same as a share of the commit interval
-_LEARNED = "learned.recipe.toml"  # file of a recipe that was tuned on the stream
+_GATHER_S, _GATHER_SHARE = 0.05, 0.05  # longest gathering of datagrams: seconds, share of a commit interval
+_LEARNED = "learned.recipe.toml"  # file name of a recipe that was tuned on the stream
 
 
-class Watching(NamedTuple):
+class MonitoringOptions(NamedTuple):
     """The options for status, metrics, log and page."""
 
     status: Path | None
     metrics: int | None
     log: str
     silent: str
-    page: PageAsked | None = None
+    page: PageOptions | None = None
 
 
 class StreamError(BecalmError):
-    """An unexpected error; everything that was committed before is intact."""
+    """An unexpected error of a stream; all committed rows are intact."""
 
     exit_code = 1
 
@@ -60,18 +60,18 @@ class LiveOptions(NamedTuple):
     """The options for the filters."""
 
     recipe: Path | None
-    learn: str
+    learn: str  # duration of tuning, as it was typed
     lag_s: float | None
     channels: tuple[str, ...]
 
 
 def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
-    """Return the settings of a stream.
+    """Return the settings of a stream's queue and commits.
 
     Raises
     ------
     UsageError
-        If one of them is invalid.
+        If an option is invalid.
     """
     if queue_blocks < 1:
         raise UsageError(f"--queue {queue_blocks} is too small; give 1 or more blocks.")
@@ -80,8 +80,8 @@ def settings_of(queue_blocks: int, when_full: str, commit: str) -> Settings:
     return Settings(seconds_of("--commit", commit), queue_blocks, cast(Policy, when_full))
 
 
-def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, watching: Watching) -> None:
-    """Run a live stream until it ends or a signal stops it.
+def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, monitoring: MonitoringOptions) -> None:
+    """Run a live stream until it ends or a signal arrives.
 
     Raises
     ------
@@ -89,33 +89,33 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
         If an option is invalid, or the stream fails.
     """
     recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
-    timed = source if recipe is None else _with_time(source, recipe)
-    address, names = str(Address.parsed(timed)), sinks or [DEFAULT_SINK]
-    keeper, others = _split_sinks([open_sink(name) for name in names])
-    gather_s = 0.0 if others or watching.page else min(_GATHER_S, _GATHER_SHARE * settings.commit_s)
-    opened_source = _open_source(timed, gather_s)
+    timed_source = source if recipe is None else _with_time(source, recipe)
+    address, names = str(Address.parsed(timed_source)), sinks or [DEFAULT_SINK]
+    checkpoint_sink, other_sinks = _split_sinks([open_sink(name) for name in names])
+    gather_s = 0.0 if other_sinks or monitoring.page else min(_GATHER_S, _GATHER_SHARE * settings.commit_s)
+    source_reader = _open_source(timed_source, gather_s)
     learner = Learner(seconds_of("--learn", asking.learn), asking.lag_s, asking.channels)
     meter = Meter(address)
-    with ExitStack() as opened:
-        log = opened.enter_context(Log(watching.log))
-        watch = Watch(meter, log, seconds_of("--silent", watching.silent))
-        opened.callback(watch.close)
-        if watching.metrics is not None:
-            opened.enter_context(MetricsServer(watching.metrics, meter))
-        if watching.status is not None:
-            opened.enter_context(StatusFile(watching.status, meter, log.warning))
-        if watching.page is not None:
-            others.append(_page(watching.page, meter, lambda *asked: runner.retune(*asked), log, opened))
+    with ExitStack() as stack:
+        log = stack.enter_context(Log(monitoring.log))
+        watch = Watch(meter, log, seconds_of("--silent", monitoring.silent))
+        stack.callback(watch.close)
+        if monitoring.metrics is not None:
+            stack.enter_context(MetricsServer(monitoring.metrics, meter))
+        if monitoring.status is not None:
+            stack.enter_context(StatusFile(monitoring.status, meter, log.warning))
+        if monitoring.page is not None:
+            other_sinks.append(_page(monitoring.page, meter, lambda *asked: runner.retune(*asked), log, stack))
         runner = Runner(
-            source=opened_source,
+            source=source_reader,
             address=address,
-            outlets=StreamSinks(keeper, tuple(BufferedSink(sink) for sink in others)),
+            sinks=StreamSinks(checkpoint_sink, tuple(BufferedSink(sink) for sink in other_sinks)),
             watch=watch,
-            beginning=StreamStarter(
+            starter=StreamStarter(
                 recipe,
                 learner,
-                learned=partial(_save, path=_learned_path(names), log=log),
-                timed=None if recipe is not None else lambda had: _open_source(_with_time(source, had), gather_s),
+                on_learned=partial(_save, path=_learned_path(names), log=log),
+                make_source=None if recipe is not None else lambda had: _open_source(_with_time(source, had), gather_s),
             ),
             settings=settings,
         )
@@ -125,21 +125,21 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
     _print_message(f"Filtered {runner.rows} rows of {address}.")
 
 
-def _page(options: PageAsked, meter: Meter, retune: Retune, log: Log, opened: ExitStack) -> Sink:
+def _page(options: PageOptions, meter: Meter, retune: Retune, log: Log, stack: ExitStack) -> Sink:
     """Serve the live page; return its sink."""
     from becalm.web.needed_libraries import need_app
 
     need_app()
     from becalm.cli.live_page import serve
 
-    served = serve(options, meter, retune, log.warning, opened)
+    served = serve(options, meter, retune, log.warning, stack)
     for line in served.says:
         _print_message(line)
     return served.feed
 
 
 def _with_time(source: str, recipe: Recipe) -> str:
-    """Return a source with the time options of the recipe, unless the source has its own or needs none."""
+    """Return a source's address with the recipe's time options, unless it has its own or its kind takes none."""
     address = Address.parsed(source)
     if address.kind not in _TIMED_BY_RECIPE or not {"rate", "time"}.isdisjoint(address.options):
         return source
@@ -151,7 +151,7 @@ def _with_time(source: str, recipe: Recipe) -> str:
 
 
 def _open_source(source: str, gather_s: float) -> Source:
-    """Open a source; a UDP source without a gather option gathers datagrams for `gather_s`, if that is not 0."""
+    """Open a source; a UDP source without a gather option gathers datagrams for `gather_s` seconds, if not 0."""
     address = Address.parsed(source)
     if gather_s and address.kind == "udp" and "gather" not in address.options:
         source = f"{source}{'&' if address.options else '?'}gather={gather_s:.6f}s"
@@ -159,7 +159,7 @@ def _open_source(source: str, gather_s: float) -> Source:
 
 
 def _run_logged(runner: Runner, log: Log) -> None:
-    """Run a stream; raise an unexpected error as a StreamError with one sentence, and log it in full."""
+    """Run a stream; log an unexpected error in full, and raise it as a StreamError of one sentence."""
     try:
         runner.run()
     except BecalmError as cause:
@@ -171,10 +171,10 @@ def _run_logged(runner: Runner, log: Log) -> None:
 
 
 def _split_sinks(sinks: list[Sink | CheckpointSink]) -> tuple[CheckpointSink | None, list[Sink]]:
-    keepers = [sink for sink in sinks if isinstance(sink, CheckpointSink)]
-    if len(keepers) > 1:
+    checkpoint_sinks = [sink for sink in sinks if isinstance(sink, CheckpointSink)]
+    if len(checkpoint_sinks) > 1:
         raise UsageError("Only one sink can store a stream's state; give one of journal:, postgres: and delta:.")
-    return (keepers[0] if keepers else None), [sink for sink in sinks if isinstance(sink, Sink)]
+    return (checkpoint_sinks[0] if checkpoint_sinks else None), [sink for sink in sinks if isinstance(sink, Sink)]
 
 
 def _learned_path(sinks: list[str]) -> Path:
@@ -198,7 +198,7 @@ def _print_message(text: str) -> None:
 
 
 def _handle_signals(runner: Runner, recipe: Path | None) -> None:
-    """Handle signals: stop after a commit at the first, at once at the second; at SIGHUP, reload a given recipe."""
+    """Handle signals: stop after a commit at the first, at once at the second; at SIGHUP, reload the recipe, if any."""
     end = call_in_thread(runner.stop)
     retune = end if recipe is None else call_in_thread(partial(runner.retune, partial(Recipe.load, recipe)))
 

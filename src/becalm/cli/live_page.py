@@ -1,4 +1,4 @@
-"""Serve the live page of a stream from a thread."""
+"""Serve the live page of a stream in a thread."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.live.retuning import Retune
 from becalm.live.watching.meter import Meter
-from becalm.web.access import Access, AccessOptions, PageAsked, token_of
+from becalm.web.access import Access, AccessOptions, PageOptions, token_of
 from becalm.web.livepage.feed import Feed
 from becalm.web.livepage.page import LivePage
 from becalm.web.livepage.session import converse
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 _OPTIONS = AccessOptions("--page-host", "--page")
-_SWITCH_S = 5e-4  # interval at which Python switches threads, so that the page does not delay the filters
+_SWITCH_S = 5e-4  # Python's thread switch interval, short so that the page does not delay the filters
 
 
 class Served(NamedTuple):
@@ -34,22 +34,22 @@ class Served(NamedTuple):
     """Messages for the terminal. They must not go to the log, because the address contains the token."""
 
 
-def serve(asked: PageAsked, meter: Meter, retune: Retune, warn: Callable[[str], object], opened: ExitStack) -> Served:
-    """Serve the live page until `opened` is closed.
+def serve(asked: PageOptions, meter: Meter, retune: Retune, warn: Callable[[str], object], stack: ExitStack) -> Served:
+    """Serve the live page until `stack` is closed.
 
     Raises
     ------
     UsageError
-        If the port cannot be used, or the token file is not one.
+        If the port cannot be used, or the token file has no token.
     """
-    opened.callback(sys.setswitchinterval, sys.getswitchinterval())
+    stack.callback(sys.setswitchinterval, sys.getswitchinterval())
     sys.setswitchinterval(_SWITCH_S)
     page = LivePage(Feed(warn), meter, retune)
     token = token_of(asked.token_file)
     listener = listen(asked.host, asked.port, _OPTIONS)
     access = Access(asked.host, listener.getsockname()[1], token, _OPTIONS)
     shown = Page(html_of("live.html"), partial(converse, page), page.routes)
-    opened.enter_context(Server(listener, site(shown, access)))
-    opened.callback(page.close)
+    stack.enter_context(Server(listener, site(shown, access)))
+    stack.callback(page.close)
     warning = () if access.warning is None else (access.warning,)
     return Served(page.feed, (f"The stream is shown at {access.url}", *warning))

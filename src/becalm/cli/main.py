@@ -1,4 +1,4 @@
-"""Define the commands of the command line; each one imports its packages when it runs."""
+"""Define the commands of the command line; each command imports its packages when it runs."""
 
 from __future__ import annotations
 
@@ -159,7 +159,9 @@ def inspect(  # noqa: PLR0913  (one argument for each option)
     from becalm.cli.layouts import show, summary
     from becalm.cli.messages import print_bands
 
-    with open_every(file, read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)) as opened:
+    with open_every(
+        file, read_file_options(channels, o.TimeOptions(rate, time, group, stamps), unit, sensors)
+    ) as opened:
         if as_json:
             print(json.dumps({"file": str(file), **summary(opened)}, indent=2))  # noqa: T201
         else:
@@ -203,7 +205,7 @@ def clean(  # noqa: PLR0913  (one argument for each option)
         fill=fill
     )
     outputs = Outputs(output, split, verdicts, report, figures)
-    file_options = read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)
+    file_options = read_file_options(channels, o.TimeOptions(rate, time, group, stamps), unit, sensors)
     if not run(file, file_options, CleanOptions(recipe, causal, o.lag_of(lag), wanted), outputs, as_json=as_json):
         raise typer.Exit(NOT_DESCRIBED)
 
@@ -233,20 +235,20 @@ def tune(  # noqa: PLR0913  (one argument for each option)
 ) -> None:
     """Identify the filter of each channel and write it as a recipe; list the remaining noise for each delay."""
     from becalm.cleaning.delays import delays
-    from becalm.cleaning.pipeline import joined
+    from becalm.cleaning.pipeline import join_recipes
     from becalm.cli.messages import print_delays, print_notes
     from becalm.files.atomic_file import refuse_unwritable, write_text
 
     refuse_overwriting(file, output)
     refuse_unwritable(output)
-    file_options = read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)
+    file_options = read_file_options(channels, o.TimeOptions(rate, time, group, stamps), unit, sensors)
     wanted = o.filter_options(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(
         fill=fill
     )
     with open_every(file, file_options) as opened:
         print_notes(*opened.sources)
         recipe = file_options.with_time_options(
-            joined([tuned(source, causal, wanted, o.lag_of(lag)) for source in opened.sources])
+            join_recipes([tuned(source, causal, wanted, o.lag_of(lag)) for source in opened.sources])
         )
     write_text(output, recipe.to_toml())
     curves = delays(recipe)
@@ -263,7 +265,7 @@ def compare(  # noqa: PLR0913  (one argument for each option)
     file: o.Source,
     truth: o.Truth = None,
     recipe: o.RecipeIn = None,
-    channels: o.Looked = None,
+    channels: o.UsedChannels = None,
     rate: o.Rate = None,
     time: o.Time = None,
     stamps: o.Stamps = None,
@@ -278,7 +280,7 @@ def compare(  # noqa: PLR0913  (one argument for each option)
     from becalm.cli.compare import CompareOptions, run
 
     loaded = load(recipe)
-    file_options = read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)
+    file_options = read_file_options(channels, o.TimeOptions(rate, time, group, stamps), unit, sensors)
     file_options = file_options if loaded is None else file_options.with_defaults_of(loaded)
     with open_as(file, file_options) as source:
         run(source, file_options, CompareOptions(truth, causal, output), as_json=as_json)
@@ -287,7 +289,7 @@ def compare(  # noqa: PLR0913  (one argument for each option)
 @app.command()
 def noise(  # noqa: PLR0913  (one argument for each option)
     file: o.Source,
-    channels: o.Looked = None,
+    channels: o.UsedChannels = None,
     rate: o.Rate = None,
     time: o.Time = None,
     stamps: o.Stamps = None,
@@ -302,7 +304,7 @@ def noise(  # noqa: PLR0913  (one argument for each option)
     from becalm.cli.noise import run
 
     cutoff_hz = None if cutoff is None else o.frequency_of("--cutoff", cutoff)
-    with open_as(file, read_file_options(channels, o.When(rate, time, group, stamps), unit, sensors)) as source:
+    with open_as(file, read_file_options(channels, o.TimeOptions(rate, time, group, stamps), unit, sensors)) as source:
         run(source, o.still_of(still), cutoff_hz, as_json)
 
 
@@ -324,7 +326,7 @@ def calibrate(  # noqa: PLR0913  (one argument for each option)
 
     run(
         file,
-        read_file_options(channels, o.When(rate, time, group, stamps), None, None),
+        read_file_options(channels, o.TimeOptions(rate, time, group, stamps), None, None),
         output,
         unit,
         gravity,
@@ -368,23 +370,24 @@ app.add_typer(fleet)
 
 
 def main() -> None:
-    """Run the command line; a mistake of the user ends with a sentence and an exit code."""
+    """Run the command line; after an error, print one sentence and exit with a code."""
     stop_cleanly()
-    # Matrices are small: more threads of OpenBLAS only cost a fifth of a short run. Set this before NumPy is loaded.
+    # Matrices are small: more OpenBLAS threads would take a fifth of a short run. Set this before NumPy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     code = _run()
-    for stream in filter(None, (sys.stdout, sys.stderr)):  # None if it was closed from the start
+    for stream in filter(None, (sys.stdout, sys.stderr)):  # a stream is None if it was closed at the start
         try:
             stream.flush()
-        except OSError:  # the reader has closed the pipe
+        except OSError:  # for example, the reading process has closed the pipe
             code = code or UsageError.exit_code
-    os._exit(code)  # at a normal exit the threads of pyarrow may abort the process
+    os._exit(code)  # at a normal exit, threads of pyarrow may abort the process
 
 
 def _run() -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # print names that the terminal cannot show
+            # A file or pipe gets UTF-8, on Windows too; a terminal may not be able to show all names.
+            stream.reconfigure(encoding=None if stream.isatty() else "utf-8", errors="backslashreplace")
     try:
         app()
     except SystemExit as end:
@@ -400,5 +403,5 @@ def _run() -> int:
 
 
 def _print_error(sentence: str) -> None:
-    with suppress(OSError):  # if the error output is closed or full, only the exit code remains
+    with suppress(OSError):  # if stderr is closed or full, only the exit code reports the error
         typer.echo(f"becalm: {sentence}", err=True)

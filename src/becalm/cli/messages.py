@@ -1,4 +1,4 @@
-"""Print messages on the error output: progress, tables and judgements."""
+"""Print messages on stderr: progress, tables and judgements."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.identification.wishes.gain_of_waiting import Delay
 
-_MOST_NAMED = 8  # channels that are named before one sentence
+_MOST_NAMED = 8  # largest number of channel names before a sentence
 stderr = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 
 
 @contextmanager
 def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
-    """Show a progress bar of `count` steps on a terminal; yield a function of a name and a number of finished steps."""
+    """Show a progress bar of `count` steps on a terminal; yield a function of a name and a number of new steps."""
     from rich.progress import Progress
 
     with Progress(console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
@@ -29,7 +29,7 @@ def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
 
 
 def print_reports(reports: tuple[ChannelReport, ...], causal: bool) -> None:
-    """Print a table of the channels, then the judgements that need attention."""
+    """Print a table of the channels, then the judgements that a user must read."""
     from becalm.cleaning.judging import DESCRIBED
     from becalm.cleaning.report import cells
 
@@ -49,7 +49,7 @@ def print_reports(reports: tuple[ChannelReport, ...], causal: bool) -> None:
 
 
 def print_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
-    """Print the trade-off curve of each channel on one line: the remaining error at each delay."""
+    """Print the trade-off curve of each channel on one line: the remaining error for each delay of the output."""
     if delays:
         stderr.print("Remaining error, relative to the noise of a reading, for a delay of the output (see --lag):")
     for name, curve in delays.items():
@@ -58,7 +58,7 @@ def print_delays(delays: dict[str, tuple[Delay, ...]]) -> None:
 
 
 def print_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[float, ...]) -> None:
-    """Print the frequencies to remove at which no tone was found, and in which channels."""
+    """Print the frequencies of --remove near which no tone was found, and the channels concerned."""
     removed = {
         report.name: {min(removed_hz, key=lambda wanted: abs(wanted - tone)) for tone in report.removed_hz}
         for report in (reports if removed_hz else ())
@@ -72,25 +72,25 @@ def print_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[floa
 
 
 def print_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
-    """Print which channels exceed the flat band of their sensors, as filtered or, without `reports`, as read."""
-    from becalm.cleaning.slopes import beyond_flat
+    """Print which channels exceed the flat band of their sensors, after filtering or, without `reports`, before it."""
+    from becalm.cleaning.slopes import resonance_warning
 
     passed = {one.name: max((one.bandwidth_hz, *one.tones_hz)) for one in reports if one.bandwidth_hz is not None}
     for name, calibration in source.calibrations.items():
         if calibration.resonance is None or name not in source.names:
             continue
-        if warning := beyond_flat(name, calibration.resonance, passed.get(name), source.rate_hz):
+        if warning := resonance_warning(name, calibration.resonance, passed.get(name), source.rate_hz):
             stderr.print(warning)
 
 
 def print_notes(*sources: OpenSource) -> None:
-    """Print the notes on files, each sentence once."""
+    """Print the notes on files, without repeated sentences."""
     for note in dict.fromkeys(note for source in sources for note in source.notes):
         stderr.print(note)
 
 
 def print_columns(source: OpenSource) -> None:
-    """Print which columns were not cleaned, and which columns of the file were replaced."""
+    """Print which columns were replaced, and which passed through unchanged."""
     passed = [f"{column.name} ({column.why})" for column in source.columns if column.role == "passed through"]
     if source.replaced:
         stderr.print(f"Replaced by the new uncertainty: {', '.join(source.replaced)}.")

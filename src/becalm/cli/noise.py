@@ -1,4 +1,4 @@
-"""Measure the noise of a recording at rest; print it on stderr, and as JSON on stdout."""
+"""Measure the noise of a recording at rest; print tables on stderr, and with --json JSON on stdout."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from rich.table import Table
 from becalm.cleaning.noise_report import ChannelNoise, report_noise
 from becalm.cli.messages import print_notes, progress, stderr
 from becalm.errors import UsageError
-from becalm.files.portions import beginning, cut_short, rest_within
+from becalm.files.portions import explain_rest_errors, read_beginning, unused_rows_note
 
 if TYPE_CHECKING:
-    from becalm.cleaning.allan_figures import AllanNoise, Coefficient, Quoted
+    from becalm.cleaning.allan_figures import AllanNoise, Coefficient, QuotedCoefficient
     from becalm.files.opening import OpenSource
 
     Spans = Sequence[tuple[float, float]]
 
 _CUTOFF_HZ = 1.0  # default of --cutoff, from the IMU paper
-_STRETCHES = 12  # rests that are listed
+_STRETCHES = 12  # largest number of rests in a message
 
-_wide = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, width=1000)  # wide: breaks no number
+_wide = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, width=1000)  # wide: no number wraps
 
 
 def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_json: bool) -> None:
-    """Find rests in a file, or take the given ones, and print the noise there.
+    """Print the noise of a file at rest; the rests are given, or detected if `spans_s` is None.
 
     Raises
     ------
@@ -39,8 +39,8 @@ def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_j
             f"--cutoff {cutoff_hz:g}Hz is too high for a rate of {source.rate_hz:.4g} Hz; give less than half of that."
         )
     print_notes(source)
-    recording = beginning(source)
-    with progress("measuring", len(source.names)) as step, rest_within(source, recording):
+    recording = read_beginning(source)
+    with progress("measuring", len(source.names)) as step, explain_rest_errors(source, recording):
         noises = report_noise(
             recording,
             still=spans_s,
@@ -57,12 +57,12 @@ def run(source: OpenSource, spans_s: Spans | None, cutoff_hz: float | None, as_j
         }
         print(json.dumps(summary, indent=2))  # noqa: T201
     _show(noises)
-    if cut := cut_short(source, recording):
+    if cut := unused_rows_note(source, recording):
         stderr.print(cut.strip())
 
 
 def _show(noises: tuple[ChannelNoise, ...]) -> None:
-    """Print rests, R and Allan figures; then sentences on unknown or doubtful figures."""
+    """Print the rests, R and the Allan figures; then sentences on unknown or doubtful figures."""
     first = noises[0]
     stderr.print(first.rest)
     if first.stretches_s:
@@ -87,7 +87,7 @@ def _show(noises: tuple[ChannelNoise, ...]) -> None:
 
 
 def _names_by_sentence(noises: tuple[ChannelNoise, ...]) -> dict[str, list[str]]:
-    """Return each sentence with the names of its channels."""
+    """Return, by sentence, the names of the channels that it concerns."""
     names: dict[str, list[str]] = {}
     for channel in noises:
         for sentence in channel.says:
@@ -127,9 +127,9 @@ def _allan_rows(allan: AllanNoise) -> Iterator[tuple[str, ...]]:
 
 
 def _quotes(one: Coefficient) -> str:
-    """Return a coefficient in units of data sheets, or its upper limit if its value is unknown."""
+    """Return the text of a coefficient in units of data sheets; of its upper limit if its value is unknown."""
     if one.value is None:
-        bounds: Sequence[Quoted | Coefficient] = one.quoted or (one,)
+        bounds: Sequence[QuotedCoefficient | Coefficient] = one.quoted or (one,)
         return ", ".join(f"below {_number(bound.limit)} {bound.unit}".strip() for bound in bounds)
     return ", ".join(f"{_number(quoted.value)} {quoted.unit}" for quoted in one.quoted)
 

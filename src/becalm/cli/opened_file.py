@@ -1,4 +1,4 @@
-"""Open a file with the options of the command line, and tune on it."""
+"""Open a file with the options of the command line, and tune a recipe on it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from becalm.errors import UsageError
 
 if TYPE_CHECKING:
     from becalm.cleaning.recipe import Recipe
-    from becalm.cli.options import FilterOptions, When
+    from becalm.cli.options import FilterOptions, TimeOptions
     from becalm.files.opening import OpenSource
     from becalm.files.read_options import ReadOptions
     from becalm.files.time_bases import OpenFile
@@ -36,9 +36,9 @@ class FileOptions(NamedTuple):
     stamps: str | None = None
 
     def with_defaults_of(self, recipe: Recipe) -> FileOptions:
-        """Return the options with this recipe, and with its time options if no rate and no time column is given.
+        """Return the options with a recipe, and with the recipe's time options if no rate and no time column is given.
 
-        Stamps that are given take precedence over those of the recipe; stamps as written exclude its rate.
+        A given --stamps takes precedence over that of the recipe. With "as-written", the recipe's rate is ignored.
         """
         if self.rate_hz is None and self.time is None:
             rate_hz = None if self.stamps == AS_WRITTEN else recipe.rate_hz
@@ -47,12 +47,12 @@ class FileOptions(NamedTuple):
         return self._replace(recipe=recipe)
 
     def with_time_options(self, recipe: Recipe) -> Recipe:
-        """Return the recipe with these time options, so that cleaning with it alone gives the same result."""
+        """Return the recipe with these time options, so that cleaning needs no other option for the same result."""
         return recipe.model_copy(update={"rate_hz": self.rate_hz, "time": self.time, "stamps": self._kept_stamps})
 
     @property
     def _kept_stamps(self) -> str | None:
-        return AS_WRITTEN if self.stamps == AS_WRITTEN else None  # None in a recipe repairs stamps
+        return AS_WRITTEN if self.stamps == AS_WRITTEN else None  # in a recipe, None means that stamps are repaired
 
     @property
     def names(self) -> tuple[str, ...] | None:
@@ -65,8 +65,10 @@ class FileOptions(NamedTuple):
         return names
 
 
-def read_file_options(channels: str | None, when: When, units: list[str] | None, sensors: Path | None) -> FileOptions:
-    """Return the options for reading a file; print a warning for sensors that are due for calibration.
+def read_file_options(
+    channels: str | None, when: TimeOptions, units: list[str] | None, sensors: Path | None
+) -> FileOptions:
+    """Return the options for reading a file; print a warning for each sensor whose calibration is due.
 
     Raises
     ------
@@ -91,14 +93,14 @@ def read_file_options(channels: str | None, when: When, units: list[str] | None,
 
 
 def open_as(file: Path, file_options: FileOptions) -> OpenSource:
-    """Open one time base of a file with these options."""
+    """Open a file with these options, which select one time base."""
     from becalm.files.opening import open_source
 
     return open_source(file, _options(file, file_options))
 
 
 def open_every(file: Path, file_options: FileOptions) -> AbstractContextManager[OpenFile]:
-    """Open a file with these options and all its time bases."""
+    """Open all time bases of a file with these options."""
     from becalm.files.time_bases import open_file
 
     return open_file(file, _options(file, file_options))
@@ -130,12 +132,12 @@ def _options(file: Path, file_options: FileOptions) -> ReadOptions:
 
 
 def recipe_path_of(output: Path) -> Path:
-    """Return the path of the recipe of an output."""
+    """Return the path of the recipe that belongs to an output."""
     return Path(f"{output}.recipe.toml")
 
 
 def shown_name(file: Path) -> str:
-    """Return the name of a file as valid text."""
+    """Return the name of a file as text that UTF-8 can encode."""
     return os.fsencode(file.name).decode("utf-8", "replace")
 
 
@@ -149,12 +151,12 @@ def load(path: Path | None) -> Recipe | None:
 
 
 def refuse_overwriting(file: Path, *outputs: Path) -> None:
-    """Raise an error if an output would overwrite the input, or is a table in an input folder.
+    """Raise an error if an output would overwrite the input, or is a Parquet file inside an input folder.
 
     Raises
     ------
     UsageError
-        If an output is the input, even by another path, or would be read as a part of it.
+        If an output is the input, even by another path, or would later be read as a part of the input.
     """
     from becalm.files.parquet import PARQUET_ENDINGS
 
@@ -167,20 +169,20 @@ def refuse_overwriting(file: Path, *outputs: Path) -> None:
 
 
 def is_same(one: Path, other: Path) -> bool:
-    """Return whether two paths lead to the same existing file or folder."""
+    """Return whether two paths are the same existing file or folder."""
     try:
         return one.samefile(other)
-    except OSError:  # one of them does not exist, or is invalid: reading or writing it reports why
+    except OSError:  # a path does not exist or is invalid; its later use reports why
         return False
 
 
 def refuse_existing_columns(recipe: Recipe, columns: list[str], *, split: bool, verdicts: bool) -> None:
-    """Raise an error if columns for parts of channels, or for verdicts, exist in a file already.
+    """Raise an error if a file already has columns with the names of parts or verdicts to be written.
 
     Raises
     ------
     UsageError
-        If one of them does.
+        If the file has such a column.
     """
     parts = [f"{channel.name}_{part}" for channel in recipe.channel for part in channel.parts] if split else []
     verdict_columns = [f"{channel.name}_verdict" for channel in recipe.channel] if verdicts else []
@@ -192,17 +194,17 @@ def refuse_existing_columns(recipe: Recipe, columns: list[str], *, split: bool, 
 
 
 def tuned(source: OpenSource, causal: bool, asked: FilterOptions, lag_s: float | None = None) -> Recipe:
-    """Tune a recipe on a file, or on evenly spread stretches of a long file."""
+    """Return a recipe tuned on a file, or on evenly spread stretches of a long file."""
     from becalm.cleaning.tuning import Wishes, calibrated, tune
     from becalm.cli.messages import progress
-    from becalm.files.portions import beginning, rest_within, rows_to_tune_on
+    from becalm.files.portions import explain_rest_errors, read_beginning, rows_to_tune_on
 
     sample = source.sample(rows_to_tune_on(source))
-    rest = beginning(source) if asked.still_s else sample
+    rest = read_beginning(source) if asked.still_s else sample
     wishes = Wishes(
         asked.dial, asked.still_s, rest, asked.removed_hz, lag_s, asked.robust, asked.time_std_s, asked.fill
     )
-    rests_named = rest_within(source, rest) if asked.still_s else nullcontext()
+    rests_named = explain_rest_errors(source, rest) if asked.still_s else nullcontext()
     with progress("tuning", len(source.names)) as step, rests_named:
         recipe = tune(sample, causal=causal, wishes=wishes, progress=lambda name: step(name, 1))
     origin = recipe.tuned_on.model_copy(update={"sha256": source.sha256()})

@@ -1,4 +1,4 @@
-"""Define the options that several commands have, and read their values; `opened_file.tuned` makes wishes of them."""
+"""Define the options that several commands have, and read their values."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ NoiseGain = Annotated[
     str | None, typer.Option("--noise-gain", metavar="-20dB", help="Noise power gain for white noise, in dB.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
-Looked = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="Use these channels only.")]
+UsedChannels = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="Use these channels only.")]
 _STILL = "START:STOP in seconds after the first row (0:30 is the first half minute), or 1min:2min; several with commas."
 Rest = Annotated[
     str | None,
@@ -146,12 +146,12 @@ class FilterOptions(NamedTuple):
 
     @property
     def anything(self) -> bool:
-        """Return whether any option was given."""
+        """Return whether at least one option was given."""
         given = self.dial is not None or self.time_std_s is not None
         return given or self.robust or self.fill or bool(self.still_s or self.removed_hz)
 
 
-class When(NamedTuple):
+class TimeOptions(NamedTuple):
     """The options for the time of rows."""
 
     rate_hz: float | None = None
@@ -171,7 +171,7 @@ class Dials(NamedTuple):
 def filter_options(
     dials: Dials, still: str | None, remove: str | None, robust: bool = False, jitter: str | None = None
 ) -> FilterOptions:
-    """Return the filter options: --max-lag, --bandwidth, --noise-gain, --still, --remove, --robust, --time-jitter.
+    """Return the filter options from --max-lag, --bandwidth, --noise-gain, --still, --remove, --robust, --time-jitter.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def filter_options(
 
 
 def units_of(texts: list[str] | None) -> dict[str, str]:
-    """Return the units of channels by their names.
+    """Return the units of channels, by name, from texts NAME=UNIT.
 
     Raises
     ------
@@ -203,12 +203,12 @@ def units_of(texts: list[str] | None) -> dict[str, str]:
 
 
 def lag_of(text: str | None) -> float | None:
-    """Return the lag in seconds.
+    """Return the lag in seconds; None without a text.
 
     Raises
     ------
     UsageError
-        If it is not a positive number with its unit.
+        If the text is not a positive number with its unit.
     """
     if text is None:
         return None
@@ -219,12 +219,12 @@ def lag_of(text: str | None) -> float | None:
 
 
 def jitter_of(text: str | None) -> float | None:
-    """Return the standard deviation of the sampling jitter, in seconds.
+    """Return the standard deviation of the sampling jitter in seconds; None without a text.
 
     Raises
     ------
     UsageError
-        If it is not a positive number with its unit.
+        If the text is not a positive number with its unit.
     """
     std_s = None if text is None else _quantity(text, "max_lag_s")
     if text is not None and (std_s is None or not 0 < std_s < inf):
@@ -233,12 +233,12 @@ def jitter_of(text: str | None) -> float | None:
 
 
 def dial_of(max_lag: str | None, bandwidth: str | None, noise_gain: str | None) -> Dial | None:
-    """Return the dial; at most one of the three options may be given.
+    """Return the dial, which is the one of three options that was given; None if none was.
 
     Raises
     ------
     UsageError
-        If two are given, or one is not a number with its unit.
+        If two options are given, or a text is not a number with its unit.
     """
     texts: dict[Kind, str | None] = {"max_lag_s": max_lag, "bandwidth_hz": bandwidth, "noise_gain_db": noise_gain}
     given = {kind: text for kind, text in texts.items() if text is not None}
@@ -262,7 +262,7 @@ def still_of(text: str | None) -> tuple[tuple[float, float], ...] | None:
     Raises
     ------
     UsageError
-        If a part of it is not START:STOP, or stops before it starts.
+        If a part of the text is not START:STOP, or its STOP is before its START.
     """
     return None if text is None else tuple(map(_span_of, text.split(",")))
 
@@ -273,7 +273,7 @@ def frequency_of(option: str, text: str) -> float:
     Raises
     ------
     UsageError
-        If it is not a positive number with Hz or kHz.
+        If the text is not a positive number with Hz or kHz.
     """
     frequency_hz = _quantity(text, "bandwidth_hz")
     if frequency_hz is None or not 0 < frequency_hz < inf:

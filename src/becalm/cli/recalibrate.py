@@ -33,9 +33,8 @@ def run(file: Path, output: Path, sensors: Calibrations) -> None:
     Raises
     ------
     UsageError
-        If the recipe of the recording is not next to it, a recipe of an earlier output is next to the new one, the
-        recording has several time bases and the output can have only one, or the new calibration needs the raw
-        readings.
+        If there is no recipe next to the recording, there is a recipe of an earlier output next to the new output, the
+        output cannot have all time bases of the recording, or the new calibration needs the raw readings.
     """
     format_to_write(output)
     refuse_overwriting(file, output)

@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 
 class CleanedSource(NamedTuple):
-    """The cleaning of one time base of a file."""
+    """One time base of a file, its recipe, and the results of cleaning it."""
 
     source: OpenSource
     recipe: Recipe
     reports: tuple[ChannelReport, ...]
-    gathering: Gathering | None
+    gathering: Gathering | None  # data for figures; None if nothing is drawn
 
 
 _PAGES = (".html", ".htm")
 
 
 class ReportWriter:
-    """A writer of the report and the figures of a file. It loads libraries only if they are needed.
+    """A writer of the report and the figures of a file. It imports libraries only if they are needed.
 
     Parameters
     ----------
     output : Path
-        The clean file; figures go into a folder next to it.
+        The clean file; the folder of figures is next to it.
     page : Path or None
         Path of the page; None for no page.
     kind : str or None
@@ -48,16 +48,16 @@ class ReportWriter:
     Attributes
     ----------
     paths : tuple of Path
-        Files that will be written, if their names are known.
+        The page, if one will be written; figures are not included.
 
     Raises
     ------
     UsageError
-        If the page is not an HTML file or is another output, the kind is unknown, or matplotlib is not installed.
+        If the page is not an HTML file or equals another output, the kind is unknown, or matplotlib is not installed.
     OutputError
-        If there is a file in place of the folder for figures.
+        If a file has the name of the folder for figures.
     BecalmError
-        If the library for the page is absent, because becalm was never installed.
+        If uPlot is absent, because becalm was never installed.
     """
 
     def __init__(self, output: Path, page: Path | None, kind: str | None) -> None:
@@ -80,7 +80,7 @@ class ReportWriter:
             )
 
     def refuse_overwriting(self, file: Path, recipe: Path | None) -> None:
-        """Refuse a page that would overwrite an input.
+        """Raise an error if the page would overwrite an input.
 
         Raises
         ------
@@ -92,7 +92,7 @@ class ReportWriter:
                 raise UsageError(f"{self._page} is the {what} itself; name another page with --report.")
 
     def gatherings(self, sources: Sequence[OpenSource], recipes: Sequence[Recipe]) -> list[Gathering | None]:
-        """Return an object that gathers the data of figures for each time base of a file; None if nothing is drawn."""
+        """Return, for each time base, an object that gathers the data of its figures; None if nothing is drawn."""
         if self._page is None and self._kind is None:
             return [None] * len(sources)
         from becalm.report.gathering import Gathering
@@ -107,7 +107,7 @@ class ReportWriter:
         ]
 
     def draw(self, recipe: Recipe, done: Sequence[CleanedSource]) -> dict[str, str]:
-        """Draw the report and the figures of all time bases, and print the paths; return them for JSON.
+        """Write the report and the figures of all time bases; print their paths, and return them for JSON.
 
         Raises
         ------

@@ -89,16 +89,16 @@ def live(  # noqa: PLR0913  (one argument for each option)
     log: LogTo = "-",
 ) -> None:
     """Filter a live stream for weeks; committed rows survive a power cut."""
-    from becalm.cli.live import LiveOptions, Watching, run, settings_of
-    from becalm.web.access import PageAsked
+    from becalm.cli.live import LiveOptions, MonitoringOptions, run, settings_of
+    from becalm.web.access import PageOptions
 
     names = () if channels is None else o.split_names(channels)
     asking = LiveOptions(recipe, learn, o.lag_of(lag), names)
-    page_options = None if page is None else PageAsked(page, page_host, token_file)
+    page_options = None if page is None else PageOptions(page, page_host, token_file)
     if page_options is None and (token_file is not None or page_host != THIS_MACHINE):
         raise UsageError("--page-host and --token-file need a page; give --page PORT too.")
-    watching = Watching(status, metrics, log, silent, page_options)
-    run(source, sink or [], asking, settings_of(queue, when_full, commit), watching)
+    monitoring = MonitoringOptions(status, metrics, log, silent, page_options)
+    run(source, sink or [], asking, settings_of(queue, when_full, commit), monitoring)
 
 
 # Define `becalm journal` and its options.

@@ -12,14 +12,14 @@ PAPERS = ("car", "imu", "strain")
 
 
 def run(paper: str, folder: Path) -> None:
-    """Write the page of a paper into a folder, with its figures if these can be drawn, and print it.
+    """Write the page of a paper into a folder, with figures if they can be drawn, and print the page.
 
     Raises
     ------
     UsageError
         If there is no such paper.
     OutputError
-        If the folder cannot be made or written to; this is checked before the computation.
+        If the folder cannot be made or written; this is checked before the computation.
     """
     if paper not in PAPERS:
         raise UsageError(f"There is no paper {paper!r}; write becalm study {' or '.join(PAPERS)}.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from becalm.cli.messages import print_columns, print_notes, stderr
 from becalm.errors import UsageError
-from becalm.files.registry import format_to_write, holds_times
+from becalm.files.registry import format_to_write, stores_several_times
 from becalm.files.tables import with_time
 
 if TYPE_CHECKING:
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
     from becalm.files.time_bases import OpenFile
 
-_MOST_NAMED = 12  # groups in a message
+_MOST_NAMED = 12  # largest number of groups in a message
 
 
 def refuse_several_time_bases(output: Path, groups: Sequence[str]) -> None:
-    """Refuse an output with one time base for an input with several.
+    """Raise an error if the input has several time bases and the output can have only one.
 
     Raises
     ------
     UsageError
-        If the output has one time base and the input several.
+        If the output cannot have all time bases.
     """
-    if len(groups) > 1 and not holds_times(format_to_write(output)):
+    if len(groups) > 1 and not stores_several_times(format_to_write(output)):
         named = ", ".join(map(repr, groups[:_MOST_NAMED]))
         more = f" and {len(groups) - _MOST_NAMED} more" if len(groups) > _MOST_NAMED else ""
         raise UsageError(
@@ -38,25 +38,25 @@ def refuse_several_time_bases(output: Path, groups: Sequence[str]) -> None:
 
 
 def with_time_column(output: Path, source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
-    """Return the function that writes a time base; with a column of seconds if the output can have several."""
-    return with_time(source, write) if holds_times(format_to_write(output)) else write
+    """Return a function that writes tables of a time base; it adds a time column if the output can have several."""
+    return with_time(source, write) if stores_several_times(format_to_write(output)) else write
 
 
 def copy_other_groups(output: Path, opened: OpenFile, write: Callable[[pa.Table], None]) -> None:
-    """Copy groups that are not cleaned, if the output can have several time bases."""
-    if holds_times(format_to_write(output)):
-        for raw, _ in opened.passed:
+    """Copy the groups that are not cleaned to an output that can have several time bases; else do nothing."""
+    if stores_several_times(format_to_write(output)):
+        for raw, _ in opened.passed_through:
             for block in raw.blocks(raw.names):
                 write(block)
 
 
 def print_time_bases(output: Path, opened: OpenFile) -> None:
-    """Print the notes on a file, and what was not cleaned."""
+    """Print the notes on a file, and the columns and groups that were not cleaned."""
     print_notes(*opened.sources)
     for source in opened.sources:
         print_columns(source)
-    what = "Passed through unchanged" if holds_times(format_to_write(output)) else "Not written"
-    for raw, why in opened.passed[:_MOST_NAMED]:
+    what = "Passed through unchanged" if stores_several_times(format_to_write(output)) else "Not written"
+    for raw, why in opened.passed_through[:_MOST_NAMED]:
         stderr.print(f"{what}: {raw.group} ({why}).")
-    if len(opened.passed) > _MOST_NAMED:
-        stderr.print(f"{what}: {len(opened.passed) - _MOST_NAMED} more groups.")
+    if len(opened.passed_through) > _MOST_NAMED:
+        stderr.print(f"{what}: {len(opened.passed_through) - _MOST_NAMED} more groups.")

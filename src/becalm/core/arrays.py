@@ -15,7 +15,8 @@ Codes = NDArray[np.int8]  # values of `Verdict`
 Complexes = NDArray[np.complex128]
 
 BLOCK = 256
-"""Rows per block; a run over a part of a record must begin at a multiple of it to give the same bits."""
+"""Rows per block. A run over a part of a record gives the bits of a run over the whole record if the part begins at a
+multiple of this number."""
 
 
 def real(values: ArrayLike) -> ArrayLike:
@@ -40,7 +41,7 @@ def read_only(values: NDArray[Number]) -> NDArray[Number]:
 
 
 def input_of(values: Floats) -> Floats:
-    """Return the values as the array type that all filters take: float64, contiguous, read-only."""
+    """Return the values as a contiguous, read-only float64 array, the type that all filters take."""
     return read_only(np.ascontiguousarray(values, dtype=np.float64))
 
 

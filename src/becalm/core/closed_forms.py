@@ -1,7 +1,7 @@
 """Closed forms of kinematic models and their steady-state filters: cut-offs, spectra, and the limit at high rates.
 
-Time is in steps and r = 1: variances are in units of the measurement noise variance. q/r is defined as in
-`Tuning.ratio`; q is the density of the noise on the n-th derivative in unit^2/step^(2n-1).
+Time is in steps. Variances are in units of the measurement noise variance, so that r = 1. q is the density of the
+noise on the n-th derivative, in unit^2/step^(2n-1); the ratio q/r is defined as in `Tuning.ratio`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from becalm.core.arrays import Complexes, Floats, frozen
 
 _LOG_STEP = 0.05  # spacing of the logarithms of frequencies
 _FOLDS = 16  # aliases on each side that are summed one by one
-_LOGARITHMS = np.arange(-40.0, 40.0, _LOG_STEP)  # of frequencies over the cut-off
+_LOGARITHMS = np.arange(-40.0, 40.0, _LOG_STEP)  # logarithms of frequency over cut-off
 
 
 def cutoff_to_ratio(order: int, cutoff: float) -> float:
@@ -31,14 +31,14 @@ def ratio_to_cutoff(order: int, ratio: float) -> float:
 
 
 def motion_power(order: int, angle: Floats) -> Floats:
-    """Return the power (k,), unit^2, of a sampled motion of density 1 at angles (k,), in radians per step.
+    """Return the power (k,), unit^2, of a sampled motion with noise of density 1, at angles (k,) in radians per step.
 
     Notes
     -----
-    White noise integrated `order` times has the power w^-2n; sampling it once per step folds all
-    frequencies w + 2 pi k onto w. The sum of 1 / (x + k) is pi cot(pi x). Derivatives of this sum give the sum of
-    powers, a polynomial in the cotangent. For a motion with the power S the smoother has the frequency response
-    G = S / (S + R).
+    White noise integrated `order` times has the power w^-2n. Sampling it once per step folds all
+    frequencies w + 2 pi k onto w. The sum of 1 / (x + k) over k is pi cot(pi x). The derivatives of this equation give
+    the sum of the folded powers as a polynomial in the cotangent. For a motion with the power S the smoother has the
+    frequency response G = S / (S + R).
     """
     *lower, highest = _folded(order).tolist()
     folded = np.full(np.shape(angle), highest)
@@ -62,7 +62,7 @@ def _folded(order: int) -> Floats:
 
 
 def returning_power(order: int, damping: float, level_rate: float, angle: Floats) -> Floats:
-    """Return the power (k,), unit^2, of a sampled motion of density 1 that returns to its level.
+    """Return the power (k,), unit^2, of a sampled motion with noise of density 1 that returns to its level.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def returning_power(order: int, damping: float, level_rate: float, angle: Floats
 
     Notes
     -----
-    The power is (w^2 + b^2) / (w^2 (w^2n + a^2n)), folded. The nearest aliases are summed one by one; the
-    others are summed in closed form, with w^-2n as their power.
+    The power is the sum of (w^2 + b^2) / (w^2 (w^2n + a^2n)) over all aliases of w. The nearest aliases are summed one
+    by one; the others are summed in closed form, with w^-2n as their power.
     """
     if not damping:
         return motion_power(order, angle)
@@ -138,8 +138,8 @@ def butterworth_noise_gain(order: int, cutoff: float) -> float:
     -----
     With W = tan(pi cutoff) and v = prewarped frequency / prewarped cut-off, the share is
     (2 W / pi) int dv / ((1 + v^2n) (1 + W^2 v^2)) over v > 0. The shares for W and for 1 / W add up to 1: the
-    low-pass for 1 / W is the high-pass for W, mirrored about a quarter of the sampling rate, and the powers that
-    low-pass and high-pass of the same W pass add up to all. As a function of log v the integrand is analytic and
+    low-pass for 1 / W is the high-pass for W, mirrored about a quarter of the sampling rate, and a low-pass and a
+    high-pass with the same W together pass all of the power. As a function of log v the integrand is analytic and
     decays exponentially at both ends, so a plain sum is accurate to nearly all digits.
     """
     W = float(np.tan(np.pi * cutoff))
@@ -156,13 +156,13 @@ class OrderOne(NamedTuple):
     filtered_variance: float  # P+, in units of R
     predicted_variance: float  # P-, in units of R
     innovation_variance: float  # S, in units of R
-    noise_gain: float  # variance of white noise after the filter over that before
+    noise_gain: float  # variance of white noise after the filter, over its variance before the filter
     delay_steps: float  # delay at low frequency, equal to the lag behind a ramp
     bandwidth: float  # -3 dB, in cycles per step; 0.5 if no frequency is attenuated by 3 dB
 
 
 def order_one(ratio: float) -> OrderOne:
-    """Return the steady-state filter of order 1 for q/r: K^2 / (1 - K) = q/r, and q/r = 4 sin^2(pi f) at -3 dB."""
+    """Return the steady-state filter of order 1. Its gain solves K^2 / (1 - K) = q/r; at -3 dB, 4 sin^2(pi f) = q/r."""
     K = float(2 * ratio / (ratio + np.sqrt(ratio**2 + 4 * ratio)))
     bandwidth = np.arcsin(min(1.0, np.sqrt(ratio) / 2)) / np.pi
     return OrderOne(K, K, K / (1 - K), 1 / (1 - K), K / (2 - K), (1 - K) / K, float(bandwidth))

@@ -1,8 +1,7 @@
 """Fixed-lag smoothing: each row is estimated from all rows up to L rows after it.
 
-L = 0 gives the filter, and a lag as long as the record the smoother; a short lag already removes much noise. The
-estimate of row k
-equals that of `kalman_smoother` on the record that ends with row k + L.
+With L = 0 the result is that of the filter, and with L as long as the record it is that of the smoother. The estimate
+of row k equals that of `kalman_smoother` on the record that ends with row k + L.
 """
 
 from __future__ import annotations
@@ -45,5 +44,5 @@ def fixed_lag_smoother(model: Model, z: ArrayLike, lag: int) -> tuple[Floats, Fl
         return filtered.signal, filtered.sigma
     online, delay = Online(model, lag), min(lag, len(readings))
     estimates, remaining = online.run(readings), online.finish()
-    signal, sigma = (np.concatenate([one[delay:], last]) for one, last in zip(estimates, remaining, strict=True))
+    signal, sigma = (np.concatenate([early[delay:], late]) for early, late in zip(estimates, remaining, strict=True))
     return signal, sigma

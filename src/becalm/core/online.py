@@ -1,7 +1,7 @@
-"""A streaming filter: it takes one reading or one block and returns the estimates.
+"""A streaming filter: it takes readings one by one or in blocks, and returns their estimates.
 
-The estimates do not depend on the block size, bit for bit. They agree with `kalman_filter` to 1e-12, except where
-P0 is so wide or so ill conditioned that both lose digits.
+The block size changes no bit of the estimates. They agree with those of `kalman_filter` to 1e-12, except where
+P0 is so wide or so ill conditioned that both filters lose digits.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from becalm.core.model.model import Model
 from becalm.core.reading_verdicts import Verdict
 from becalm.errors import ModelError
 
-_VERSION = 4  # of a snapshot
+_VERSION = 4  # version of a snapshot
 _NOT_A_SNAPSHOT = "These bytes are not a snapshot of becalm.Online; pass what snapshot() returned."
 
 
@@ -39,9 +39,9 @@ class Online:
         Model of the signal and its sensors, one step per reading. Without x0 and P0 the filter starts from the
         first readings; until they determine the state, the signal is NaN and sigma inf. An IMM has one channel.
     lag : int
-        Lag in readings: the estimate returned belongs to the reading `lag` steps ago and uses all readings since;
-        it is NaN with sigma inf as long as there is no such reading. A *small* lag gives estimates earlier and with
-        more noise; 0 is the filter. An estimate of an IMM uses at least three quarters of the later readings.
+        Lag in readings: each estimate belongs to the reading `lag` steps earlier and uses all readings since then. The
+        first `lag` estimates are NaN with sigma inf. A *small* lag gives estimates earlier and with more noise; 0 is
+        the filter. An IMM uses at least three quarters of the readings within the lag.
     gate : Gate, optional
         Innovation gate, for a model of one channel: it rejects spikes and follows steps. By default every reading
         is used.
@@ -55,8 +55,8 @@ class Online:
 
     def __init__(self, model: Model | InteractingModels | LiveImm, lag: int = 0, gate: Gate | None = None) -> None:
         lag = checked_lag(lag)
-        self._runs = _new_filter(model, lag, gate)
-        self.model, self._lag, self._gate = self._runs.model, lag, gate
+        self._filter = _new_filter(model, lag, gate)
+        self.model, self._lag, self._gate = self._filter.model, lag, gate
         self._quick: Callable[[float], tuple[float, float]] | None = None  # fast path for one number
 
     def step(self, z_k: ArrayLike) -> tuple[Floats, Floats] | tuple[float, float]:
@@ -65,8 +65,8 @@ class Online:
         Parameters
         ----------
         z_k : float or (m,) array_like
-            The reading in the channels' units, NaN where a channel is missing. For a model of one channel it may
-            be a number, and two numbers are returned; otherwise signal and sigma are (m,) each.
+            The reading in the channels' units, NaN where a channel is missing. For a model of one channel it may be a
+            number; signal and sigma are then numbers, too. Otherwise they are arrays, (m,) each.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class Online:
             If the reading is not m real numbers.
         """
         if isinstance(z_k, float):
-            quick = self._quick or self._runs.stepper()
+            quick = self._quick or self._filter.stepper()
             if quick is not None:
                 self._quick = quick
                 return quick(z_k)
@@ -96,18 +96,18 @@ class Online:
         """
         z = checked_readings(self.model, block)
         if self._lag:
-            self._quick = None  # the fast path has a copy of the waiting rows
-        return self._runs.run(z)
+            self._quick = None  # the fast path has its own copy of the waiting rows
+        return self._filter.run(z)
 
     @property
     def modes(self) -> dict[str, float]:
         """Return the probability of each mode of an IMM after the last reading; empty for other filters."""
-        return self._runs.modes if isinstance(self._runs, LiveImm) else {}
+        return self._filter.modes if isinstance(self._filter, LiveImm) else {}
 
     @property
     def verdicts(self) -> Codes | None:
-        """Return the `Verdict` of each reading of the last block, (B,), without lag; None without a gate."""
-        return self._runs.verdicts if isinstance(self._runs, OnlineChannel) and self._gate is not None else None
+        """Return the `Verdict` of each reading of the last block, (B,), whatever the lag; None without a gate."""
+        return self._filter.verdicts if isinstance(self._filter, OnlineChannel) and self._gate is not None else None
 
     @property
     def verdict(self) -> Verdict | None:
@@ -120,7 +120,7 @@ class Online:
 
         The state does not change: more readings may follow.
         """
-        return self._runs.finish()
+        return self._filter.finish()
 
     def snapshot(self) -> bytes:
         """Return the complete state as bytes, for `resume`."""
@@ -132,11 +132,11 @@ class Online:
         if self._gate is not None:
             arrays["gate"] = np.array([self._gate.threshold, self._gate.agree, self._gate.at_most])
         buffer = io.BytesIO()
-        np.savez(buffer, version=np.array(_VERSION), **arrays, **self._runs.saved())
+        np.savez(buffer, version=np.array(_VERSION), **arrays, **self._filter.saved())
         return buffer.getvalue()
 
     def __reduce__(self) -> tuple[Callable[[bytes], Self], tuple[bytes]]:
-        """Copy and pickle by a snapshot: the copy continues on its own, without the verdicts of the last block."""
+        """Copy and pickle the filter by a snapshot; the copy does not have the verdicts of the last block."""
         return type(self).resume, (self.snapshot(),)
 
     @classmethod
@@ -167,8 +167,8 @@ class Online:
             gate = Gate(threshold, int(agree), int(at_most))
         imm = restored_imm(model, arrays)
         online = cls(imm or model, int(arrays["lag"]), gate)
-        if not isinstance(online._runs, LiveImm):
-            online._runs.restore(arrays)
+        if not isinstance(online._filter, LiveImm):
+            online._filter.restore(arrays)
         return online
 
 

@@ -13,10 +13,10 @@ BEYOND_ANY_SENSOR = 1e100
 """Largest magnitude of a reading: no sensor measures more, and squares of larger ones may overflow float64."""
 
 AGREE, AT_MOST = 4, 4
-"""Number of consecutive rejected readings after which the gate accepts them: if they agree with each other (AGREE), and
-in any case (AT_MOST). A spike lasts one to three readings; longer deviations are motion: shocks, reversals, impacts.
+"""After this many rejected readings in a row the gate accepts them: after `AGREE` if they agree with each other, after
+`AT_MOST` in any case. A spike lasts one to three readings; longer deviations are motion: shocks, reversals, impacts.
 
-They are defined here and not in `core/filter/gate.py`, so that a recipe can import them without loading a kernel."""
+These numbers are defined here and not in `core/filter/gate.py`, so that a recipe can import them without the kernel."""
 
 
 class Verdict(IntEnum):
@@ -32,12 +32,12 @@ class Verdict(IntEnum):
     STUCK = 7  # in a run of too many equal readings
     DEAD = 8  # used, but the innovations have lost their noise
     DRIFT = 9  # used, but the innovations are shifted to one side
-    LATE = 10  # used, but the row is off its even time
-    REPEATED = 11  # used, but the row has the time of the row before
+    LATE = 10  # used, but the time of the row is not on the even grid
+    REPEATED = 11  # used, but the row has the same time as the row before
     GAP = 12  # used; rows were lost before it
     OUTLIER = 13  # far from its neighbours, or a value that marks missing readings
     HOLE = 14  # no estimate, because sigma is too large without readings
-    RUNAWAY = 15  # no estimate, because it was far outside the range of all readings
+    RUNAWAY = 15  # no estimate, because the filter's result was far outside the range of all readings
 
 
 LOST = np.isin(
@@ -47,10 +47,12 @@ LOST = np.isin(
         Verdict.OUTLIER,
     ],
 )  # fmt: skip
-"""For each verdict, True if it means that the filter did not use the reading; `HOLE` and `RUNAWAY` do not tell."""
+"""For each verdict, True if it means that the filter did not use the reading. `HOLE` and `RUNAWAY` are verdicts on the
+estimate of a row; they do not show whether its reading was used."""
 
 NOT_READ = LOST & (np.arange(len(Verdict)) != Verdict.SPIKE)
-"""The same without `SPIKE`: True if there is no reading of the signal; a spike may have been motion."""
+"""For each verdict, True if it means that the row has no valid reading: `LOST` without `SPIKE`, because a spike may be
+motion."""
 
 ADVICE = {
     Verdict.MISSING: "Missing readings are predicted across; sigma grows there.",
@@ -85,12 +87,12 @@ class Judged(NamedTuple):
 
 
 def judge(z: Floats, largest: float = BEYOND_ANY_SENSOR) -> Judged:
-    """Replace infinite or too large readings of one channel (N,) by NaN; without any, `readings` is z itself."""
+    """Replace infinite or too large readings of one channel (N,) by NaN; if there are none, `readings` is z itself."""
     counts = dict.fromkeys(Verdict, 0)
     if not len(z) or -largest <= z.min() <= z.max() <= largest:  # False if any reading is NaN
         counts[Verdict.USED] = len(z)
         return Judged(z, counts, np.zeros(len(z), np.int8))
-    if -largest <= np.fmin.reduce(z) <= np.fmax.reduce(z) <= largest:  # all others are within range
+    if -largest <= np.fmin.reduce(z) <= np.fmax.reduce(z) <= largest:  # all readings except NaN are within range
         verdicts = np.isnan(z).astype(np.int8)  # 1 is Verdict.MISSING
         return Judged(z, counts | counted(verdicts), verdicts)
     verdicts = np.select(

@@ -1,4 +1,4 @@
-"""Recording: the samples, channel names, units and times that all parts of becalm exchange; it cannot change."""
+"""Recording: an unchangeable set of samples, channel names, units and times, which all parts of becalm exchange."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Recording:
         return len(self.samples)
 
     def __repr__(self) -> str:
-        """Return a text with the size, the rate and the channels."""
+        """Return a text with the number of samples, the rate and the channel names."""
         return f"Recording({len(self)} samples at {self.rate_hz:.6g} Hz: {', '.join(self.names)})"
 
     def channel(self, name: str) -> Floats:

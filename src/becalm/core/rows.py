@@ -1,4 +1,4 @@
-"""Rows of one channel: the input of a filter, and its estimates."""
+"""Rows of one channel: the input of a filter, and the output of a filter."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Rows(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Rows]) -> Rows:
         """Return the rows of several parts, concatenated."""
-        some = [part for part in parts if len(part.z)] or parts[:1]
-        return some[0] if len(some) == 1 else cls(*(np.concatenate(arrays) for arrays in zip(*some, strict=True)))
+        filled = [part for part in parts if len(part.z)] or parts[:1]
+        return filled[0] if len(filled) == 1 else cls(*(np.concatenate(arrays) for arrays in zip(*filled, strict=True)))
 
     @classmethod
-    def nothing(cls) -> Rows:
+    def empty(cls) -> Rows:
         """Return an object of zero rows."""
         return cls(np.empty(0), np.empty(0), np.empty(0, np.int8))
 
@@ -53,16 +53,18 @@ class EstimatedRows(NamedTuple):
         """Return a copy in which the estimates of some rows (B,) are NaN and have the given verdict."""
         if not which.any():
             return self
-        signal, sigma, parts = (np.where(which, np.nan, one) for one in self[:3])
+        signal, sigma, parts = (np.where(which, np.nan, array) for array in self[:3])
         return EstimatedRows(signal, sigma, parts, np.where(which, np.int8(verdict), self.verdicts))
 
     @classmethod
     def joined(cls, parts: Sequence[EstimatedRows]) -> EstimatedRows:
         """Return the rows of several parts, concatenated."""
-        some = [part for part in parts if len(part.signal)] or [cls.nothing()]
-        return some[0] if len(some) == 1 else cls(*(np.concatenate(of, axis=-1) for of in zip(*some, strict=True)))
+        filled = [part for part in parts if len(part.signal)] or [cls.empty()]
+        if len(filled) == 1:
+            return filled[0]
+        return cls(*(np.concatenate(arrays, axis=-1) for arrays in zip(*filled, strict=True)))
 
     @classmethod
-    def nothing(cls) -> EstimatedRows:
+    def empty(cls) -> EstimatedRows:
         """Return an object of zero rows."""
         return cls(np.empty(0), np.empty(0), np.empty((0, 0)), np.empty(0, np.int8))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 Arrays = Mapping[str, NDArray[Any]]
 
 _KINDS = ("<f8", "<i8", "|i1")
-_LENGTH = 4  # bytes of the header's length, and of the check sum
+_LENGTH = 4  # number of bytes that hold the length of the header, and of those that hold the check sum
 
 
 def packed(arrays: Arrays) -> bytes:
@@ -32,7 +32,7 @@ def unpacked(blob: bytes) -> dict[str, NDArray[Any]]:
     Raises
     ------
     ValueError
-        If a byte is missing or damaged, or a type of numbers is not supported.
+        If bytes are missing or damaged, or an array has a type that is not supported.
     """
     body, check = blob[:-_LENGTH], blob[-_LENGTH:]
     if len(check) < _LENGTH or zlib.crc32(body).to_bytes(_LENGTH, "little") != check:

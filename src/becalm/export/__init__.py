@@ -1,1 +1,1 @@
-"""Export a filter: as C with its verification, as second-order sections, as JSON or for SciPy."""
+"""Export filters: as verified C, as second-order sections, as JSON, or as a Python module for SciPy."""

@@ -1,8 +1,8 @@
-"""Describe a channel's filter in plain numbers for another language: all gains are computed beforehand.
+"""Describe a channel's filter in plain numbers for another language; all gains are computed before any row.
 
-Numbers are in steps and in the channel's unit, covariances in unit^2. A filter with a settled gain, in floating or
-fixed point, carries the *predicted* state p, so that a row in the steady state is y = C p + C K nu and p = F p + F K
-nu, with nu = z - H p.
+Time is in steps, readings are in the channel's unit, and covariances in unit^2. A filter with a settled gain, in
+floating or fixed point, stores the *predicted* state p. A row in the steady state is then y = C p + C K nu and
+p = F p + F K nu, with the innovation nu = z - H p.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ NOT_IN_C = (
 )
 """Limits of a recipe that settled and fixed filters do not use: for gross outliers, fill values and runaways."""
 
-_COUNTABLE = (1 << 32) - 1  # rows that four bytes can count; it also means "without limit"
-_UNMOVED = 1e-8  # remaining share of the initial state; its square, of a variance, is below the resolution of float64
-_MOST_COASTED = (1 << 16) - 2  # rows that two bytes can count
+_COUNTABLE = (1 << 32) - 1  # largest number of rows in four bytes; it also means "without limit"
+_UNMOVED = 1e-8  # negligible share of the initial state; the same share of its variance is below float64's resolution
+_MOST_COASTED = (1 << 16) - 2  # largest `Design.coasts`, which two bytes can count
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,21 +49,21 @@ class Design:
     Attributes
     ----------
     name, unit : str
-        Name and unit from the recipe.
+        Name and unit of the channel, from the recipe.
     step_s : float
         Duration of a step, in seconds.
     component : Component
-        The signal and its disturbances; for an IMM, those of its richest mode.
+        The models of the signal and of its disturbances; for an IMM, those of the mode with the most parts.
     model : Model
-        Model of the component and the readings' noise, with one step per reading.
+        State-space model of the component and the noise of readings, with one step per reading.
     limits : Limits
         Saturation limits and other limits of the readings, in unit.
     gate : Gate or None
-        The innovation gate, if there is one.
+        The innovation gate; None without a gate.
     modes : InteractingModels or None
-        The IMM, if the recipe has several modes.
+        The IMM; None for a single filter.
     longest_gap : int
-        Longest gap, in steps, that a filter with a covariance is carried across; 2^32 - 1 for no limit.
+        Longest gap, in steps, that a filter with a covariance predicts across; 2^32 - 1 for no limit.
     """
 
     name: str
@@ -83,23 +83,23 @@ class Design:
 
     @property
     def output(self) -> Floats:
-        """Return C (n,), which maps the state to the signal: H without disturbances."""
+        """Return C (n,), which maps the state to the signal; it is H without the disturbances."""
         return np.asarray(self.component.signal_output[0], dtype=np.float64)
 
     @property
     def level_direction(self) -> Floats:
-        """Return the lasting change of the state (n,) that adds 1 to the signal; (1, 0, ...) if none lasts."""
+        """Return the permanent change of the state (n,) that adds 1 to the signal; (1, 0, ...) if there is none."""
         direction = self.component.level_direction
         return np.eye(self.states)[0] if direction is None else direction
 
     @property
     def unit_after(self) -> str:
-        """Return the unit as it follows a number: with a leading space, or "" where it is unknown."""
+        """Return the unit as it follows a number in a text: with a leading space, or "" if the unit is unknown."""
         return f" {self.unit}" if self.unit else ""
 
     @property
     def noise_variance(self) -> float:
-        """Return R, in unit^2; for an IMM the least R of its modes."""
+        """Return R, in unit^2; for an IMM, the least R of its modes."""
         return self.modes.least_noise_variance if self.modes else float(self.model.R[0, 0])
 
     @property
@@ -114,12 +114,12 @@ class Design:
 
     @cached_property
     def opening(self) -> Opening:
-        """Return how the first readings determine the state."""
+        """Return the state, and its covariance, as a function of the first readings, which determine the state."""
         return determine_state(self.model)
 
     @cached_property
     def steady(self) -> SteadyFilter | None:
-        """Return the steady-state filter; None if the effect of the start does not fade, or a state is unobservable."""
+        """Return the steady-state filter; None if the start has a permanent effect, or a state is not observable."""
         try:
             filter_ = steady(self.model, self.output)
         except ModelError:
@@ -129,24 +129,27 @@ class Design:
 
     @cached_property
     def response(self) -> Response | None:
-        """Return the response of the steady-state filter; None if there is no steady state, or for an IMM."""
+        """Return the response of the steady-state filter; None without a steady state, and for an IMM."""
         if self.steady is None or self.modes is not None:
             return None
         return describe(self.model, self.step_s, causal=True, output=self.output)
 
     @property
     def settled_std(self) -> float:
-        """Return sigma in the steady state, where the model holds, in unit; inf without a steady state."""
+        """Return sigma in the steady state, if the model is correct, in unit; inf without a steady state."""
         return float(np.sqrt(self.steady.error_variance())) if self.steady else np.inf
 
     @property
     def motion_order(self) -> int:
-        """Return the number of states of the motion, without the level that it returns to."""
+        """Return the number of states of the motion; the level to which a damped motion returns does not count."""
         return len(self.component.parts[0].state_names) - self.component.returns
 
     @cached_property
     def settled_rows(self) -> int:
-        """Return after how many rows, none missing, the gain is constant to the last digit; 2^32 - 1 if it never is."""
+        """Return the number of rows without missing readings after which the gain is constant; 2^32 - 1 if it never is.
+
+        Constant means to the last digit of float64.
+        """
         rows = rows_until_decayed(_UNMOVED, self.model) if self.steady else np.inf
         return int(min(np.ceil(1.1 * rows) + 32, _COUNTABLE)) if np.isfinite(rows) else _COUNTABLE
 
@@ -156,36 +159,37 @@ class Design:
         return self.steady is not None and self.settled_rows < _COUNTABLE
 
     @property
-    def is_reached(self) -> bool:
-        """Return whether the filter starts anew after a long enough gap."""
+    def restarts_after_gap(self) -> bool:
+        """Return whether there is a length of gap after which the filter starts anew."""
         return self.longest_gap < _COUNTABLE
 
     @cached_property
     def coasts(self) -> int:
-        """Return after how many rows without a reading a prediction is worth less than one reading: 1 to 65534.
+        """Return the largest number of rows without a reading, 1 to 65534, after which a settled filter continues.
 
-        A settled gain is correct only where no reading is missing; after more missing rows it is better to start anew.
+        After more such rows, a prediction is less accurate than one reading, and the settled gain, which is correct
+        only without missing readings, is too small. It is then better to start anew.
         """
         if self.steady is None:
             return _MOST_COASTED
         P, H, R = self.steady.predicted_cov, self.model.H, float(self.model.R[0, 0])
-        worth, rows = max(R, 2 * float((H @ P @ H.T)[0, 0])), 0
+        most_variance, rows = max(R, 2 * float((H @ P @ H.T)[0, 0])), 0
         P_plus = P - self.steady.gain @ (H @ P)
         while rows < _MOST_COASTED:
             P_plus = covariance_ahead(P_plus, self.model)
-            if float((H @ P_plus @ H.T)[0, 0]) > worth:
+            if float((H @ P_plus @ H.T)[0, 0]) > most_variance:
                 break
             rows += 1
         return max(rows, 1)
 
 
 def spread_of(steady: SteadyFilter) -> Floats:
-    """Return the standard deviation (n,) of the prior of each state in the steady state, in the state's unit."""
+    """Return the prior standard deviation (n,) of each state in the steady state, in the state's unit."""
     return np.asarray(np.sqrt(np.maximum(np.diag(steady.predicted_cov), 0.0)), dtype=np.float64)
 
 
 def design_of(recipe: ChannelRecipe, step_s: float) -> Design | None:
-    """Return the filter of a channel; None for a channel that passes unchanged.
+    """Return the filter of a channel as numbers; None for a channel that passes unchanged.
 
     Parameters
     ----------
@@ -197,7 +201,7 @@ def design_of(recipe: ChannelRecipe, step_s: float) -> Design | None:
     Raises
     ------
     RecipeError
-        If the numbers of the recipe do not give a filter at this step.
+        If the numbers of the recipe do not make a valid filter at this step.
     """
     if recipe.motion is None:
         return None

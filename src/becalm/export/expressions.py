@@ -1,4 +1,4 @@
-"""Write sums of products as C, without factors of 0 or 1, and count their operations."""
+"""Write sums of products as C, without factors of 0 or 1, and count arithmetic operations in C text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from becalm.export.number_type import NumberType
 
 
 class OperationCount(NamedTuple):
-    """The numbers of operations, counted in the C text."""
+    """The numbers of arithmetic operations in a C text."""
 
     multiplications: int
     additions: int
@@ -24,7 +24,7 @@ class OperationCount(NamedTuple):
 
 
 def cost_of(lines: Iterable[str]) -> OperationCount:
-    """Count the operations in lines of C; comments and indices do not count, and each line runs once."""
+    """Count the operations in lines of C that run once each; those in comments and indices do not count."""
     text = re.sub(r"/\*.*?\*/|\[[^]]*\]", "", "\n".join(lines))
     text = re.sub(r"0x[0-9a-fA-F.]+p[+-]\d+f?", "c", text)
     return OperationCount(
@@ -41,7 +41,7 @@ def in_lines(words: Iterable[str], most: int) -> list[list[str]]:
 
 
 def product_sum(row: Floats | Sequence[float], names: Sequence[str], number: NumberType) -> str:
-    """Write the sum of row[j] * names[j] as C; terms with a factor of 0 and factors of 1 or -1 are left out."""
+    """Write the sum of row[j] * names[j] as C, without terms whose factor is 0, and without factors of 1 or -1."""
     text = ""
     for factor, name in zip(row, names, strict=True):
         size = number.rounded(abs(float(factor)))

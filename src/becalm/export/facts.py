@@ -1,4 +1,4 @@
-"""Describe a channel for the header: the filter in an engineer's terms, its numbers and its cost."""
+"""Describe a channel for the C header: bandwidth, lag and noise of its filter, its matrices and its cost."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from becalm.core.arrays import Floats
 from becalm.export.design import Design
 from becalm.export.shared_parts import WrittenChannel
 
-_MOST_WRITTEN = 36  # most numbers of a matrix that are written
+_MOST_WRITTEN = 36  # largest number of entries of a matrix that are written
 
 
 def facts_of(recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> list[str]:
-    """Return the lines of the comment above a channel."""
+    """Return the lines of the comment above a channel in the header."""
     return [
         *_filter(design),
         f"readings: those beyond +-{written.largest:.6g}{design.unit_after} are overrange",
@@ -49,7 +49,7 @@ def _filter(design: Design) -> list[str]:
 
 
 def cost_words(written: WrittenChannel) -> str:
-    """Return a description of a row's cost."""
+    """Return a description of the cost of one row."""
     if written.cost is None:
         return "the same row as in becalm itself: make cortex-m-count counts its instructions"
     return f"{written.cost}, a settled row"
@@ -83,6 +83,6 @@ def _numbers(design: Design) -> list[str]:
 
 
 def _matrix(name: str, rows: Floats) -> list[str]:
-    """Return lines with a matrix's entries that are not 0, in decimals and exactly, at most 36."""
+    """Return lines with the first 36 entries of a matrix that are not 0, in decimals and in exact hexadecimal."""
     cells = [(i, j, value) for (i, j), value in np.ndenumerate(rows) if value != 0.0]
     return [f"{name}[{i}][{j}] = {value:.9g} = {float(value).hex()}" for i, j, value in cells[:_MOST_WRITTEN]]

@@ -12,13 +12,13 @@ import numpy as np
 from becalm.cleaning.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import RecipeError
-from becalm.export.bundle import chosen
+from becalm.export.bundle import choose_channels
 from becalm.export.design import Design
 from becalm.export.templates import render
 from becalm.installation import version
 
 
-def written_as(recipe: Recipe, form: str, channels: Sequence[str] | None) -> tuple[str, list[str]]:
+def write_filters_as(recipe: Recipe, form: str, channels: Sequence[str] | None) -> tuple[str, list[str]]:
     """Write the steady-state filters of a recipe for another program.
 
     Parameters
@@ -26,9 +26,9 @@ def written_as(recipe: Recipe, form: str, channels: Sequence[str] | None) -> tup
     recipe : Recipe
         The recipe of the channels.
     form : {"json", "sos", "scipy"}
-        "json": numbers with their names; "sos": sections only; "scipy": a Python module that filters.
+        "json": all matrices and figures; "sos": only second-order sections; "scipy": a Python module that filters.
     channels : sequence of str or None
-        Names of the channels; None for all that are filtered.
+        Names of the channels; None for all channels that are filtered.
 
     Returns
     -------
@@ -38,11 +38,11 @@ def written_as(recipe: Recipe, form: str, channels: Sequence[str] | None) -> tup
     Raises
     ------
     RecipeError
-        If a filter has no steady state, or several modes, so it is not a fixed filter.
+        If a filter has no steady state or several modes, so that it has no constant coefficients.
     UsageError
         If a channel is not in the recipe.
     """
-    filtered, notes = chosen(recipe, channels)
+    filtered, notes = choose_channels(recipe, channels)
     numbers_of = {design.name: _numbers(design) for _, design in filtered}
     notes = [*notes, *(_gate_note(design) for _, design in filtered if design.gate is not None)]
     about = {
@@ -60,13 +60,13 @@ def written_as(recipe: Recipe, form: str, channels: Sequence[str] | None) -> tup
 
 
 def sections_of(design: Design) -> Floats:
-    """Return a steady-state filter as second-order sections (s, 6) of `scipy.signal`; the first holds the gain.
+    """Return a steady-state filter as second-order sections (s, 6) of `scipy.signal`; the first contains the gain.
 
     Notes
     -----
     With y[k] = C A x[k-1] + C K z[k] and x[k] = A x[k-1] + K z[k], the poles are the eigenvalues of A, and the zeros
-    those of A - K C A / (C K). Both are computed in states of equal uncertainty, in which slow filters keep their
-    digits.
+    those of A - K C A / (C K). Both are computed with states that are scaled to equal uncertainty, so that slow filters
+    do not lose digits.
 
     Raises
     ------

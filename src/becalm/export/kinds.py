@@ -1,4 +1,4 @@
-"""Choose the kind of filter that a channel is exported as."""
+"""Choose how a channel is exported: as the library's own channel, or as a settled filter in float or fixed point."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from becalm.export.kind import Kind
 from becalm.export.number_type import DOUBLE, FLOAT, NumberType, Precision
 from becalm.export.settled.kind import Settled
 from becalm.export.settled.text import schedule_in
-from becalm.export.word_length import start_of
+from becalm.export.word_length import start_error
 
 GAINS = ("auto", "settled", "full")
 
-_STARTED = 1e-3  # largest rounding error of the first signals, as a share of a reading's noise
-_HIGHEST_IN_FLOAT = 3  # order of a motion; above it, rounding leaves less than 120 dB for a moving signal
+_STARTED = 1e-3  # largest rounding error of the first signals, over the noise std of a reading
+_HIGHEST_IN_FLOAT = 3  # largest order of a motion in float: with a higher one, rounding errors exceed -120 dB
 
 
 def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: str) -> Kind:
@@ -34,16 +34,17 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
     precision : {"float32", "float64", "q31"}
         Number type of the filter.
     gain : {"auto", "settled", "full"}
-        "full" carries a covariance, as the library's own channel does; "settled" does not. "auto" carries one if the
-        recipe needs it or looks for gross outliers; also in float64 if an exact table of gains would be too long, and
-        in float32 from order 4 on or if the first readings hardly determine the state.
+        "full" is the library's own channel, with a covariance; "settled" is a filter without covariance. With "auto"
+        the filter has a covariance if the recipe needs one or rejects gross outliers; in float64 also if an exact table
+        of gains would be too long; in float32 also from order 4 on, or if the first readings hardly determine the
+        state.
 
     Raises
     ------
     RecipeError
-        If this precision, or this gain, does not support the recipe.
+        If the precision or the gain does not support the recipe.
     UsageError
-        If the precision or the gain does not exist, or q31 is to carry a covariance.
+        If the precision or the gain does not exist, or a covariance is wanted in q31.
     """
     if precision not in get_args(Precision):
         raise UsageError(f"There is no precision {precision!r}; write float32, float64 or q31.")
@@ -62,7 +63,7 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
         return FixedPointFilter()
     number = DOUBLE if precision == "float64" else FLOAT
     if needs or gain == "full" or (gain == "auto" and _is_better_whole(design, number)):
-        return WholeChannel.alone(number, recipe, design)
+        return WholeChannel.for_design(number, recipe, design)
     if not number.is_double and _is_lost_at_first(design, number):
         raise RecipeError(
             f"{design.name}: its first readings hardly determine its state, and float would lose the digits; leave"
@@ -72,10 +73,10 @@ def kind_of(recipe: ChannelRecipe, design: Design, precision: Precision, gain: s
 
 
 def _is_better_whole(design: Design, number: NumberType) -> bool:
-    """Return whether the library's channel is better although no covariance is needed.
+    """Return whether the library's own channel is better, although no covariance is needed.
 
-    It is if the recipe looks for gross outliers, if the table of gains would be thinned (double), or if states would
-    lose digits (float).
+    It is better if the recipe rejects gross outliers, in double if the table of gains would be thinned, and in float if
+    states would lose digits.
     """
     if design.limits.outliers != NO_OUTLIERS:
         return True
@@ -85,8 +86,8 @@ def _is_better_whole(design: Design, number: NumberType) -> bool:
 
 
 def _is_lost_at_first(design: Design, number: NumberType) -> bool:
-    """Return whether the first signals have too large rounding errors; a start may amplify them without limit."""
-    return start_of(design, number) > _STARTED * design.noise_std
+    """Return whether the rounding errors of the first signals are too large."""
+    return start_error(design, number) > _STARTED * design.noise_std
 
 
 def _alternative(design: Design) -> str:
@@ -99,7 +100,7 @@ def _alternative(design: Design) -> str:
 
 
 def _needs(design: Design) -> str:
-    """Return the reason why a channel needs a covariance, for a sentence; "" if it needs none."""
+    """Return why a channel needs a covariance, as the start of a clause; "" if it needs none."""
     if design.modes is not None:
         return "has several modes, which need"
     if design.gate is not None:

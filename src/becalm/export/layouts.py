@@ -1,4 +1,4 @@
-"""Write the other layouts of a bundle: an emulated Cortex-M, a library for Arduino, a block as in CMSIS-DSP."""
+"""Write a bundle's additional layouts: for an emulated Cortex-M, for Arduino, and a block as in CMSIS-DSP."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from becalm.export.templates import render
 
-_ALIKE = {
+_FIXED_PATHS = {
     "cortex_m/startup.c": "cortex_m/startup.c.jinja",
     "cortex_m/link.ld": "cortex_m/link.ld.jinja",
     "cortex_m/counting.c": "cortex_m/counting.c.jinja",
@@ -16,14 +16,14 @@ _ALIKE = {
 
 
 def layouts(context: Mapping[str, Any], native: Mapping[str, str]) -> dict[str, str]:
-    """Return the texts of all layouts by their paths within a bundle.
+    """Return the texts of all layouts, by their paths in a bundle.
 
     Parameters
     ----------
     context : mapping
-        The values for the bundle's own templates, with `vectors_hash`.
+        Values for the bundle's templates, including `vectors_hash`.
     native : mapping of str to str
-        Texts of the library's C by path; empty if no filter is of that kind.
+        Texts of the library's C sources by path; empty if no filter needs them.
     """
     library = library_name(context["stem"])
     within = {**context, "library": library, "library_version": _library_version(context["version"])}
@@ -36,17 +36,17 @@ def layouts(context: Mapping[str, Any], native: Mapping[str, str]) -> dict[str, 
         f"{root}/src/{stem}.c": "source.c.jinja",
         f"{root}/examples/{library}Live/{library}Live.ino": "arduino/live.ino.jinja",
     }
-    return {path: render(template, within) for path, template in (_ALIKE | arduino).items()} | {
+    return {path: render(template, within) for path, template in (_FIXED_PATHS | arduino).items()} | {
         f"{root}/src/{path}": text for path, text in native.items()
     }
 
 
 def library_name(stem: str) -> str:
-    """Return the name of the library for Arduino: `test_bench` becomes `TestBench`."""
+    """Return the name of the Arduino library: `test_bench` becomes `TestBench`."""
     return "".join(part.capitalize() for part in stem.split("_"))
 
 
 def _library_version(version: str) -> str:
-    """Return the three numbers of a version for Arduino; 0.0.0 if becalm has no version."""
+    """Return the first three numbers of a version, for Arduino; a missing number becomes 0."""
     numbers = [*version.split("+")[0].split("."), "0", "0", "0"][:3]
     return ".".join(number if number.isdigit() else "0" for number in numbers)

@@ -17,13 +17,13 @@ class NumberType(NamedTuple):
     precision : str
         Name of the precision in `ExportOptions`.
     name, suffix : str
-        Name of the type, and suffix of its literals.
+        Name of the C type, and suffix of its literals.
     bits : int
-        Bits of its significand, or of an integer without its sign.
+        Bits of the significand, or of an integer without its sign.
     dtype : type
-        NumPy type with the same numbers.
+        The same type in NumPy.
     greatest : float
-        Largest magnitude of a reading or a state; the product of two stays finite.
+        Largest permitted magnitude of a reading or a state, for which the product of two such numbers is finite.
     """
 
     precision: Precision
@@ -48,19 +48,19 @@ class NumberType(NamedTuple):
         return float(self.dtype(value))
 
     def below(self, value: float) -> float:
-        """Return the greatest number of this floating-point type that is not above a value."""
+        """Return the greatest number of this floating-point type that is at most `value`."""
         near = self.dtype(value)
         return float(near if float(near) <= value else np.nextafter(near, self.dtype(-np.inf)))
 
     def above(self, value: float) -> float:
-        """Return the least number of this floating-point type that is not below a value."""
+        """Return the least number of this floating-point type that is at least `value`."""
         return -self.below(-value)
 
     def literal(self, value: float) -> str:
-        """Return the nearest number of this type, exactly, as a hexadecimal literal."""
+        """Return the nearest number of this type as a hexadecimal literal, which is exact."""
         return _short(float(self.rounded(value)).hex()) + self.suffix
 
-    def commented(self, value: float) -> str:
+    def literal_with_comment(self, value: float) -> str:
         """Return the literal of a number, with its decimal value in a comment."""
         return f"{self.literal(value)} /* {value:.9g} */"
 

@@ -1,4 +1,4 @@
-"""Write the parts that all filters in C share: names with their units, and the check of each reading."""
+"""Write the parts that all filters in C have: names with units, and the check of each reading."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.export.word_length import WordLength
 _SPELT = (("/", " per "), ("%", " percent "), ("°", " deg "), ("^", ""), ("²", "2"), ("³", "3"), ("√", " sqrt "))
 
 FOLDER = "native"
-"""Folder of the library's files in a bundle."""
+"""Folder of the library's C sources in a bundle."""
 
 
 class WrittenChannel(NamedTuple):
@@ -26,21 +26,21 @@ class WrittenChannel(NamedTuple):
     Attributes
     ----------
     header, source : str
-        C texts of the type of its state, and of its functions.
+        C texts of the state's type, and of the functions.
     cost : OperationCount or None
-        Operations of a row in the steady state; None for the library's channel, whose rows differ.
+        Operations of a row in the steady state; None for the library's own channel, whose rows differ.
     state_bytes, table_bytes : int
-        Bytes of its state in memory, and of its gains in program memory.
+        Size of the state in memory, and of the constants in program memory, in bytes.
     word : WordLength or None
-        Error of its word length; None for the library's channel, which is in double.
+        Error of the word length; None for the library's own channel, which computes in double.
     largest : float
         Magnitude beyond which a value is overrange, in unit.
     exact : bool
-        Whether it equals becalm's filter from its first reading on, as long as none is missing.
+        Whether the filter equals becalm's filter from the first reading on, as long as no reading is missing.
     start_rows : int
-        Number of rows, without missing readings, until its gain has settled; 0 if it does not settle.
+        Number of rows, without missing readings, until the gain has settled; 0 if it does not settle.
     scale : (float, float) or None
-        Offset and step of a count, in unit; None where readings are not counts.
+        Offset and least significant bit (lsb) of counts, in unit; None if readings are not counts.
     """
 
     header: str
@@ -55,7 +55,7 @@ class WrittenChannel(NamedTuple):
     scale: tuple[float, float] | None = None
 
 
-def words_of(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
+def channel_context(design: Design, prefix: str, number: NumberType) -> dict[str, Any]:
     """Return the names, types and constants that all templates of a channel need."""
     unit = unit_name(design.unit)
     context = {
@@ -80,7 +80,7 @@ def reading_check(design: Design, prefix: str, number: NumberType, largest: floa
     if np.isfinite(limits.high):
         rails.append(f"(z >= {_signed(number, number.above(limits.high))})")
     context = {
-        **words_of(design, prefix, number),
+        **channel_context(design, prefix, number),
         "largest": number.literal(number.below(largest)),
         "stuck": min(limits.stuck_readings or 0, (1 << 32) - 1),
         "rails": " || ".join(rails),
@@ -89,12 +89,12 @@ def reading_check(design: Design, prefix: str, number: NumberType, largest: floa
 
 
 def also_level(design: Design) -> list[int]:
-    """Return the numbers of the states, other than the first, to which a constant added to the signal is added."""
+    """Return the indices of the states, without the first, that grow by 1 if the level of the signal grows by 1."""
     return [int(state) for state in np.flatnonzero(design.level_direction)[1:]]
 
 
 def moved_level(quantum: float | None, number: NumberType, design: Design) -> dict[str, Any]:
-    """Return the values that templates need to move a level by whole quanta, in unit; they are None if it stays."""
+    """Return the values that templates need to move the level by whole quanta; they are None if the level is fixed."""
     if quantum is None:
         return {"quantum": None, "per_quantum": None, "farthest": None}
     return {
@@ -106,7 +106,7 @@ def moved_level(quantum: float | None, number: NumberType, design: Design) -> di
 
 
 def unit_name(unit: str) -> str:
-    """Return a unit as a part of a name in C, such as `m_per_s2`."""
+    """Return a unit as a part of a C name, such as `m_per_s2`."""
     for sign, spelt in _SPELT:
         unit = unit.replace(sign, spelt)
     name = identifier(unit, "")

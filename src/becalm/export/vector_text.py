@@ -1,4 +1,4 @@
-"""Write golden vectors as C: readings by their bits, signals in hexadecimal."""
+"""Write golden vectors as C: readings as integers with the same bits, signals as hexadecimal literals."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import numpy as np
 
 from becalm.export.design import Design
 from becalm.export.expressions import in_lines
-from becalm.export.kind import Kind, Opened, Raw
+from becalm.export.kind import Kind, NewReference, Raw
 from becalm.export.number_type import DOUBLE
 from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Vector
 
-_NUMBERS, _CODES = 6, 24  # in a line of C
+_NUMBERS, _CODES = 6, 24  # largest numbers of readings or signals, and of codes, in a line of C
 
 
 def vector_texts(
-    vectors: Sequence[Vector], kind: Kind, design: Design, written: WrittenChannel, opened: Opened
+    vectors: Sequence[Vector], kind: Kind, design: Design, written: WrittenChannel, new_reference: NewReference
 ) -> list[dict[str, Any]]:
-    """Return the texts of vectors for the templates; `opened` returns a new reference."""
+    """Return the texts of golden vectors for the templates."""
     texts = []
     for vector in vectors:
-        most_error = kind.most_error(vector, design, written, opened)
+        most_error = kind.most_error(vector, design, written, new_reference)
         most_power = kind.most_power(vector, design, most_error)
         texts.append({**_text(vector, kind, written), "most": f"{most_error:.3g}", "most_power": f"{most_power:.3g}"})
     return texts
@@ -42,7 +42,7 @@ def _text(vector: Vector, kind: Kind, written: WrittenChannel) -> dict[str, Any]
 
 
 def bits_of(raw: Raw) -> list[str]:
-    """Return numbers (N,) as C literals of their bits."""
+    """Return numbers (N,) as C literals of unsigned integers with the same bits."""
     wide = raw.itemsize == 8
-    whole = raw.view(np.uint64 if wide else np.uint32)
-    return [f"0x{bits:0{16 if wide else 8}x}{'ULL' if wide else 'u'}" for bits in whole.tolist()]
+    integers = raw.view(np.uint64 if wide else np.uint32)
+    return [f"0x{bits:0{16 if wide else 8}x}{'ULL' if wide else 'u'}" for bits in integers.tolist()]

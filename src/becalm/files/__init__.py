@@ -1,4 +1,4 @@
-"""Read recordings in the format of their content, and write them in the format of the ending of their name."""
+"""Read recordings in the format that their content shows, and write them in the format that the name's ending gives."""
 
 from becalm.files.atomic_file import replace_file
 from becalm.files.opening import Chunk, OpenSource, open_source, read, read_source

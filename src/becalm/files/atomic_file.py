@@ -18,23 +18,26 @@ from becalm.errors import OutputError
 
 # Keep a list of the temporary files of this process, so that they are removed even if it ends early.
 
-_waiting: set[Path] = set()
+_registered: dict[Path, IO[bytes] | None] = {}  # with the open file, if this process has opened it
 
 
 @contextmanager
 def removed_afterwards(path: Path) -> Iterator[None]:
     """Register a temporary file or folder; at the end of the block, remove it if it still has this name."""
-    _waiting.add(path)
+    _registered[path] = None
     try:
         yield
     finally:
         _remove(path)
-        _waiting.discard(path)
+        _registered.pop(path, None)
 
 
 def abandon() -> None:
-    """Remove all registered temporary files, for a process that ends at once."""
-    for path in tuple(_waiting):
+    """Remove all registered temporary files; called before the process ends without unwinding."""
+    for path, file in tuple(_registered.items()):
+        if file is not None:
+            with suppress(OSError, ValueError):  # Windows removes no open file; close() could wait for a lock
+                os.close(file.fileno())
         _remove(path)
 
 
@@ -48,9 +51,10 @@ def _remove(path: Path) -> None:
         return
 
 
-UNNAMED = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
+TEMPORARY_NAME = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)
 """A pattern that matches the temporary names of files that are being written."""
 
+_OPEN_ELSEWHERE = (5, 32)  # errors of Windows: access denied, sharing violation
 _LONGEST_SHOWN = 60  # characters of a file name in a message
 
 
@@ -87,6 +91,7 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
     with removed_afterwards(temporary):
         with explain_write_errors(path):
             file = temporary.open("x+b")
+        _registered[temporary] = file
         try:
             yield file
             with explain_write_errors(path):
@@ -146,6 +151,8 @@ def sync_folder(folder: Path) -> None:
 
 def _why_not(path: Path, cause: OSError) -> str:
     folder = path.parent
+    if getattr(cause, "winerror", None) in _OPEN_ELSEWHERE and path.is_file():
+        return f"{path} is open in another program; close it there, or choose another name with -o. It was not written."
     name = path.name if len(path.name) <= _LONGEST_SHOWN else f"{path.name[:_LONGEST_SHOWN]}..."
     sentences = {
         errno.ENOSPC: f"The disk of {folder} is full; make room or write elsewhere.",

@@ -6,9 +6,9 @@ import io
 import os
 from typing import BinaryIO
 
-_MOST_PASSES = 64  # most bytes read, per byte of the file: a library goes back to find the next intact part
-_ALWAYS = 1 << 24  # bytes that may be read in addition, whatever the size
-_CALL = 64  # bytes that each call of `read` counts in addition, so that empty reads cannot go on for ever
+_MOST_PASSES = 64  # most bytes read per byte of the file; a library may reread bytes to find the next intact part
+_ALWAYS = 1 << 24  # bytes that may be read in addition, for a file of any size
+_CALL = 64  # bytes that each call of `read` adds to the total, so that the limit also ends a loop of empty reads
 
 
 class BoundedFile:

@@ -21,7 +21,7 @@ class Thermometer(NamedTuple):
     Attributes
     ----------
     column : str
-        Its name; the new one if the column is itself converted by a calibration.
+        Its name; the new name if another sensor's calibration converts this column.
     size : Conversion
         Conversion from the column's unit to degC.
     """
@@ -46,7 +46,7 @@ class MatchedSensor(NamedTuple):
     thermometer : Thermometer or None
         The temperature column, if the record has a temperature channel.
     tare : Tare or None
-        The zero that was measured in the file; it is already part of the record.
+        The zero offset that was measured in the file; `record` already includes it.
     """
 
     record: SensorRecord
@@ -58,7 +58,7 @@ class MatchedSensor(NamedTuple):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences for the user that describe the conversion and the measured zero."""
+        """Return sentences for the user on the conversion and the measured zero."""
         named = ", ".join(map(repr, self.columns))
         converted = (
             f"--sensors: {named} {'is' if len(self.columns) == 1 else 'are'} converted from {self.record.raw_unit}"
@@ -132,7 +132,7 @@ class CalibratedRows:
         return self._by_name[name].columns if name in self._by_name else (name,)
 
     def _convert(self, one: MatchedSensor, block: pa.Table, converted: dict[str, Floats]) -> dict[str, Floats]:
-        """Return the converted columns of one sensor by their new names; `converted` holds those of other sensors."""
+        """Return the converted columns of one sensor by new name; `converted` has the columns converted before."""
         readings = [
             self._values(block, own) * size.factor + size.offset
             for own, size in zip(one.columns, one.sizes, strict=True)

@@ -51,7 +51,7 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
     """
     matches = [_match(tables, record) for record in options.sensors]
     for table in tables:
-        _refuse_twice([one for holder, one in matches if holder is table])
+        _refuse_duplicates([one for holder, one in matches if holder is table])
     converted = tuple(_convert(table, [one for holder, one in matches if holder is table], options) for table in tables)
     if options.channels is None:
         return converted, options
@@ -78,7 +78,7 @@ def _match(tables: Sequence[RawTable], record: SensorRecord) -> tuple[RawTable, 
     )
 
 
-def _refuse_twice(sensed: Sequence[MatchedSensor]) -> None:
+def _refuse_duplicates(sensed: Sequence[MatchedSensor]) -> None:
     """Refuse a column that belongs to two sensors, and two columns that would get the same new name."""
     columns = [column for one in sensed for column in one.columns]
     names = [name for one in sensed for name in one.names]
@@ -91,7 +91,7 @@ def _refuse_twice(sensed: Sequence[MatchedSensor]) -> None:
 
 
 def _with_thermometer(table: RawTable, one: MatchedSensor, others: Sequence[MatchedSensor]) -> MatchedSensor:
-    """Return a sensor with its temperature column, if it needs one; a sensor of its own may calibrate that column."""
+    """Return a sensor with its temperature column, if it needs one; another sensor may calibrate that column."""
     channel = None if one.record.temperature is None else one.record.temperature.channel
     if channel is None:
         return one
@@ -106,6 +106,7 @@ def _with_thermometer(table: RawTable, one: MatchedSensor, others: Sequence[Matc
 
 
 def _size(table: RawTable, column: str, raw_unit: str) -> Conversion:
+    """Return the conversion of a column from its unit in the file to the raw unit of its sensor."""
     refuse_no_numbers(table, column, ())
     return _conversion(column, unit_of(table, column) or raw_unit, raw_unit)
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from becalm.files.opening import Chunk, OpenSource
 
 CHUNK_ROWS = 1 << 18
-"""Rows that are cleaned at once: enough work for all threads, at a moderate use of memory."""
+"""The most rows that are cleaned at once: enough work for all threads, but a moderate use of memory."""
 
 
 class ChunkObserver(Protocol):
@@ -50,7 +50,7 @@ class ChunkSource(Protocol):
 
 
 def rows_of_chunks(source: ChunkSource, channels: int) -> int:
-    """Return how many rows to clean at once: a whole number of blocks, so that the result does not depend on it."""
+    """Return how many rows to clean at once: a multiple of BLOCK, so that estimates do not depend on this number."""
     rows = min(CHUNK_ROWS, block_rows(source.schema))
     if not source.clock.uniform:  # each row then needs its own step matrices in each channel
         rows = min(rows, max(CHUNK_ROWS // max(4, channels), 16 * BLOCK))
@@ -84,7 +84,7 @@ def clean_chunks(  # noqa: PLR0913  (the options are passed by name)
     verdicts : bool
         Write the verdict on each measurement too.
     gathering : ChunkObserver, optional
-        Gathers what the figures of the report need.
+        An observer that collects data for the figures of the report.
 
     Returns
     -------
@@ -100,17 +100,17 @@ def clean_chunks(  # noqa: PLR0913  (the options are passed by name)
     chunks = source.chunks(rows_of_chunks(source, len(recipe.channel)))
     with (
         nullcontext() if gathering is None else _BackgroundObserver(gathering) as observer,
-        Cleaner(recipe, source.clock.step_s, split=split, looks=looks) as cleaner,
+        Cleaner(recipe, source.clock.step_s, split=split, innovation_callbacks=looks) as cleaner,
     ):
-        for answer in answered(cleaner, recipe, counted(chunks, step)):
+        for clean in iter_clean_chunks(cleaner, recipe, with_progress(chunks, step)):
             if observer is not None:
-                observer.add(columns_of(answer.chunk, recipe), answer.chunk.elapsed_steps, answer.estimates)
-            write(answer.output(recipe, verdicts=verdicts))
+                observer.add(columns_of(clean.chunk, recipe), clean.chunk.elapsed_steps, clean.estimates)
+            write(clean.output(recipe, verdicts=verdicts))
         return cleaner.reports()
 
 
-def counted(chunks: Iterable[Chunk], step: Callable[[str, int], None]) -> Iterator[Chunk]:
-    """Yield chunks; after the use of each, call `step` with its number of rows."""
+def with_progress(chunks: Iterable[Chunk], step: Callable[[str, int], None]) -> Iterator[Chunk]:
+    """Yield chunks; once the caller asks for the next chunk, call `step` with the number of rows of the last."""
     for chunk in chunks:
         yield chunk
         step("", len(chunk))
@@ -128,19 +128,21 @@ class CleanChunk(NamedTuple):
         return output_block(self.chunk.table, {one.name: _clean_channel(one, clean, verdicts) for one, clean in named})
 
 
-def answered(cleaner: Cleaner, recipe: Recipe, chunks: Iterable[Chunk], *, ends: bool = True) -> Iterator[CleanChunk]:
+def iter_clean_chunks(
+    cleaner: Cleaner, recipe: Recipe, chunks: Iterable[Chunk], *, ends: bool = True
+) -> Iterator[CleanChunk]:
     """Yield each chunk of rows as soon as it is clean.
 
     Parameters
     ----------
     cleaner : Cleaner
-        Holds the filters.
+        The filters of all channels.
     recipe : Recipe
-        Names the channels.
+        The recipe that names the channels.
     chunks : iterable of Chunk
         Consecutive rows.
     ends : bool
-        Whether the last chunk ends the recording. If not, rows that still need later ones stay in the cleaner.
+        Whether the last chunk ends the recording. If not, the cleaner keeps the rows whose estimates need later rows.
     """
     waiting: deque[Chunk] = deque()
 
@@ -160,14 +162,14 @@ def columns_of(chunk: Chunk, recipe: Recipe) -> list[Floats]:
 
 
 class _BackgroundObserver:
-    """Run an observer in a thread while the next rows are cleaned, one chunk at a time and in order."""
+    """An observer that runs in a thread while the next rows are cleaned, one chunk at a time and in order."""
 
     def __init__(self, gathering: ChunkObserver) -> None:
         self._gathering, self._pool = gathering, ThreadPoolExecutor(1)
         self._last: Future[None] | None = None
 
     def add(self, columns: list[Floats], elapsed: Floats, estimates: list[EstimatedRows]) -> None:
-        """Hand over some rows; wait first until the observer has finished the rows before."""
+        """Pass some rows to the observer, after it has finished the previous rows."""
         self._wait()
         self._last = self._pool.submit(self._gathering.add, columns, elapsed, estimates)
 

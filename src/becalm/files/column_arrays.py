@@ -36,7 +36,7 @@ def refuse_strange_types(schema: pa.Schema, form: str) -> None:
 
 
 def unit_of_field(field: pa.Field) -> str:
-    """Return the unit of a column, "" if it has none; the unit of a duration is its tick."""
+    """Return the unit of a column, "" if it has none; for a duration, the unit in which Arrow counts it."""
     if pa.types.is_duration(field.type):
         return str(field.type.unit)
     unit: bytes = (field.metadata or {}).get(b"unit", b"")
@@ -91,11 +91,11 @@ def numbers_of(column: pa.ChunkedArray) -> tuple[NDArray[Any], NDArray[np.bool_]
 
 
 class FillValues:
-    """Marks the missing cells of columns of whole numbers by a value, for formats without missing cells."""
+    """The values that mark missing cells in columns of whole numbers, for formats that cannot store missing cells."""
 
     def __init__(self) -> None:
-        self._marked: set[str] = set()  # columns with missing cells
-        self._holding: set[str] = set()  # columns that hold the value themselves
+        self._marked: set[str] = set()  # names of columns with missing cells
+        self._holding: set[str] = set()  # names of columns in which a present cell has the marking value
 
     def filled(self, name: str, values: NDArray[Any], missing: NDArray[np.bool_]) -> NDArray[Any]:
         """Return whole numbers (N,) with the missing ones replaced by the value of `fill_value`.
@@ -103,7 +103,7 @@ class FillValues:
         Raises
         ------
         OutputError
-            If a column has missing cells and holds the value itself.
+            If a column has missing cells, and a present cell has the marking value.
         """
         fill = fill_value(values.dtype)
         if missing.any():
@@ -118,7 +118,7 @@ class FillValues:
         return np.where(missing, fill, values)
 
     def of(self, name: str, dtype: np.dtype[Any]) -> Any:
-        """Return the value that marks missing cells of a column so far; None if it has none."""
+        """Return the value that marks missing cells of a column; None if no cell was missing so far."""
         return fill_value(dtype) if name in self._marked else None
 
 

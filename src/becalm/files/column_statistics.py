@@ -17,7 +17,7 @@ _EXACT = 2.0**53  # float64 represents every whole number up to this one
 
 
 class ColumnStatistics:
-    """Collect statistics of a column that may be a time: first values, direction, and a sample of values and steps.
+    """Statistics of a column that may be a time: first values, direction, and a sample of values and steps.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class ColumnStatistics:
 
     def add(self, values: Floats) -> None:
         """Add the next values, NaN where one is missing."""
-        steps = following(values, self._last)
+        steps = differences(values, self._last)
         if self._last is None:
             self.first = float(values[0])
         if np.isnan(self.first_known) and np.isfinite(values).any():
@@ -67,19 +67,19 @@ class ColumnStatistics:
 
     @property
     def values(self) -> Floats:
-        """Return the finite values, (n,); of more than a million rows, those in evenly spread runs of a thousand."""
+        """Return the finite values, (n,); beyond a million rows, those in evenly spaced runs of a thousand rows."""
         values = self._values.values
         return values[np.isfinite(values)]
 
     @property
     def steps(self) -> Floats:
-        """Return the finite steps, (n,); of more than a million rows, those in evenly spread runs of a thousand."""
+        """Return the finite steps, (n,); beyond a million rows, those in evenly spaced runs of a thousand rows."""
         steps = self._steps.values
         return steps[np.isfinite(steps)]
 
 
 class Counter:
-    """Detect a column that counts rows: whole numbers in steps of exactly 1."""
+    """A detector of columns that count rows: whole numbers in steps of exactly 1."""
 
     def __init__(self) -> None:
         self._seen = 0
@@ -104,7 +104,7 @@ class Counter:
 
 
 class ChannelTest:
-    """Decide whether a column is a channel: not a counter, not a flag, and exact in float64.
+    """A test whether a column is a channel: not a counter, not a flag, and exact in float64.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class ChannelTest:
     def add(self, values: Floats) -> None:
         """Add the next values, NaN where one is missing."""
         if self._counter.possible:
-            self._counter.add(values, following(values, self._last))
+            self._counter.add(values, differences(values, self._last))
             self._last = float(values[-1])
         if self._only_flags:
             zeros, ones = values == 0.0, values == 1.0
@@ -138,7 +138,7 @@ class ChannelTest:
         return self._largest > _EXACT or not (self._integer or self._counter.possible or self._only_flags)
 
     @property
-    def why_passed(self) -> str:
+    def why_not_channel(self) -> str:
         """Return why the column is not a channel; "" if it is one."""
         if self._largest > _EXACT:
             return "whole numbers beyond 2^53, which float64 cannot distinguish"
@@ -147,8 +147,8 @@ class ChannelTest:
         return "a flag (only 0 and 1)" if self._only_flags and self._zeros and self._ones else ""
 
 
-def following(values: Floats, last: float | None) -> Floats:
-    """Return the step from each previous value, NaN if one is missing; `last` is the value before the first, if any."""
+def differences(values: Floats, last: float | None) -> Floats:
+    """Return each value minus the one before it, NaN if either is missing; `last` is the value before the first."""
     with np.errstate(invalid="ignore"):
         return np.diff(values) if last is None else np.diff(values, prepend=last)
 
@@ -156,9 +156,9 @@ def following(values: Floats, last: float | None) -> Floats:
 # Read tables whose columns are stored one by one, as in the formats of instruments.
 
 NO_UNIT = "-"
-"""The unit of a column that has none, and whose name does not end in a unit either.
+"""The unit of a column without a unit, in a format whose names contain no units.
 
-In a format with named fields, `range_min` is the lowest range and not a range in minutes.
+For example, the field `range_min` is a lowest range and not a range in minutes.
 """
 
 
@@ -194,7 +194,7 @@ class ColumnRows:
         Columns by name, in the order of the file.
     count : int
         Number of rows of each column.
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file; turns errors during reading into messages.
     close : callable, optional
         Releases the file; called by `close`.
@@ -206,11 +206,11 @@ class ColumnRows:
         self,
         columns: Mapping[str, Column],
         count: int,
-        foreign: LibraryFile,
+        library_file: LibraryFile,
         close: Callable[[], None] | None = None,
         metadata: Mapping[str, str] | None = None,
     ) -> None:
-        self._columns, self.count, self._foreign, self._close = dict(columns), count, foreign, close
+        self._columns, self.count, self._library_file, self._close = dict(columns), count, library_file, close
         self.schema: pa.Schema = pa.schema([_field(name, column) for name, column in columns.items()], metadata or None)
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
@@ -218,7 +218,7 @@ class ColumnRows:
         schema = pa.schema([self.schema.field(name) for name in names], self.schema.metadata)
         for first in range(start, self.count, most_rows):
             last = min(first + most_rows, self.count)
-            with self._foreign.explain_damage():
+            with self._library_file.explain_damage():
                 values = [self._columns[name].read(first, last) for name in names]
                 arrays = [pa.array(one, kind) for one, kind in zip(values, schema.types, strict=True)]
             yield pa.table(arrays, schema=schema)

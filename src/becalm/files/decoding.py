@@ -64,12 +64,12 @@ class Text:
 
 
 class Gunzip(gzip.GzipFile):
-    """A gzip file that is unpacked up to the place where it is truncated.
+    """A gzip file that can be truncated; then it is unpacked up to the truncation.
 
     Attributes
     ----------
     cut : bool
-        Whether the file is truncated; known once the end was read.
+        Whether the file is truncated; valid once the file was read to its end.
     """
 
     cut = False
@@ -174,7 +174,7 @@ def _gunzip(path: Path, data: bytes) -> tuple[bytes, str]:
         while block := file.read(_BLOCK):
             plain += block
             refuse_claim(path, len(plain), len(data))
-    refuse_nothing(path, plain)
+    refuse_empty_archive(path, plain)
     return bytes(plain), CUT_ARCHIVE if file.cut else ""
 
 
@@ -184,7 +184,7 @@ def _without_mark(data: bytes, surely_cut: bool) -> tuple[bytes, bytes, str]:
         rest = _decoded(data, "utf-8")[1]
     except UnicodeDecodeError:
         return _from_western(data), b"", "cp1252"
-    if rest and not surely_cut and data[: -len(rest)].isascii():  # only the last bytes are not ASCII: letters of cp1252
+    if rest and not surely_cut and data[: -len(rest)].isascii():  # the last bytes are letters of cp1252
         return _from_western(data), b"", "cp1252"
     return data, rest, "utf-8"
 
@@ -200,7 +200,7 @@ def without_open_line(data: bytes) -> bytes:
     return data[: max(data.rfind(b"\n"), data.rfind(b"\r")) + 1]
 
 
-def refuse_nothing(path: Path, plain: bytes | bytearray) -> None:
+def refuse_empty_archive(path: Path, plain: bytes | bytearray) -> None:
     """Refuse an archive without content.
 
     Raises
@@ -282,7 +282,9 @@ def _from_western(data: bytes) -> bytes:
 # Detect changes of a file while it is read, and compute its hash.
 
 
-class _Facts(NamedTuple):
+class _FileStatus(NamedTuple):
+    """The attributes of a file that show whether it was changed or replaced."""
+
     device: int
     inode: int
     size: int
@@ -290,7 +292,7 @@ class _Facts(NamedTuple):
 
 
 class Original:
-    """A file as it was when reading began.
+    """The state of a file when reading began, to detect later changes.
 
     Parameters
     ----------
@@ -299,7 +301,7 @@ class Original:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._facts = path, _facts(path)
+        self._path, self._status = path, _status(path)
 
     def refuse_changed(self) -> None:
         """Refuse a file that changed since reading began: its inode, size or time of modification.
@@ -309,7 +311,7 @@ class Original:
         InputError
             If the file was replaced, written to or removed.
         """
-        if _facts(self._path) != self._facts:
+        if _status(self._path) != self._status:
             raise InputError(f"{self._path} changed while it was read; wait until it is complete, and repeat.")
 
     def sha256(self) -> str:
@@ -326,9 +328,9 @@ class Original:
         return digest.hexdigest()
 
 
-def _facts(path: Path) -> _Facts | None:
+def _status(path: Path) -> _FileStatus | None:
     try:
         status = path.stat()
     except OSError:  # the file was removed, or its disk is not connected
         return None
-    return _Facts(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+    return _FileStatus(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)

@@ -1,4 +1,4 @@
-"""Make one table for each time base of a file. Tables are never merged; only their time columns may share a name."""
+"""Make one table for each time base of a file; except for times, a column name occurs in one table only."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Group(NamedTuple):
     name : str
         The name of the group in the file; "" if it has none.
     columns : mapping of str to Column
-        Columns in the order of the file; a column that the format defines as the time has the name `TIME`.
+        Columns in the order of the file. If the format defines a column as the time, its name is `TIME`.
     rows : int
         Number of rows of each column.
     time : FormatTime, optional
-        The time, if the format defines it; otherwise a time column is searched for among the columns.
+        The time, if the format defines it; if None, `find_time` later searches the columns for it.
     notes : tuple of str
         Sentences for the user.
     """
@@ -51,13 +51,13 @@ class Group(NamedTuple):
 
 
 def tables(
-    foreign: LibraryFile, form: str, groups: Sequence[Group], close: Callable[[], None] | None = None
+    library_file: LibraryFile, form: str, groups: Sequence[Group], close: Callable[[], None] | None = None
 ) -> tuple[RawTable, ...]:
     """Return a table for each group.
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file.
     form : str
         The short name of its format, such as "mf4".
@@ -75,7 +75,7 @@ def tables(
     if not kept:
         if close is not None:
             close()
-        raise foreign.holds_nothing()
+        raise library_file.no_rows_error()
     named = [group.name or f"group {number}" for number, group in enumerate(kept, start=1)]
     titles = unique_names(named) if len(kept) > 1 else ("",)
     uses = Counter(name for group in kept for name in group.columns if not is_time_name(name))
@@ -85,7 +85,7 @@ def tables(
         units = {name: column.unit for name, column in columns.items() if column.unit}
         start = group.time.start if group.time else ""
         metadata = {key: text for key, text in ((GROUP, title), (START, start)) if text}
-        rows = ColumnRows(columns, group.rows, foreign, close_own, metadata)
+        rows = ColumnRows(columns, group.rows, library_file, close_own, metadata)
         made.append(RawTable(rows, group.rows, form, units, group=title, time=_time(group), notes=group.notes))
     return tuple(made)
 
@@ -106,7 +106,7 @@ def _time(group: Group) -> FormatTime | None:
 
 # Select one of the time bases of a file.
 
-_MOST_NAMED = 8  # groups in a message, and channels per group
+_MOST_NAMED = 8  # largest number of groups in a message, and of channels per group
 
 
 def chosen_table(path: Path, tables: Sequence[RawTable], options: ReadOptions) -> RawTable:
@@ -129,7 +129,7 @@ def chosen_table(path: Path, tables: Sequence[RawTable], options: ReadOptions) -
     if not holding:
         raise UsageError(
             f"{options.origin.name} names {options.channels[0]!r}, which is not in {path}; it holds"
-            f" {listed(tables)}.{options.origin.way_out}"
+            f" {listed(tables)}.{options.origin.advice}"
         )
     if len(holding) > 1:
         raise UsageError(

@@ -30,13 +30,13 @@ from becalm.installation import MODULE, environment
 LONGEST_S, BYTES_PER_S = 60.0, 1e6
 """The time limit of an answer: LONGEST_S seconds, and one more second for each BYTES_PER_S bytes of the file."""
 
-_PIPE_BYTES, _ENDS_WITHIN_S = 1 << 20, 2.0  # buffer of the pipe for answers; time to close a file, or to end
+_PIPE_BYTES, _ENDS_WITHIN_S = 1 << 20, 2.0  # buffer size of the pipe for answers; time to close a file, or to end, in s
 
 _FEW_THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MALLOC_ARENA_MAX": "2"}
 """Environment of the subprocess: each thread reserves address space, which counts towards its memory limit."""
 
 
-def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
+def read_in_subprocess(module: str, path: Path) -> tuple[RawTable, ...]:
     """Open the tables of a file in a subprocess, which reads their rows on demand.
 
     Parameters
@@ -62,7 +62,7 @@ def read_apart(module: str, path: Path) -> tuple[RawTable, ...]:
     opened = _OpenFile(process, path)
     closers = shared_closers(len(tables), opened.close)
     rows = [
-        _RowsApart(opened, number, table, close)
+        _SubprocessRows(opened, number, table, close)
         for number, (table, close) in enumerate(zip(tables, closers, strict=True))
     ]
     return tuple(map(_table, rows, tables))
@@ -73,7 +73,7 @@ def _own_name(path: Path) -> str:
     return os.path.realpath(path) if path.parts[1:2] in (("dev",), ("proc",)) else str(path)
 
 
-def _table(rows: _RowsApart, table: Mapping[str, Any]) -> RawTable:
+def _table(rows: _SubprocessRows, table: Mapping[str, Any]) -> RawTable:
     time = None if table["time"] is None else FormatTime(*table["time"])
     return RawTable(
         rows,
@@ -86,7 +86,7 @@ def _table(rows: _RowsApart, table: Mapping[str, Any]) -> RawTable:
     )
 
 
-class _RowsApart:
+class _SubprocessRows:
     """The rows of a table that a subprocess reads."""
 
     def __init__(self, opened: _OpenFile, number: int, table: Mapping[str, Any], close: Callable[[], None]) -> None:
@@ -112,7 +112,7 @@ class _OpenFile:
 
     def __init__(self, process: _LibraryProcess, path: Path) -> None:
         self._process, self._path = process, path
-        self._free = finalize(self, process.put_back)  # also if the tables are never closed
+        self._free = finalize(self, process.put_back)  # runs also if the tables are never closed
 
     def rows(self, request: Mapping[str, Any]) -> pa.Table | None:
         """Return the requested rows, or None after the last."""
@@ -179,7 +179,7 @@ class _LibraryProcess:
         return self._closing and self._limited({"wait": True}, _ENDS_WITHIN_S)[0] is not None
 
     def close_file(self) -> None:
-        """Ask the process to close its file, without waiting for its answer."""
+        """Request that the process close its file, without waiting for its answer."""
         if not self._closing and self._owner == os.getpid() and self._process.poll() is None:
             self._closing = self._send({})
 
@@ -218,7 +218,7 @@ class _LibraryProcess:
         return answer
 
     def _limited(self, request: Mapping[str, Any], limit_s: float) -> tuple[dict[str, Any] | None, bool]:
-        """Return the answer to a request, or None if the process does not give it, and whether it took too long."""
+        """Return the answer to a request, None if the process failed, and whether it exceeded the time limit."""
         late = Event()
 
         def stop() -> None:
@@ -234,7 +234,7 @@ class _LibraryProcess:
             except (OSError, ValueError, pa.ArrowException):
                 self._process.kill()
                 return None, late.is_set()
-            except BaseException:  # an unread answer would be taken for that to the next request
+            except BaseException:  # the process may still answer, and the next request must not get that answer
                 self._process.kill()
                 raise
             finally:

@@ -11,7 +11,7 @@ from types import ModuleType
 from becalm.errors import BecalmError, InputError
 
 _MOST_RATIO = 200  # highest plausible ratio of unpacked to stored size: noise does not compress better
-_SMALL = 256 << 20  # bytes that a file may claim to hold whatever its size
+_SMALL = 256 << 20  # bytes of content that a file of any size may claim
 
 
 class LibraryFile:
@@ -65,14 +65,14 @@ class LibraryFile:
         except (BecalmError, MemoryError):
             raise
         except Exception as cause:  # a damaged file can make a library raise any exception
-            raise self.damaged(cause) from cause
+            raise self.damage_error(cause) from cause
 
-    def damaged(self, cause: object) -> InputError:
+    def damage_error(self, cause: object) -> InputError:
         """Return the error that says that the file is damaged; `cause` is the reason."""
         reason = " ".join(str(cause).split())[:200] or type(cause).__name__
         return InputError(f"{self.path} is a damaged {self.name} file ({reason}); copy or download it again.")
 
-    def holds_nothing(self) -> InputError:
+    def no_rows_error(self) -> InputError:
         """Return the error that says that the file has no rows that can be read, and why."""
         if self.cut:
             return InputError(f"{self.path} is cut short, and no rows in it can be read; copy or download it again.")

@@ -20,12 +20,12 @@ from becalm.files.library_reader import file_bytes
 from becalm.files.source import RawTable
 
 _LEAST_BYTES = 2 << 30  # limit of memory for an empty file, in bytes
-_BYTES_PER_BYTE = 64  # more memory per byte of the file, which may be packed and is held more than once
-_LONGEST_S, _LEAST_BYTES_PER_S = 3600.0, 1e5  # limit of CPU time; bytes of the file for one more second
+_BYTES_PER_BYTE = 64  # additional memory per byte of the file, since data may be packed, and held several times
+_LONGEST_S, _LEAST_BYTES_PER_S = 3600.0, 1e5  # limit of CPU time; bytes of the file that add 1 s
 
 
-class _Ahead(NamedTuple):
-    """The next request that is expected, an iterator over the blocks after its answer, and the answer."""
+class _PrefetchedBlock(NamedTuple):
+    """The expected next request, an iterator over later blocks, and the block that answers it, if already read."""
 
     request: dict[str, Any]
     blocks: Iterator[pa.Table]
@@ -33,13 +33,13 @@ class _Ahead(NamedTuple):
 
 
 class _Server:
-    """Answers requests about one file at a time."""
+    """A server that answers requests about one file at a time."""
 
     def __init__(self, answers: BinaryIO) -> None:
         self._answers = answers
         self._path = ""
         self._tables: tuple[RawTable, ...] = ()
-        self._ahead: _Ahead | None = None
+        self._prefetched: _PrefetchedBlock | None = None
 
     def answer(self, request: dict[str, Any]) -> None:
         """Answer a request: open a file, or read rows of a table; an empty request closes the file."""
@@ -51,7 +51,7 @@ class _Server:
                 self._send({"tables": [_described(table) for table in self._open(request)]})
             else:
                 self._send_rows(self._rows(request))
-                self._read_ahead()
+                self._prefetch()
         except BecalmError as cause:
             self._send({"error": type(cause).__name__, "says": str(cause)})
         except MemoryError:
@@ -66,7 +66,7 @@ class _Server:
     def _close(self) -> None:
         for table in self._tables:
             table.rows.close()
-        self._tables, self._ahead = (), None
+        self._tables, self._prefetched = (), None
         os.chdir(os.sep)  # so that other programs can remove the folder
 
     def _open(self, request: Mapping[str, Any]) -> tuple[RawTable, ...]:
@@ -80,22 +80,22 @@ class _Server:
 
     def _rows(self, request: dict[str, Any]) -> pa.Table | None:
         """Return the requested rows, None after the last; consecutive requests share one pass over the file."""
-        ahead, self._ahead = self._ahead, None
-        if ahead is None or ahead.request != request:
+        prefetched, self._prefetched = self._prefetched, None
+        if prefetched is None or prefetched.request != request:
             rows = self._tables[request["table"]].rows
             blocks = rows.blocks(request["names"], request["most"], request["start"])
-            ahead = _Ahead(request, blocks, next(blocks, None))
-        if ahead.block is not None:
-            start = request["start"] + ahead.block.num_rows
-            self._ahead = ahead._replace(request=request | {"start": start}, block=None)
-        return ahead.block
+            prefetched = _PrefetchedBlock(request, blocks, next(blocks, None))
+        if prefetched.block is not None:
+            start = request["start"] + prefetched.block.num_rows
+            self._prefetched = prefetched._replace(request=request | {"start": start}, block=None)
+        return prefetched.block
 
-    def _read_ahead(self) -> None:
-        """Read the block that is expected to be requested next, while becalm processes the last one."""
-        ahead, self._ahead = self._ahead, None
-        if ahead is not None:
-            with suppress(Exception):  # the request for this block gets the error
-                self._ahead = ahead._replace(block=next(ahead.blocks, None))
+    def _prefetch(self) -> None:
+        """Read the next block before it is requested, while the parent process uses the last one."""
+        prefetched, self._prefetched = self._prefetched, None
+        if prefetched is not None:
+            with suppress(Exception):  # the request for this block will read again, and report the error
+                self._prefetched = prefetched._replace(block=next(prefetched.blocks, None))
 
     def _send(self, answer: Mapping[str, Any]) -> None:
         self._answers.write(json.dumps(answer).encode() + b"\n")
@@ -123,9 +123,9 @@ def _described(table: RawTable) -> dict[str, Any]:
 
 
 def _set_limits(path: Path) -> None:
-    """Limit memory and time of this process by the size of a file, where the system can.
+    """Limit memory and time of this process by the size of a file, if the system supports limits.
 
-    The time limit is longer than becalm waits: it ends a process that hangs after becalm has ended.
+    The time limit is longer than the parent process waits; it ends a process that hangs after its parent has ended.
     """
     try:
         import resource
@@ -142,7 +142,7 @@ def _set_limits(path: Path) -> None:
 
 def main() -> None:
     """Answer requests until there are no more; what a library prints goes to stderr, so that answers stay intact."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # becalm decides when this process ends
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # only the parent process ends this process
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")

@@ -18,7 +18,7 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "": 1.0}
 
 
 def hertz_of(name: str, number: float, unit: str = "") -> float | None:
-    """Return the rate in Hz from a number that is named as a rate or a step; None if it is neither, or out of range.
+    """Return the rate in Hz from a number named as a rate or a step; None for other names and implausible rates.
 
     Parameters
     ----------
@@ -27,8 +27,8 @@ def hertz_of(name: str, number: float, unit: str = "") -> float | None:
     number : float
         The rate or the step.
     unit : str
-        The unit of the number. With "" it is the unit in the name, or else Hz or seconds; None is returned if both are
-        there and differ, or if the unit is unknown.
+        The unit of the number; if "", the unit in the name is used, or Hz or seconds if the name has none. If `unit`
+        and the unit in the name differ, or a unit is unknown, the result is None.
     """
     scales = _HERTZ if _is(_RATES, name) else _SECONDS if _is(_STEPS, name) else {}
     units = [tidy_unit(one) for one in (unit, parse_header(name)[1]) if one] or [""]

@@ -24,15 +24,13 @@ from becalm.files.other_units import convert_units
 from becalm.files.read_options import ReadOptions, refuse_impossible
 from becalm.files.registry import read_tables
 from becalm.files.roles import SIGMA, choose_channels, missing_in, refuse_uncertainties, unit_of, values_of
-from becalm.files.rows import HeldRows, block_rows, rebatched
+from becalm.files.rows import MemoryRows, block_rows, rebatched
 from becalm.files.source import Layout, RawTable, SourceFile, TimeLayout, layout_of
 from becalm.files.timing.clock import clock_of
 from becalm.files.timing.times import Stamps, row_times
 
 if TYPE_CHECKING:
     from becalm.sensors.record import Calibration
-
-# A chunk of consecutive rows of a file.
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ class Chunk:
 
 
 STRETCHES = 8
-"""Number of stretches in a sample of a long recording."""
+"""Number of stretches, each of consecutive rows, in a sample of a long recording."""
 
 
 class OpenSource:
@@ -157,7 +155,7 @@ class OpenSource:
 
     @property
     def replaced(self) -> tuple[str, ...]:
-        """Return the columns of the file that the uncertainties of its channels replace in the output."""
+        """Return the columns NAME_sigma of the file that the output replaces by new uncertainties."""
         return tuple(name for name in self.schema.names if name in {own + SIGMA for own in self.names})
 
     @property
@@ -216,7 +214,7 @@ class OpenSource:
         return self.clock.elapsed(self._stamps.read(first, first + count), last)
 
     def seconds(self, first: int, count: int) -> Floats:
-        """Return the times in seconds, (count,), of rows from `first` on: their stamps, or those of an even clock."""
+        """Return the times in seconds, (count,), of rows from `first` on: from stamps, or from an even clock."""
         if self._stamps is None:
             return self.clock.start_s + self.clock.step_s * np.arange(first, first + count, dtype=np.float64)
         return self._stamps.read(first, first + count)
@@ -271,7 +269,7 @@ class OpenSource:
         """Read all columns and rows into memory; later reads use this table instead of the file."""
         table = pa.concat_tables(list(self._raw.blocks(self._raw.names)))
         self._raw.rows.close()
-        self._raw = replace(self._raw, rows=HeldRows(table))
+        self._raw = replace(self._raw, rows=MemoryRows(table))
         return table
 
     def close(self) -> None:
@@ -343,7 +341,7 @@ def select_table(file: Path, tables: tuple[RawTable, ...], options: ReadOptions)
 def in_chosen_units(tables: tuple[RawTable, ...], options: ReadOptions) -> tuple[tuple[RawTable, ...], ReadOptions]:
     """Convert tables by the sensors and units of the options; return them, and the options with new channel names."""
     if options.sensors:
-        from becalm.files.calibrated_source import with_sensors  # only where a sensor is given
+        from becalm.files.calibrated_source import with_sensors  # imported only if sensors are given
 
         tables, options = with_sensors(tables, options)
     return convert_units(tables, options)
@@ -362,7 +360,7 @@ def open_table(file: Path, raw: RawTable, options: ReadOptions) -> OpenSource:
     try:
         return OpenSource(file, raw, options)
     except InputError as cause:
-        if str(cause).startswith(str(file)):  # the message names the file already
+        if str(cause).startswith(str(file)):  # the message already names the file
             raise
         if isinstance(cause, TimeError):
             raise TimeError(f"{file}: {cause} {raw.joined}".rstrip()) from cause
@@ -379,7 +377,7 @@ def close(tables: Iterable[RawTable]) -> None:
 
 
 def read_source(path: str | os.PathLike[str], options: ReadOptions | None = None) -> SourceFile:
-    """Read a file of any known format; if it has several time bases, the one that the options select.
+    """Read a file of any known format into memory; of several time bases, read the one that the options select.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ SAME = Conversion()
 
 
 class ColumnConversion(NamedTuple):
-    """How a column is converted.
+    """The new name and unit of a column, and the conversion to it.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ def convert_units(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tup
     tables : sequence of RawTable
         The tables of a file.
     options : ReadOptions
-        Its `units` are the requested ones, its `fitting` those of a recipe.
+        Its `units` are the requested ones, its `required_units` those of a recipe.
 
     Returns
     -------
@@ -104,8 +104,8 @@ def convert_units(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tup
     if options.units and selected:
         columns = _requested_conversions(selected, options.units)
         selected, options = [_convert(table, columns) for table in selected], _renamed(options, columns)
-    if options.fitting is not None:
-        columns = _needed_conversions(selected, options, options.fitting)
+    if options.required_units is not None:
+        columns = _needed_conversions(selected, options, options.required_units)
         selected = [_convert(table, columns) for table in selected]
         options = _renamed(options, columns)
     converted = iter(selected)
@@ -132,7 +132,7 @@ def _requested_conversions(tables: Sequence[RawTable], units: Mapping[str, str])
 
 
 def _needed_conversions(
-    tables: Sequence[RawTable], options: ReadOptions, fitting: RequiredUnits
+    tables: Sequence[RawTable], options: ReadOptions, required: RequiredUnits
 ) -> dict[str, ColumnConversion]:
     """Return the conversions of columns to the names and units of a recipe; names are matched without their units."""
     owners = {name: table for table in tables for name in table.names}
@@ -140,14 +140,14 @@ def _needed_conversions(
     for name in owners:
         bare.setdefault(parse_header(name)[0], []).append(name)
     columns = {}
-    for needed, unit in fitting.units.items():
+    for needed, unit in required.units.items():
         alike = [needed] if needed in owners else bare.get(parse_header(needed)[0], [])
         if len(alike) != 1 or not _is_wanted(alike[0], needed, options):
             continue  # a missing or ambiguous column is refused later, by `named_column`
         (name,) = alike
         old_unit = unit_of(owners[name], name)
         if old_unit and unit and (old_unit, name) != (unit, needed):
-            columns[name] = _converted(owners[name], name, ColumnConversion(needed, unit, SAME), fitting.origin)
+            columns[name] = _converted(owners[name], name, ColumnConversion(needed, unit, SAME), required.origin)
     return columns
 
 
@@ -171,7 +171,7 @@ def _converted(raw: RawTable, name: str, wanted: ColumnConversion, origin: Reque
     try:
         factor, offset = change = conversion(old_unit, unit)
     except UsageError as cause:
-        raise UsageError(f"{origin.name} asks for {name!r} in {unit}: {cause}{origin.way_out}") from cause
+        raise UsageError(f"{origin.name} asks for {name!r} in {unit}: {cause}{origin.advice}") from cause
     if change != SAME and not _is_number(raw.type_of(name)):
         raise UsageError(
             f"{origin.name} asks for {name!r} in {unit}, but not all of its cells are numbers (it holds"

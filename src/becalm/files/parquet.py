@@ -141,7 +141,7 @@ class ParquetRows:
                     f" {', '.join(map(repr, nested or names)) or 'a column'} ({reason}); write it again without that"
                     " column, or as plain numbers and text."
                 ) from cause
-            if not self._begins():
+            if not self._begins_as_parquet():
                 raise InputError(
                     f"{self._path} is not a Parquet file: its first bytes are those of another format."
                 ) from cause
@@ -152,7 +152,7 @@ class ParquetRows:
                 ) from cause
             raise InputError(f"{self._path} is a damaged Parquet file ({reason}); copy or write it again.") from cause
 
-    def _begins(self) -> bool:
+    def _begins_as_parquet(self) -> bool:
         """Return whether the file begins as Parquet; True for an empty file and one that cannot be opened."""
         if isinstance(self._kept, bytes):
             return self._kept[: len(PARQUET)] in (PARQUET, b"")
@@ -171,7 +171,7 @@ class ParquetRows:
 
 
 def _are_selectable(names: Sequence[str]) -> bool:
-    """Return whether pyarrow can select single columns by name: if there is `a.b`, selecting `a` also reads `a.b`."""
+    """Return whether each name selects one column; a repeated name does not, nor does `a` if there is an `a.b`."""
     distinct = set(names)
     stems = (".".join(name.split(".")[:count]) for name in names for count in range(1, name.count(".") + 1))
     return len(distinct) == len(names) and distinct.isdisjoint(stems)

@@ -9,12 +9,12 @@ import numpy as np
 import pyarrow as pa
 
 _GROUP_ROWS = 1 << 20  # rows of a row group
-_GROUP_BYTES = 256 << 20  # bytes in memory at which fewer rows become a row group
+_GROUP_BYTES = 256 << 20  # bytes of held rows that are written as a row group even if there are fewer rows
 _SAMPLED = 4096  # values of a column that decide whether it gets a dictionary
 
 
 class ParquetTableWriter:
-    """Write tables of one schema one after another into a Parquet file.
+    """A writer that appends tables of one schema to a Parquet file.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _new_writer(file: IO[bytes], table: pa.Table) -> Any:
 
 
 def _repeats(column: pa.ChunkedArray) -> bool:
-    """Return whether a column gets a dictionary: not if it is a long column of floats that rarely repeat in a sample.
+    """Return whether a column gets a dictionary; a long column of floats gets none if few values in a sample repeat.
 
     The sigma of a steady state repeats, but a clean signal does not.
     """

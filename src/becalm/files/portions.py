@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from becalm.files.opening import OpenSource
 
 TUNED_ROWS = 1 << 20
-"""The most rows to tune a recipe on; of a longer file, evenly spaced stretches are used."""
+"""The most rows to tune a recipe on; a longer file is represented by evenly spaced stretches of rows."""
 
 TUNED_ROWS_UNEVEN = 1 << 18
-"""The same for a file with uneven time, where each row needs its own step matrices."""
+"""The most rows to tune a recipe on if the time is uneven, because then each row needs its own step matrices."""
 
 REST_ROWS = 1 << 22
-"""The most rows to search for rest; they are the first of the file, because an Allan deviation needs adjacent rows."""
+"""The most rows to search for rest: the first rows of the file, as an Allan deviation needs consecutive rows."""
 
 _MOST_SAMPLES = 1 << 26  # most values of all channels together
 
@@ -29,12 +29,12 @@ def rows_to_tune_on(source: OpenSource) -> int:
     return _limited(TUNED_ROWS if source.clock.uniform else TUNED_ROWS_UNEVEN, source)
 
 
-def beginning(source: OpenSource) -> Recording:
+def read_beginning(source: OpenSource) -> Recording:
     """Read the first rows of a file, up to the number that is searched for rest."""
     return source.stretches([(0, min(source.rows, _limited(REST_ROWS, source)))])
 
 
-def cut_short(source: OpenSource, read: Recording) -> str:
+def unused_rows_note(source: OpenSource, read: Recording) -> str:
     """Return a sentence that says that only the first rows were used; "" if all were."""
     if len(read) == source.rows:
         return ""
@@ -42,7 +42,7 @@ def cut_short(source: OpenSource, read: Recording) -> str:
 
 
 @contextmanager
-def rest_within(source: OpenSource, read: Recording) -> Iterator[None]:
+def explain_rest_errors(source: OpenSource, read: Recording) -> Iterator[None]:
     """Turn an error about an interval of rest from the command line into a UsageError, with the number of rows used.
 
     Raises
@@ -53,7 +53,7 @@ def rest_within(source: OpenSource, read: Recording) -> Iterator[None]:
     try:
         yield
     except RecordingError as cause:
-        raise UsageError(f"{cause}{cut_short(source, read)}") from cause
+        raise UsageError(f"{cause}{unused_rows_note(source, read)}") from cause
 
 
 def _limited(most: int, source: OpenSource) -> int:

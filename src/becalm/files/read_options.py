@@ -20,13 +20,13 @@ class RequestOrigin(NamedTuple):
     Attributes
     ----------
     name : str
-        The subject of the sentence, such as "--channels" or "The recipe".
-    way_out : str
-        Another sentence with what else the user can do; it begins with a space.
+        The subject of sentences in messages, such as "--channels" or "The recipe".
+    advice : str
+        A sentence that is appended to a message, on what else the user can do. It begins with a space; "" for none.
     """
 
     name: str
-    way_out: str = ""
+    advice: str = ""
 
 
 COMMAND_LINE = RequestOrigin("--channels")
@@ -63,7 +63,7 @@ class ReadOptions:
         The origin of `channels`, for messages.
     group : str, optional
         The time base to read from a file with several.
-    fitting : RequiredUnits, optional
+    required_units : RequiredUnits, optional
         Names and units that channels must have; a column with the same name in another unit is converted.
     units : mapping of str to str
         Units to convert columns to, by column name as in the header or without its unit.
@@ -78,19 +78,19 @@ class ReadOptions:
     channels: tuple[str, ...] | None = None
     origin: RequestOrigin = COMMAND_LINE
     group: str | None = None
-    fitting: RequiredUnits | None = None
+    required_units: RequiredUnits | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     sensors: tuple[SensorRecord, ...] = ()
     as_written: bool = False
 
 
-def asked_by(recipe: Recipe, again: str) -> ReadOptions:
-    """Return the options with which a recipe needs a file to be read.
+def options_of_recipe(recipe: Recipe, again: str) -> ReadOptions:
+    """Return the options for reading a file that a recipe will clean: its channels, units and time.
 
     Parameters
     ----------
     recipe : Recipe
-        Its channels are read.
+        The recipe.
     again : str
         The command that makes another recipe, for messages.
     """
@@ -101,7 +101,7 @@ def asked_by(recipe: Recipe, again: str) -> ReadOptions:
         recipe.rate_hz,
         tuple(units),
         origin,
-        fitting=RequiredUnits(origin, units),
+        required_units=RequiredUnits(origin, units),
         as_written=recipe.stamps is not None,
     )
 

@@ -27,7 +27,7 @@ from becalm.files.timing.time_column import named_column
 from becalm.files.unit_spelling import parse_header
 from becalm.sensors.bridge import Bridge
 from becalm.sensors.curve import CalibrationCurve
-from becalm.sensors.record import SensorRecord, convert_readings, tared
+from becalm.sensors.record import SensorRecord, apply_tare, convert_readings
 from becalm.sensors.tare import Tare
 
 _FROM = RequestOrigin("--from")
@@ -150,7 +150,7 @@ def _recalibrate_channel(table: RawTable, recipe: Recipe, old: SensorRecord, new
 
 
 def _refuse_other(old: SensorRecord, new: SensorRecord) -> None:
-    """Refuse a change of calibration that is more than another sensitivity and another zero."""
+    """Refuse a new calibration that differs in more than the sensitivity and the zero of a linear sensor."""
     named = ", ".join(map(repr, old.channels))
     if len(old.channels) > 1:
         raise UsageError(f"The axes {named} are calibrated together, and each was filtered in its own way. {_AGAIN}")
@@ -172,7 +172,7 @@ def _refuse_other(old: SensorRecord, new: SensorRecord) -> None:
 
 
 def _tare_of(old: SensorRecord, calibration: CalibrationRecipe | None) -> Tare | None:
-    """Return the zero that was measured when the recording was cleaned; its interval must be that of --from."""
+    """Return the zero that was measured at cleaning; raise an error if --from has another tare interval."""
     tare = None if calibration is None or calibration.tare is None else Tare(**calibration.tare.model_dump())
     expected = None if old.tare_s is None else (*old.tare_s, old.raw_unit)
     if expected != (None if tare is None else (tare.start_s, tare.stop_s, tare.raw_unit)):
@@ -184,7 +184,7 @@ def _tare_of(old: SensorRecord, calibration: CalibrationRecipe | None) -> Tare |
 
 
 def _with_zero(record: SensorRecord, tare: Tare | None) -> SensorRecord:
-    return record if record.tare_s is None or tare is None else tared(record, tare)
+    return record if record.tare_s is None or tare is None else apply_tare(record, tare)
 
 
 def _line(record: SensorRecord) -> tuple[float, float]:

@@ -39,11 +39,11 @@ _SEVERAL_TIMES = frozenset({HDF5, MAT, MF4, NPZ, TDMS})  # formats whose files c
 _WRITTEN_BY = {HDF5: "h5py", MF4: "asammdf", TDMS: "nptdms"}  # optional libraries; the other formats need none
 
 BAG = "metadata.yaml"
-"""The file that marks a folder as a ROS 2 bag; in any other folder, the Parquet files are read."""
+"""The file that marks a folder as a ROS 2 bag; any other folder is read as a folder of Parquet files."""
 
 _ENDINGS = ".csv, .csv.gz, .h5, .mat, .mf4, .npz, .parquet or .tdms"
 
-_HEAD = 512  # first bytes of a file, by which its format is recognised
+_HEAD = 512  # number of bytes at the start of a file by which its format is recognised
 
 
 def read_tables(path: Path) -> tuple[RawTable, ...]:
@@ -59,9 +59,9 @@ def read_tables(path: Path) -> tuple[RawTable, ...]:
     if (path / BAG).is_file():
         return _library_tables("robots.rosbag", path)
     with explain_read_errors(path):
-        is_folder, is_pipe = path.is_dir(), not path.is_file()  # or the path does not exist: then reading it raises
+        is_folder, is_pipe = path.is_dir(), not path.is_file()  # a missing path counts as a pipe, and reading it raises
     if is_folder:
-        from becalm.files.lake.folder import read_folder  # only where a folder is read
+        from becalm.files.lake.folder import read_folder  # imported only to read a folder
 
         return (read_folder(path),)
     if is_pipe:
@@ -86,13 +86,13 @@ def _read_file(path: Path, original: Original) -> tuple[RawTable, ...]:
 
 
 def _library_tables(module: str, path: Path) -> tuple[RawTable, ...]:
-    from becalm.files.library_process import read_apart  # only where such a file is read
+    from becalm.files.library_process import read_in_subprocess  # imported only to read such a file
 
-    return read_apart(f"becalm.files.{module}", path)
+    return read_in_subprocess(f"becalm.files.{module}", path)
 
 
 def _library_format(head: bytes) -> LibraryFormat | None:
-    return next((one for one in LIBRARY_FORMATS if one.is_it(head)), None)
+    return next((one for one in LIBRARY_FORMATS if one.matches(head)), None)
 
 
 def writable_endings() -> list[str]:
@@ -100,7 +100,7 @@ def writable_endings() -> list[str]:
     return [ending for ending, form in ENDINGS.items() if form not in _WRITTEN_BY or find_spec(_WRITTEN_BY[form])]
 
 
-def holds_times(form: str) -> bool:
+def stores_several_times(form: str) -> bool:
     """Return whether a format can store several time bases in one file."""
     return form in _SEVERAL_TIMES
 

@@ -14,15 +14,15 @@ from becalm.errors import InputError, UsageError
 from becalm.files.column_statistics import ChannelTest
 from becalm.files.read_options import COMMAND_LINE, RequestOrigin
 from becalm.files.rows import block_rows
-from becalm.files.source import CHANNEL, PASSED, TIME, ColumnLayout, RawTable
+from becalm.files.source import CHANNEL, PASSED_THROUGH, TIME, ColumnLayout, RawTable
 from becalm.files.text.cells import bad_cell, find_bad_cells, is_text, to_numbers
 from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_column, numbers
 from becalm.files.unit_spelling import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"  # the ending of the name of a column of uncertainties
 _COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # a ROS driver writes its sensor's covariance with each reading
-_MOST_NAMED = 8  # columns that a message names
-_FIRST_ROWS = 1 << 16  # rows that decide for most columns whether they are channels
+_MOST_NAMED = 8  # largest number of columns that a message names
+_FIRST_ROWS = 1 << 16  # rows that suffice to decide for most columns whether they are channels
 
 
 def choose_channels(
@@ -63,17 +63,17 @@ def choose_channels(
     """
     times = (*time, *other_times)
     wanted = None if asked is None else _requested_columns(raw, asked, time, origin)
-    passed = _why_passed(raw, times) if wanted is None else {}
+    why_not = _why_not_channels(raw, times) if wanted is None else {}
     columns = []
     for name in raw.names:
-        role, why = PASSED, ""
+        role, why = PASSED_THROUGH, ""
         if name in time:
             role = TIME
         elif wanted is not None:
-            role, why = (CHANNEL, "asked for") if name in wanted else (PASSED, "not asked for")
+            role, why = (CHANNEL, "asked for") if name in wanted else (PASSED_THROUGH, "not asked for")
         elif name in other_times:
             why = "another time" if time else "a time; rows are counted at the rate given"
-        elif not (why := passed[name]):
+        elif not (why := why_not[name]):
             role = CHANNEL
         columns.append(ColumnLayout(name, role, why, unit_of(raw, name)))
     channels = tuple(column.name for column in columns if column.role == CHANNEL)
@@ -118,13 +118,13 @@ def _requested_columns(
         if name in time:
             raise UsageError(
                 f"{origin.name} names {name!r}, which is the time column; leave it out, or name another time with"
-                f" --time.{origin.way_out}"
+                f" --time.{origin.advice}"
             )
     return wanted
 
 
-def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
-    """Return the reason why a column is not a channel, "" if it is one, for each column except the times."""
+def _why_not_channels(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
+    """Return for each column except the times why it is not a channel; "" if it is one."""
     reasons: dict[str, str] = {}
     signals = {}
     for name in raw.names:
@@ -150,7 +150,7 @@ def _why_passed(raw: RawTable, times: Sequence[str]) -> dict[str, str]:
     if raw.count > _FIRST_ROWS and undecided:
         _examine(raw, undecided, raw.count)
         signals |= undecided
-    return reasons | {name: signal.why_passed for name, signal in signals.items()}
+    return reasons | {name: signal.why_not_channel for name, signal in signals.items()}
 
 
 def _examine(raw: RawTable, signals: Mapping[str, ChannelTest], rows: int) -> None:

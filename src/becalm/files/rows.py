@@ -15,12 +15,12 @@ from becalm.errors import OutputError
 
 BLOCK_ROWS = 1 << 20  # most rows of a block
 BLOCK_BYTES = 64 << 20  # most bytes of a block, with 8 bytes per value
-HELD_ROWS = 1 << 24
-"""The most rows of a single column that are held in memory; a longer column goes to a temporary file."""
+MOST_MEMORY_ROWS = 1 << 24
+"""The most rows of a single column that are kept in memory; a longer column is written to a temporary file."""
 
 _SPOOL_BLOCK = 1 << 16  # numbers that `Spool.blocks` yields at a time
 
-ColumnStatistics = NDArray[Any]  # float64 or int64
+NumberArray = NDArray[Any]  # float64 or int64
 
 
 class TableRows(Protocol):
@@ -46,7 +46,7 @@ def block_rows(schema: pa.Schema) -> int:
     return max(1, min(BLOCK_ROWS, BLOCK_BYTES // (8 * max(1, len(schema)))))
 
 
-class HeldRows:
+class MemoryRows:
     """A table in memory."""
 
     def __init__(self, table: pa.Table) -> None:
@@ -164,21 +164,21 @@ def rebatched(blocks: Iterable[pa.Table], rows: int) -> Iterator[pa.Table]:
 
 
 class Spool:
-    """A column of numbers, in memory or, if it is longer than `HELD_ROWS`, in a temporary file.
+    """A column of numbers, in memory or, if it is longer than `MOST_MEMORY_ROWS`, in a temporary file.
 
     Parameters
     ----------
     blocks : iterable of (n,) arrays
         The numbers in order; all blocks are float64, or all are int64.
     count : int
-        The total number of numbers.
+        How many numbers there are in all blocks.
     """
 
-    def __init__(self, blocks: Iterable[ColumnStatistics], count: int) -> None:
+    def __init__(self, blocks: Iterable[NumberArray], count: int) -> None:
         self._file: IO[bytes] | None = None
-        self._held: ColumnStatistics = np.empty(0)
+        self._held: NumberArray = np.empty(0)
         self.count = count
-        if count <= HELD_ROWS:
+        if count <= MOST_MEMORY_ROWS:
             at = 0
             for block in blocks:
                 if not at:
@@ -198,7 +198,7 @@ class Spool:
             self._file.close()
             raise
 
-    def read(self, start: int, stop: int) -> ColumnStatistics:
+    def read(self, start: int, stop: int) -> NumberArray:
         """Return the numbers from row `start` up to row `stop`."""
         if self._file is None:
             return self._held[start:stop]
@@ -207,7 +207,7 @@ class Spool:
         self._file.readinto(out.data.cast("B"))  # type: ignore[attr-defined]  # buffered files have readinto
         return out
 
-    def blocks(self) -> Iterator[ColumnStatistics]:
+    def blocks(self) -> Iterator[NumberArray]:
         """Yield all numbers in small blocks."""
         for start in range(0, self.count, _SPOOL_BLOCK):
             yield self.read(start, start + _SPOOL_BLOCK)

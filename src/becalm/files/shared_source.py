@@ -58,7 +58,7 @@ class SharedSource:
     ----------
     raw : RawTable
         Its columns.
-    known : ParsedSource
+    parsed : ParsedSource
         Its channels, clock and number of rows.
 
     Attributes
@@ -69,10 +69,10 @@ class SharedSource:
         Step, gaps and jitter of its time.
     """
 
-    def __init__(self, raw: RawTable, known: ParsedSource) -> None:
-        self._raw, self._known = raw, known
+    def __init__(self, raw: RawTable, parsed: ParsedSource) -> None:
+        self._raw, self._parsed = raw, parsed
         self.schema: pa.Schema = raw.rows.schema
-        self.clock = known.clock
+        self.clock = parsed.clock
 
     def chunks(self, first: int, stop: int, rows: int) -> Iterator[Chunk]:
         """Yield the rows from `first` up to `stop` in chunks of `rows` rows.
@@ -84,24 +84,24 @@ class SharedSource:
         """
         row = first
         for table in rebatched(self._blocks_until(first, stop, rows), rows):
-            yield Chunk(row, table, self.elapsed(row, table.num_rows), self._known.names, self._raw.decimal)
+            yield Chunk(row, table, self.elapsed(row, table.num_rows), self._parsed.names, self._raw.decimal)
             row += table.num_rows
         if self._raw.original is not None:
             self._raw.original.refuse_changed()
 
     def elapsed(self, first: int, count: int) -> Floats:
         """Return the time since the previous row in steps, (count,), for each row from `first` on."""
-        if not self._known.stamps:
+        if not self._parsed.stamps:
             return self.clock.elapsed_rows(first, count)
         begin = max(0, first - 1)
-        stamps = np.fromfile(self._known.stamps, np.float64, first + count - begin, offset=8 * begin)
+        stamps = np.fromfile(self._parsed.stamps, np.float64, first + count - begin, offset=8 * begin)
         return self.clock.elapsed(stamps[first - begin :], float(stamps[0]) if first else None)
 
     def steps_before(self, row: int) -> float:
         """Return the time from the first row to the row before `row`, in steps."""
-        if not self._known.stamps or row < 1:
+        if not self._parsed.stamps or row < 1:
             return float(max(0, row - 1))
-        ends = [np.fromfile(self._known.stamps, np.float64, 1, offset=8 * at)[0] for at in (0, row - 1)]
+        ends = [np.fromfile(self._parsed.stamps, np.float64, 1, offset=8 * at)[0] for at in (0, row - 1)]
         steps = float(ends[1] - ends[0]) / self.clock.near_s
         return float(round(steps)) if self.clock.uniform else steps
 

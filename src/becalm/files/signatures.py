@@ -1,4 +1,4 @@
-"""Recognise the format of a file by its first bytes; no reader is loaded for it."""
+"""Recognise the format of a file by its first bytes, without importing its reader."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable
 from typing import NamedTuple
 
-_MAT4_KINDS = {  # type codes of the first variable by byte order: 1000 order + 10 type of numbers + kind of matrix
+_MAT4_KINDS = {  # by byte order, valid type codes: 1000 * byte order + 10 * type of number + type of matrix
     order: {thousand + 10 * stored + content for stored in range(6) for content in range(3)}
     for order, thousand in (("<", 0), (">", 1000))
 }
@@ -24,7 +24,7 @@ def is_mat5(head: bytes) -> bool:
 
 
 def is_mat4(head: bytes) -> bool:
-    """Return whether a file is MAT version 4, which has no signature: its first variable must be plausible."""
+    """Return whether a file is MAT version 4, by a plausible head of its first variable; it has no signature."""
     for order in "<>":
         if len(head) < 22:
             return False
@@ -56,12 +56,12 @@ class LibraryFormat(NamedTuple):
     ----------
     module : str
         The module within `becalm.files`; its `read` takes the path and returns a table for each time base.
-    is_it : callable
+    matches : callable
         Takes the first bytes of a file; returns whether the file has this format.
     """
 
     module: str
-    is_it: Callable[[bytes], bool]
+    matches: Callable[[bytes], bool]
 
 
 LIBRARY_FORMATS: tuple[LibraryFormat, ...] = (

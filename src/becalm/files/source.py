@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 TIME = "time"
 CHANNEL = "channel"
-PASSED = "passed through"
+PASSED_THROUGH = "passed through"
 """The roles of columns."""
 
 HEAD_ROWS = 200  # rows of `RawTable.head`
@@ -62,7 +62,7 @@ class FormatTime(NamedTuple):
     Attributes
     ----------
     column : str
-        The column that holds the time in seconds; "" as long as there is none.
+        Name of the column that holds the time in seconds; "" until such a column is added.
     rate_hz : float or None
         The rate in Hz of evenly spaced rows; it takes precedence over the column.
     start : str
@@ -91,7 +91,7 @@ class RawTable:
     text : TextLayout, optional
         The layout of a text file.
     original : Original, optional
-        The state of the file when reading began, if it can be read again.
+        The state of the file when reading began; None for a pipe, which cannot be read again.
     group : str
         The name of the time base in the file; "" if all columns of the file share one time.
     time : FormatTime, optional
@@ -101,7 +101,7 @@ class RawTable:
     calibrations : dict of str to Calibration
         Calibrations of columns that were converted from a sensor's raw readings, by column name.
     joined : str
-        A sentence that names the files the rows come from, for messages about a stamp; "" for a single file.
+        A sentence that names the files the rows come from, for messages about time stamps; "" for a single file.
     """
 
     rows: TableRows
@@ -128,7 +128,7 @@ class RawTable:
 
     @cached_property
     def head(self) -> pa.Table:
-        """Return the first rows of all columns, up to 200, by which the kind of a column is recognised."""
+        """Return the first rows of all columns, at most 200; they show the kind of each column."""
         blocks = rebatched(self.blocks(self.names, most_rows=HEAD_ROWS), HEAD_ROWS)
         return next(blocks, self.rows.schema.empty_table())
 
@@ -150,7 +150,7 @@ class RawTable:
         return (block.column(0) for block in self.blocks([name]))
 
     def place(self, row: int) -> str:
-        """Return where the user finds a row of data, counted from 0, such as "row 3 (line 5)"."""
+        """Return the place of row `row`, counted from 0, in words for the user, such as "row 3 (line 5)"."""
         if self.text is None:
             return f"row {row + 1}"
         return f"row {row + 1} (line {self.text.first_line + row})"
@@ -165,7 +165,7 @@ class TimeLayout:
     columns : tuple of str
         The time column; two if date and time of day are separate columns; none if rows are counted.
     kind : str
-        "numbers", "epoch", "date-time", "time of day", "duration" or "counted rows".
+        "numbers", "epoch", "date-time", "date", "time of day", "duration", "rate in the file" or "counted rows".
     unit : str
         Unit of the numbers; "" for kinds that have no unit.
     start : str

@@ -23,7 +23,7 @@ VERDICT = "_verdict"
 """The ending of the name of a column of verdicts."""
 
 _TIME = "time_s"  # the time column of `recording_table`
-_WORDS = pa.dictionary(pa.int8(), pa.string())  # the type of a column of verdicts
+_VERDICT_TYPE = pa.dictionary(pa.int8(), pa.string())  # the type of a column of verdicts: words
 
 
 class CleanChannel(NamedTuple):
@@ -73,7 +73,7 @@ def output_table(source: SourceFile, signal: Recording, sigma: Recording) -> pa.
     RecordingError
         If names or numbers of rows do not agree.
     """
-    _refuse_strangers(source, signal, sigma)
+    _refuse_unknown_channels(source, signal, sigma)
     clean = {
         name: CleanChannel(signal.channel(name), sigma.channel(name), unit)
         for name, unit in zip(signal.names, signal.units, strict=True)
@@ -82,7 +82,7 @@ def output_table(source: SourceFile, signal: Recording, sigma: Recording) -> pa.
 
 
 def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table:
-    """Put clean channels in the place of the noisy ones, in a table or in a chunk of one.
+    """Put clean channels in the place of the noisy ones, in a whole table or in some of its rows.
 
     Parameters
     ----------
@@ -106,22 +106,22 @@ def output_block(table: pa.Table, clean: Mapping[str, CleanChannel]) -> pa.Table
                 fields.append(_field(name, own.unit, field.metadata if name == field.name else None))
                 columns.append(pa.array(values))
             if own.verdicts is not None:
-                fields.append(pa.field(field.name + VERDICT, _WORDS))
-                columns.append(in_words(own.verdicts))
+                fields.append(pa.field(field.name + VERDICT, _VERDICT_TYPE))
+                columns.append(verdict_words(own.verdicts))
         elif field.name not in replaced:
             fields.append(field)
             columns.append(column)
     return pa.table(columns, schema=pa.schema(fields, metadata=table.schema.metadata))
 
 
-def in_words(verdicts: Codes) -> pa.DictionaryArray:
+def verdict_words(verdicts: Codes) -> pa.DictionaryArray:
     """Return verdicts (n,) as words: "used", "missing", "spike" and so on."""
     words = pa.array([verdict.name.lower() for verdict in Verdict], pa.string())
     return pa.DictionaryArray.from_arrays(pa.array(verdicts, pa.int8()), words)
 
 
 def recording_table(recording: Recording, sigma: Recording | None = None) -> pa.Table:
-    """Make a table of a recording: `time_s`, the channels, and NAME_sigma after each where given.
+    """Make a table of a recording: `time_s`, then each channel, followed by NAME_sigma if `sigma` is given.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _field(name: str, unit: str, metadata: Mapping[bytes, bytes] | None = None) 
     return pa.field(name, pa.float64(), metadata=own or None)
 
 
-def _refuse_strangers(source: SourceFile, signal: Recording, sigma: Recording) -> None:
+def _refuse_unknown_channels(source: SourceFile, signal: Recording, sigma: Recording) -> None:
     rows = source.table.num_rows
     if len(signal) != rows or len(sigma) != rows:
         raise RecordingError(f"{len(signal)} clean rows and {len(sigma)} uncertainties came for a file of {rows} rows.")

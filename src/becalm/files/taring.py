@@ -1,4 +1,4 @@
-"""Measure the zeros of sensors in given intervals of a file, before the file is read as a whole."""
+"""Measure the zero offsets of sensors in given intervals at rest (tare), before the whole file is read."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from becalm.files.roles import values_of
 from becalm.files.source import RawTable
 from becalm.files.timing.times import RowTimes, row_times, rows_between
 from becalm.sensors.curve import CalibrationCurve
-from becalm.sensors.record import tared
+from becalm.sensors.record import apply_tare
 from becalm.sensors.tare import MOST_READINGS, Tare, zero_of
 
-_AS_READ = CalibrationCurve((0.0, 1.0))  # does not change readings
+_IDENTITY = CalibrationCurve((0.0, 1.0))  # leaves readings unchanged
 
 
 def with_tares(table: RawTable, sensed: Sequence[MatchedSensor], options: ReadOptions) -> list[MatchedSensor]:
-    """Measure the zero of each sensor that has a tare interval, and return the sensors with their zeros.
+    """Measure the zero offset of each sensor that has a tare interval, and return the sensors with their offsets.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def with_tares(table: RawTable, sensed: Sequence[MatchedSensor], options: ReadOp
     sensed : sequence of MatchedSensor
         Its sensors.
     options : ReadOptions
-        The options for its time.
+        The options that select the table's time.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def with_tares(table: RawTable, sensed: Sequence[MatchedSensor], options: ReadOp
         return list(sensed)
     as_read = [one if one.record.tare_s is None else _as_read(one) for one in sensed]
     readings = replace(table, rows=CalibratedRows(table.rows, as_read, table.decimal))
-    if options.group not in (None, table.group):  # the options describe the time of another table
+    if options.group not in (None, table.group):  # then these options describe the time of another table
         options = replace(options, time=None, rate_hz=None)
     times = row_times(table, options)
     try:
@@ -56,9 +56,9 @@ def with_tares(table: RawTable, sensed: Sequence[MatchedSensor], options: ReadOp
 
 
 def _as_read(one: MatchedSensor) -> MatchedSensor:
-    """Return a sensor that passes its raw readings on, NaN where one is clipped."""
+    """Return a sensor whose conversion keeps raw readings unchanged, except that clipped ones become NaN."""
     bare = replace(
-        one.record, conversion=_AS_READ, unit=one.record.raw_unit, reading_size=1.0, result_size=1.0, temperature=None
+        one.record, conversion=_IDENTITY, unit=one.record.raw_unit, reading_size=1.0, result_size=1.0, temperature=None
     )
     return one._replace(record=bare, thermometer=None)
 
@@ -79,7 +79,7 @@ def _tared(one: MatchedSensor, readings: RawTable, times: RowTimes) -> MatchedSe
             count,
             _temperature(one, readings, first, stop),
         )
-        return one._replace(record=tared(one.record, tare), tare=tare)
+        return one._replace(record=apply_tare(one.record, tare), tare=tare)
     except SensorError as cause:
         raise SensorError(
             f"The zero of {channel!r} cannot be measured from {start_s:g} s to {stop_s:g} s, as its tare says: {cause}"

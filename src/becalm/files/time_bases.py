@@ -39,12 +39,12 @@ class OpenFile(NamedTuple):
     ----------
     sources : tuple of OpenSource
         One source or more, each with channels and a time of its own.
-    passed : tuple of PassedThroughTable
+    passed_through : tuple of PassedThroughTable
         The other tables of the file.
     """
 
     sources: tuple[OpenSource, ...]
-    passed: tuple[PassedThroughTable, ...]
+    passed_through: tuple[PassedThroughTable, ...]
 
 
 @contextmanager
@@ -71,10 +71,10 @@ def open_file(path: str | os.PathLike[str], options: ReadOptions | None = None) 
     opened: list[OpenSource] = []
     try:
         tables, options = in_chosen_units(tables, options)
-        passed = list(_open_each(file, tables, options, opened))
+        passed_through = list(_open_each(file, tables, options, opened))
         if not opened:
-            raise InputError(f"Nothing in {file} can be cleaned: {'; '.join(one.why for one in passed[:10])}")
-        yield OpenFile(tuple(opened), tuple(passed))
+            raise InputError(f"Nothing in {file} can be cleaned: {'; '.join(one.why for one in passed_through[:10])}")
+        yield OpenFile(tuple(opened), tuple(passed_through))
     finally:
         for source in opened:
             source.close()
@@ -94,7 +94,7 @@ def _open_each(
         raise UsageError(
             f"--rate and --time are for a single time base, but {file} holds {listed(tables)}. Choose one with --group."
         )
-    _refuse_strangers(file, tables, options)
+    _refuse_unknown_channels(file, tables, options)
     for table in tables:
         channels = None if options.channels is None else tuple(name for name in options.channels if holds(table, name))
         if channels == ():
@@ -108,10 +108,10 @@ def _open_each(
             yield PassedThroughTable(table, f"{table.group}: {str(cause).removeprefix(f'{file}: ')}")
 
 
-def _refuse_strangers(file: Path, tables: Sequence[RawTable], options: ReadOptions) -> None:
+def _refuse_unknown_channels(file: Path, tables: Sequence[RawTable], options: ReadOptions) -> None:
     for name in options.channels or ():
         if not any(holds(table, name) for table in tables):
             raise UsageError(
                 f"{options.origin.name} names {name!r}, which is not in {file}; it holds"
-                f" {listed(tables)}.{options.origin.way_out}"
+                f" {listed(tables)}.{options.origin.advice}"
             )

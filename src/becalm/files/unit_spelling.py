@@ -15,8 +15,8 @@ _OTHERS = (
 )
 """Words that are units in a header, besides the names in `DEFINITIONS`."""
 
-_LONG = 4  # letters; a word of this length or longer is also a unit in lower case and in the plural
-_MARKS = re.compile(r"[\s*/^().\-+\d%\[\]]*")  # what may stand between the words of a unit
+_LONG = 4  # letters; a unit of at least this length may also be written in lower case or in the plural
+_MARKS = re.compile(r"[\s*/^().\-+\d%\[\]]*")  # characters that are allowed between the words of a unit
 _WORDS = re.compile(r"[A-Za-z_]+")
 
 
@@ -160,7 +160,8 @@ _BRACKETED = re.compile(
 _INDEXED = re.compile(r"\w\[[0-9]+\]\s*$")  # `gyro_rad[0]`: an index, not a unit
 _AFTER_COMMA = re.compile(r"^(?P<name>.+?)\s*[,/]\s+(?P<unit>\S+)$")
 _AFTER_IN = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S+)\s*$")
-_SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")  # other words may be part of the name
+# A unit that follows only a space must contain one of these symbols; otherwise, the word is part of the name.
+_SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")
 
 SUFFIXES: dict[str, str] = {
     "s": "s",
@@ -236,7 +237,7 @@ _SPELLINGS = (
 )
 
 _PATTERNS = (
-    (r"(?<=\w)\{[^{}]*\}", ""),  # UCUM's remarks: ug{RMS}
+    (r"(?<=\w)\{[^{}]*\}", ""),  # annotations of UCUM: ug{RMS}
     (r"^(\w+)[.* ](\w+?)\^?-1$", r"\1/\2"),  # rad.s-1
     (r"^(\w+)[.* ](\w+?)\^?-([2-9])$", r"\1/\2^\3"),
     (r"/\(([^()/*]*)\)$", r"/\1"),  # m/(s^2)
@@ -304,7 +305,7 @@ def parse_header(header: str) -> tuple[str, str]:
 
 
 def on_sensor(name: str, unit: str) -> str:
-    """Return the unit that is meant in a column of that name: G is gauss for a magnetic field, and g for all else."""
+    """Return the unit of a column; G stays gauss if the name suggests a magnetic field, and otherwise becomes g."""
     if (found := _LARGE_G.fullmatch(unit)) and not _MAGNETIC.search(name):
         return f"{found[1]}g"
     return unit

@@ -1,4 +1,4 @@
-"""Unpack the parts of a file that are compressed separately, each up to the size that it claims to have."""
+"""Unpack the separately compressed parts of a file, each to at most the size that the file states for it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from becalm.files.library_reader import LibraryFile
 ZSTD = b"\x28\xb5\x2f\xfd"  # the first bytes of zstd data
 
 
-def unpacked(foreign: LibraryFile, compression: str, data: bytes, size: int, cut: bool = False) -> bytes:
+def unpacked(library_file: LibraryFile, compression: str, data: bytes, size: int, cut: bool = False) -> bytes:
     """Unpack a part of a file.
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file.
     compression : str
         "deflate", "zstd", "lz4", "bz2"; "" or "none" for an uncompressed part.
@@ -38,9 +38,9 @@ def unpacked(foreign: LibraryFile, compression: str, data: bytes, size: int, cut
         return data
     if size < 0:
         raise ValueError("it does not state its size")
-    foreign.refuse_unpacking(size)
+    library_file.refuse_unpacking(size)
     try:
-        plain = _plain(foreign, compression, data, size + 1)  # one byte more, to detect a part that holds more
+        plain = _plain(library_file, compression, data, size + 1)  # one byte more, to detect a part that holds more
     except BecalmError:
         raise
     except Exception as cause:  # each library raises its own exceptions
@@ -50,13 +50,13 @@ def unpacked(foreign: LibraryFile, compression: str, data: bytes, size: int, cut
     return plain
 
 
-def _plain(foreign: LibraryFile, compression: str, data: bytes, size: int) -> bytes:
+def _plain(library_file: LibraryFile, compression: str, data: bytes, size: int) -> bytes:
     if compression == "deflate":
         return zlib.decompressobj().decompress(data, size)
     if compression == "bz2":
         return bz2.BZ2Decompressor().decompress(data, size)
     if compression == "lz4":
-        return bytes(foreign.library("lz4.frame").LZ4FrameDecompressor().decompress(data, size))
+        return bytes(library_file.library("lz4.frame").LZ4FrameDecompressor().decompress(data, size))
     if compression == "zstd":
-        return bytes(foreign.library("zstandard").ZstdDecompressor().stream_reader(data).read(size))
+        return bytes(library_file.library("zstandard").ZstdDecompressor().stream_reader(data).read(size))
     raise ValueError(f"the compression {compression!r} is unknown")

@@ -21,7 +21,7 @@ from becalm.files.tables import output_table, recording_table
 
 __all__ = ["TableOutput", "open_output", "output_table", "recording_table", "replace_file", "write", "write_table"]
 
-_QUEUED_CHUNKS = 1  # most chunks that wait between the one that is computed and the one that is written
+_QUEUED_CHUNKS = 1  # largest number of computed chunks that wait to be written
 
 
 def write(path: str | os.PathLike[str], recording: Recording, sigma: Recording | None = None) -> None:
@@ -155,7 +155,7 @@ def _writer(form: str, file: IO[bytes]) -> _Writer:
 
 
 class TableOutput:
-    """Write chunks of a table in a thread while the next chunks are computed; made by `open_output`."""
+    """A writer of chunks of a table, in a thread while later chunks are computed; made by `open_output`."""
 
     def __init__(self, path: Path, writer: _Writer, metadata: Mapping[str, str] | None) -> None:
         self._path, self._writer = path, writer
@@ -172,7 +172,7 @@ class TableOutput:
         Raises
         ------
         OutputError
-            If these or earlier ones cannot be written.
+            If these rows or earlier rows cannot be written.
         """
         if self._metadata:
             table = table.replace_schema_metadata({**(table.schema.metadata or {}), **self._metadata})
@@ -198,7 +198,7 @@ class TableOutput:
         self._thread.join()
 
     def _work(self) -> None:
-        """Write chunks until None comes; after a failure, discard them, so that `write` does not block for ever."""
+        """Write queued chunks until the queue yields None; after a failure, discard them: `write` must not block."""
         while (table := self._queue.get()) is not None:
             self._attempt(lambda table=table: self._writer.write(table))  # type: ignore[misc]
         self._attempt(self._writer.close)

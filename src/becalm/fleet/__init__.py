@@ -1,4 +1,4 @@
-"""Apply recipes to a fleet of sensors on Spark: batch jobs over a lake, and streams that keep their state.
+"""Apply recipes to a fleet of sensors on Spark: batch jobs over a lake, and streams with a stored state.
 
 Example::
 

@@ -16,43 +16,43 @@ from becalm.fleet.recipes import DEFAULT
 from becalm.report.fleet_rows import FleetRow
 
 FEWEST = 8
-"""Smallest number of sensors in a class; fewer do not show the usual spread of the class."""
+"""Smallest class, in sensors, that can have outliers; a smaller class does not show its usual spread."""
 
 FACTOR = 1.5
-"""Smallest factor between a size and the median of its class, up or down, that is reported; less is negligible."""
+"""Smallest ratio of a size to the median of its class, or the inverse ratio, that is reported."""
 
 SPREADS = 5.0
-"""Smallest distance of a logarithm from the median of its class that is reported, in robust standard deviations."""
+"""Smallest distance of a size's logarithm from the median of its class that is reported, in robust sigmas."""
 
 _ROBUST = 1.4826  # standard deviation / median absolute deviation of a normal distribution
 
 
 def class_of(sensor: str) -> str:
-    """Return the class of a sensor: the folder above it. The recipe of the class has the same name.
+    """Return the name of a sensor's class: the folder above the sensor. The recipe of the class has the same name.
 
     Parameters
     ----------
     sensor : str
-        Its path within the lake; `kind=pump/sensor=17` has the class `kind=pump`, `sensor=17` has `DEFAULT`.
+        The sensor's path within the lake. `kind=pump/sensor=17` has the class `kind=pump`; `sensor=17` has `DEFAULT`.
     """
     folder = str(PurePosixPath(sensor).parent)
     return DEFAULT if folder == "." else folder
 
 
 def factors_apart(sizes: Sequence[float]) -> list[float | None]:
-    """Return, for each outlier, its ratio to the median; None for the others.
+    """Return, for each size, its ratio to the median if it is an outlier, else None.
 
     Parameters
     ----------
     sizes : sequence of float
-        Standard deviations, or other sizes in one unit; one for each sensor of a class.
-        Sizes that are not positive and finite are ignored; their result is None.
+        Standard deviations, or other sizes in one unit, one for each sensor of a class. Sizes that are not positive and
+        finite are ignored; their result is None.
 
     Notes
     -----
-    A sensor is an outlier if its logarithm lies more than `SPREADS` robust standard deviations (from the median
-    absolute deviation) and a factor of more than `FACTOR` from the median of the class. A class with fewer than
-    `FEWEST` usable sizes has no outliers.
+    A size is an outlier if two conditions hold. Its logarithm differs from the median by more than `SPREADS` robust
+    standard deviations, which come from the median absolute deviation. And its ratio to the median, or the inverse
+    ratio, exceeds `FACTOR`. A class with fewer than `FEWEST` usable sizes has no outliers.
     """
     logs = np.array([math.log(size) if 0 < size < math.inf else math.nan for size in sizes])
     known = logs[np.isfinite(logs)]
@@ -65,15 +65,15 @@ def factors_apart(sizes: Sequence[float]) -> list[float | None]:
 
 
 def _spread(apart: Floats) -> float:
-    """Return the robust standard deviation from distances to the median (n,)."""
+    """Return the robust standard deviation of values, given their differences from the median (n,)."""
     return _ROBUST * float(np.median(np.abs(apart)))
 
 
-def marked(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Return the outcomes with a remark in each row whose channel is an outlier in its class.
+def mark_outliers(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Return the outcomes; each row whose channel is an outlier of its class gets a remark in `outlying`.
 
-    Channels of the same class, name, unit and recipe are compared by the root mean square of their normalised
-    innovations. It is an outlier if the noise or the motion differs from that of the others.
+    Channels of the same class, name, unit and recipe are compared by the root mean square (RMS) of their normalised
+    innovations. A channel whose noise or motion differs from that of the others has a different RMS.
     """
     reasons = _reasons([row for outcome in outcomes for row in outcome.channels])
     return [replace(outcome, channels=_with(outcome.channels, reasons)) for outcome in outcomes]
@@ -84,7 +84,7 @@ def _with(rows: Sequence[FleetRow], reasons: Mapping[tuple[str, str], str]) -> t
 
 
 def _reasons(rows: Sequence[FleetRow]) -> dict[tuple[str, str], str]:
-    """Return the reason, by sensor and channel, for each outlier."""
+    """Return, by sensor and channel, a sentence on each outlier."""
     alike: dict[tuple[str, ...], list[FleetRow]] = defaultdict(list)
     for row in rows:
         if row.health is not None and row.verdict not in ("", "constant", "untold"):

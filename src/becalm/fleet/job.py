@@ -20,7 +20,7 @@ from becalm.fleet.lake import FILE, FOLDER
 from becalm.fleet.names import below
 
 STRETCH_ROWS = 1 << 23
-"""Default number of rows of a stretch of a long sensor: seconds of work, and hundreds of megabytes of files."""
+"""Default number of rows in a stretch of a long sensor: cleaning it takes seconds, and its files some 100 MB."""
 
 
 class Sensor(NamedTuple):
@@ -29,8 +29,8 @@ class Sensor(NamedTuple):
     name: str  # the path of its folder, or file, within the lake
     bytes: int  # total size of its files
     recipe: str  # the hash of its recipe
-    files: tuple[str, ...] = ()  # paths within the lake; empty if they are all files of its folder
-    came_of: str = ""  # the hash of its input, if that cannot be computed from its files alone
+    files: tuple[str, ...] = ()  # paths of its files within the lake; empty if these are all files of its folder
+    input_hash: str = ""  # the hash of its input; empty if `hash_input` can compute it from the sensor's own files
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ class Job:
     by : {"folder", "file"}
         What identifies a sensor.
     causal : bool or None
-        Whether estimates use only the past; None to do what each recipe says.
+        Whether estimates use only the past; None for the mode of each recipe.
     stretch_rows : int
-        Least number of rows of a stretch. Only a sensor with at least twice as many is cut in time.
-    another : str
-        The command that makes another recipe, for messages.
-    own : str
-        A random identifier of this job. A completion mark contains it, and so shows whether this job or an earlier one
+        Least number of rows of a stretch. Only a sensor with at least twice as many rows is cut in time.
+    tune_command : str
+        The command that makes a new recipe, for messages.
+    job_id : str
+        A random identifier of this job. Completion marks contain it; they show whether this job or an earlier job
         finished a sensor, even if the worker died afterwards.
     """
 
@@ -62,20 +62,20 @@ class Job:
     by: str = FOLDER
     causal: bool | None = None
     stretch_rows: int = STRETCH_ROWS
-    another: str = "becalm fleet tune LAKE -o DIR"
-    own: str = field(default_factory=token_hex)
+    tune_command: str = "becalm fleet tune LAKE -o DIR"
+    job_id: str = field(default_factory=token_hex)
 
     def input_of(self, sensor: Sensor) -> Path:
         """Return the folder, or the one file, of a sensor."""
         return Path(self.lake) / sensor.name
 
     def files_of(self, sensor: Sensor) -> list[Path]:
-        """Return the files of a sensor.
+        """Return the input files of a sensor.
 
         Raises
         ------
         InputError
-            If they cannot be listed.
+            If the files cannot be listed.
         """
         if sensor.files:
             return [Path(self.lake) / file for file in sensor.files]
@@ -83,19 +83,19 @@ class Job:
         return list(parquet_files(place).files) if place.is_dir() else [place]
 
     def tables_of(self, sensor: Sensor) -> tuple[RawTable, ...]:
-        """Read the tables of a sensor: names and types of columns, not yet the samples.
+        """Read the headers of a sensor's tables: names and types of columns, no samples.
 
         Raises
         ------
         InputError
-            If they cannot be read, or do not form one recording.
+            If the files cannot be read, or do not form one recording.
         """
         if sensor.files:
             return (read_folder(Path(self.lake), self.files_of(sensor)),)
         return read_tables(self.input_of(sensor))
 
     def name_of(self, sensor: Sensor, file: Path) -> str:
-        """Return the name of a sensor's file within its output folder."""
+        """Return the name, within the sensor's output folder, of the output file for an input file."""
         if sensor.files:
             return below(sensor.name, file.relative_to(self.lake))
         place = self.input_of(sensor)
@@ -117,17 +117,17 @@ class Job:
         Raises
         ------
         RecipeError
-            If its recipe is damaged.
+            If the recipe is damaged.
         """
         return in_mode(_parsed(self.recipes[sensor.recipe]), self.causal)
 
     @property
     def asked(self) -> dict[str, Any]:
-        """Return the options that change outputs, besides the recipes."""
+        """Return the options, besides the recipes, that change outputs."""
         return {"causal": self.causal}
 
 
 @lru_cache
 def _parsed(text: str) -> Recipe:
-    """Parse a recipe once, because many sensors may share it."""
+    """Parse a recipe. The result is cached, because many sensors may share a recipe."""
     return Recipe.from_toml(text)

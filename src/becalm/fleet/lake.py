@@ -1,10 +1,10 @@
-"""List the sensors of a lake, by its folders, its files or its columns."""
+"""List the sensors of a lake, which its folders, its files or its columns identify."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from shlex import quote
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ from becalm.files.parquet import read_parquet
 from becalm.fleet.names import folder_name, keys_of, values_in
 
 FOLDER, FILE = "folder", "file"
-"""What identifies a sensor, other than a column."""
+"""What identifies a sensor, if no column does: a folder, or each file."""
 
 
 _BY_HINT = "Name the sensors' folders like sensor=17, or use --by file if each file is a sensor."
@@ -26,39 +26,39 @@ class SensorPlace(NamedTuple):
     """The place of a sensor in a lake."""
 
     name: str  # the path of its folder, or file, within the lake; "." for the lake itself
-    bytes: int
-    files: tuple[str, ...] = ()  # their paths within the lake; empty if they are all files of one folder
+    bytes: int  # total size of its files
+    files: tuple[str, ...] = ()  # paths of its files within the lake; empty if these are all files of one folder
 
 
 class MultiSensorLake(NamedTuple):
     """A lake whose files may each hold several sensors."""
 
     keys: tuple[str, ...]  # columns, or keys of folders, that identify sensors
-    files: tuple[str, ...]  # their paths within the lake, in order
+    files: tuple[str, ...]  # paths of all files within the lake, in order
 
 
 def find_sensor_layout(lake: Path, by: str = FOLDER) -> list[SensorPlace] | MultiSensorLake:
-    """Find out what identifies the sensors of a lake, and list them if folders or files do.
+    """List the sensors of a lake, if folders or files identify them; else return its files and keys.
 
     Parameters
     ----------
     lake : Path
         A folder of Parquet files.
     by : str
-        "folder" or "file", as in `places_in`; or a column, or a key of folders anywhere in a path, or several of these
-        separated by commas.
+        "folder" or "file", as in `places_in`; or a column, or the key of a folder at any level such as `sensor` in
+        `sensor=17`; or several columns and keys separated by commas.
 
     Returns
     -------
     list of SensorPlace or MultiSensorLake
-        The sensors, sorted by name; a `MultiSensorLake` if the path of a file lacks one of the keys.
+        The sensors, sorted by name; a `MultiSensorLake` if a file's path does not contain all keys.
 
     Raises
     ------
     InputError
         If the lake holds no sensors, or cannot be read.
     UsageError
-        If its folders do not identify sensors, or `by` names a column twice, or one that does not exist.
+        If the folders do not identify sensors, or `by` names a column twice or a column that does not exist.
     """
     if by in (FOLDER, FILE):
         return places_in(lake, by)
@@ -78,7 +78,7 @@ def find_sensor_layout(lake: Path, by: str = FOLDER) -> list[SensorPlace] | Mult
 
 
 def _keys(by: str, from_folders: Mapping[str, str | None], path: Path) -> tuple[str, ...]:
-    """Return the keys that identify sensors; read the columns of the file only if its folders lack a key."""
+    """Return the keys that identify sensors; read the file's columns only if its folders do not have all keys."""
     if by in from_folders or all(key.strip() in from_folders for key in by.split(",")):
         return keys_of(by, from_folders)
     return keys_of(by, {*from_folders, *read_parquet(path, Original(path)).names})
@@ -92,25 +92,25 @@ def places_in(lake: Path, by: str = FOLDER) -> list[SensorPlace]:
     lake : Path
         A folder of Parquet files.
     by : {"folder", "file"}
-        What identifies a sensor: the folder of its files, without folders of times at its end; or each file.
+        What identifies a sensor: a folder, without the last folders of its path if these name times; or each file.
 
     Raises
     ------
     InputError
         If the lake holds no sensors, or cannot be read.
     UsageError
-        If its folders do not identify sensors.
+        If the folders do not identify sensors.
     """
     sizes: dict[str, int] = defaultdict(int)
     for path in _files_in(lake):
         below = path.relative_to(lake)
-        sizes[str(below) if by == FILE else str(_sensor_folder(lake, below.parent))] += _bytes_of(path)
+        sizes[(below if by == FILE else _sensor_folder(lake, below.parent)).as_posix()] += _bytes_of(path)
     _refuse_nested(lake, sizes)
     return [SensorPlace(name, size) for name, size in sorted(sizes.items())]
 
 
 def _bytes_of(path: Path) -> int:
-    """Return the size of a file, or 0 if it has vanished; its sensor will be refused later."""
+    """Return the size of a file in bytes, or 0 if the file has vanished; its sensor is refused later."""
     try:
         return path.stat().st_size
     except OSError:
@@ -126,7 +126,7 @@ def _files_in(lake: Path) -> tuple[Path, ...]:
 
 
 def _sensor_folder(lake: Path, folder: Path) -> Path:
-    """Return a folder without the folders of times at its end; raise UsageError if there are others above them."""
+    """Return a path without its last folders that name times; raise UsageError if a folder above a sensor names one."""
     parts = list(folder.parts)
     while parts and is_partition(parts[-1]) and is_time_partition(parts[-1]):
         parts.pop()
@@ -142,9 +142,9 @@ def _sensor_folder(lake: Path, folder: Path) -> Path:
 
 
 def _refuse_nested(lake: Path, sizes: dict[str, int]) -> None:
-    """Raise an error if a sensor's folder contains other sensors, because all rows would be taken for one recording."""
+    """Raise an error if a sensor's folder contains other sensors: their rows would be read as one recording."""
     for name in sizes:
-        for above in Path(name).parents:
+        for above in PurePosixPath(name).parents:
             if str(above) in sizes:
                 raise UsageError(
                     f"{lake / above} has both files and folders with files, such as {name}. If each file is a sensor of"

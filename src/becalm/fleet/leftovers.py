@@ -1,4 +1,4 @@
-"""Remove the files that killed tasks left behind, at the end of a job, when no task writes any more."""
+"""Remove temporary files of killed tasks, at the end of a job, when no task is writing."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
-from becalm.files.atomic_file import UNNAMED
+from becalm.files.atomic_file import TEMPORARY_NAME
 from becalm.fleet.pieces import STAGED
 
 
 def remove_leftovers(output: Path) -> None:
-    """Remove temporary files and staging folders.
+    """Remove temporary files and staging folders from an output folder.
 
     Parameters
     ----------
@@ -24,6 +24,6 @@ def remove_leftovers(output: Path) -> None:
         for name in fnmatch.filter(names, STAGED):
             shutil.rmtree(Path(folder) / name, ignore_errors=True)
             names.remove(name)
-        for name in filter(UNNAMED.fullmatch, files):
+        for name in filter(TEMPORARY_NAME.fullmatch, files):
             with suppress(OSError):
                 (Path(folder) / name).unlink()

@@ -1,4 +1,4 @@
-"""Mark finished sensors: a small file in the output, written last, with a hash of the input."""
+"""Mark finished sensors. A mark is a small file in the output, written last, with a hash of the input."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from becalm.files.lake.marks import FILES
 from becalm.fleet.outcome import Outcome
 from becalm.installation import version
 
-_LENGTH = 4  # bytes of the field with the footer's length; four magic bytes follow it at the end of a Parquet file
+_LENGTH = 4  # bytes of the footer's length in a Parquet file; four magic bytes follow at the end of the file
 _HELD, _SIZES, _JOB = "held", "sizes", "job"
 
 
 @dataclass(frozen=True)
 class CompletionMark:
-    """A mark that says that the output of a sensor is complete, and what it was made from.
+    """A mark which says that the output of a sensor is complete, and from which input it was made.
 
     Attributes
     ----------
-    came_of : str
+    input_hash : str
         Hash of the sensor's input files, recipe and options.
     files : tuple of str
         The output files, as paths from the folder of the mark.
     outcome : Outcome
         The outcome of the sensor.
     sizes : tuple of int
-        Sizes of these files, in bytes.
+        Sizes of `files`, in bytes.
     job : str
-        The identifier of the job that made them.
+        The `job_id` of the job that wrote the files.
     held : tuple of str
-        The files of the new and of an older output while files are moved into place; `files` is empty then.
+        While files are moved, the files of the new and of the older output; `files` is then empty.
     """
 
-    came_of: str
+    input_hash: str
     files: tuple[str, ...]
     outcome: Outcome
     sizes: tuple[int, ...] = ()
@@ -49,11 +49,11 @@ class CompletionMark:
 
     @property
     def own(self) -> set[str]:
-        """Return the names of all files that becalm wrote, or was about to write, next to the mark."""
+        """Return the names of all files that becalm wrote, or was going to write, in the folder of the mark."""
         return {*self.files, *self.held}
 
     def is_whole(self, folder: Path) -> bool:
-        """Return whether all files are in a folder, with the sizes that they had."""
+        """Return whether all files are in a folder and have the sizes in the mark."""
         try:
             sizes = tuple((folder / name).stat().st_size for name in self.files)
         except OSError:
@@ -66,15 +66,15 @@ class CompletionMark:
         Raises
         ------
         OutputError
-            If it cannot be written.
+            If the file cannot be written.
         """
-        content: dict[str, Any] = {FILES: self.files, "came_of": self.came_of, "outcome": self.outcome.as_dict()}
+        content: dict[str, Any] = {FILES: self.files, "came_of": self.input_hash, "outcome": self.outcome.as_dict()}
         content |= {_SIZES: self.sizes, _HELD: self.held, _JOB: self.job}
         write_text(path, json.dumps(content, indent=1) + "\n")
 
     @classmethod
     def of(cls, path: Path) -> CompletionMark | None:
-        """Read a mark; return None if it is missing or damaged, because then the files may be foreign."""
+        """Read a mark; return None if it is missing or damaged, because the output may then have foreign files."""
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             outcome = Outcome.from_dict(content["outcome"])
@@ -90,8 +90,8 @@ class CompletionMark:
             return None
 
 
-def came_of(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, Any]) -> str:
-    """Return a hash of everything that determines an output.
+def hash_input(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, Any]) -> str:
+    """Return a hash of everything that determines an output: files, recipe, options and becalm's version.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def came_of(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, 
     recipe : str
         Text of the recipe.
     asked : mapping
-        Options that change what is written, as JSON values.
+        Options that change the output, as JSON values.
 
     Raises
     ------
@@ -109,9 +109,8 @@ def came_of(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, 
 
     Notes
     -----
-    The hash also covers becalm's version. Of each file it covers the size, the modification time and the footer. The
-    footer has the place, the length and the range of values of each column chunk, so a job detects changes without
-    reading the lake again.
+    For each file, the hash covers the size, the modification time and the Parquet footer. The footer has the position,
+    the length and the range of values of each column chunk. Therefore a job detects changes without reading all rows.
     """
     digest = hashlib.sha256(json.dumps([version(), recipe, asked], sort_keys=True).encode())
     for name, path in files:
@@ -120,6 +119,7 @@ def came_of(files: Sequence[tuple[str, Path]], recipe: str, asked: Mapping[str, 
 
 
 def _facts(path: Path) -> tuple[int, int, str]:
+    """Return a file's size in bytes, its modification time in ns, and the hash of its footer, or "" without one."""
     try:
         with path.open("rb") as file:
             status = path.stat()

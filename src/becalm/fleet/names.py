@@ -1,7 +1,8 @@
-"""Name sensors that columns identify, as Hive names folders: `sensor=17`, `plant=3/sensor=a%2Fb`."""
+"""Name sensors that columns identify. Names have the form of Hive's folders: `sensor=17`, `plant=3/sensor=a%2Fb`."""
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -17,19 +18,21 @@ from becalm.errors import InputError, UsageError
 from becalm.files.lake.listing import is_partition
 
 NULL = "__HIVE_DEFAULT_PARTITION__"
-"""The value in a folder's name that stands for a null."""
+"""The value in a folder's name that means null."""
 
-_SPECIAL = re.compile(r"[\x00-\x1f\x7f\"#%'*/:=?\\{\[\]^]")  # what Hive and Spark escape
+_SPECIAL = re.compile(  # characters that Hive and Spark escape; Windows has no names with those of the second class
+    r"[\x00-\x1f\x7f\"#%'*/:=?\\{\[\]^]" + (r"|[ <>|]|\.$" if os.name == "nt" else "")
+)
 _MOST_LISTED = 20  # names in a message
 
 
 class NamedSensors(NamedTuple):
-    """The sensor of each row of a block.
+    """The sensors of a block, and which of them each row belongs to.
 
     Attributes
     ----------
     names : list of str
-        Names of the sensors, each once.
+        Names of the sensors, without repetition.
     codes : (n,) int array
         For each row, the index of its sensor in `names`.
     """
@@ -39,14 +42,14 @@ class NamedSensors(NamedTuple):
 
 
 def folder_name(key: str, value: str | None) -> str:
-    """Return the name of the folder for a value of a column; None is a null."""
-    return f"{_escaped(key)}={NULL if value is None else _escaped(value)}"
+    """Return the name of the folder for a value of a key; None means null."""
+    return f"{_escape(key)}={NULL if value is None else _escape(value)}"
 
 
 def values_in(place: PurePath) -> dict[str, str | None]:
-    """Return the values of the keys in the folders of a path: "17" for `sensor` in `sensor=17`, None for a null."""
+    """Return, by key, the values in the folders of a path: {"sensor": "17"} for `sensor=17`; None means null."""
     parts = [part.partition("=") for part in place.parts if is_partition(part)]
-    return {_plain(key): None if value == NULL else _plain(value) for key, _, value in parts}
+    return {_unescape(key): None if value == NULL else _unescape(value) for key, _, value in parts}
 
 
 def below(sensor: str, file: PurePath) -> str:
@@ -62,14 +65,14 @@ def keys_of(by: str, known: Collection[str]) -> tuple[str, ...]:
     Parameters
     ----------
     by : str
-        The name of a column, or the names of several separated by commas.
+        The name of a column or key, or several names separated by commas.
     known : collection of str
         The columns of the files and the keys of the folders.
 
     Raises
     ------
     UsageError
-        If one of them does not exist, or is named twice.
+        If a name does not exist, or occurs twice.
     """
     if by in known:
         return (by,)
@@ -86,12 +89,12 @@ def keys_of(by: str, known: Collection[str]) -> tuple[str, ...]:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return a text with the first of some names, and how many more there are."""
+    """Return a text with the first names of a list, and the number of names left out."""
     more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
     return ", ".join(names[:_MOST_LISTED]) + more
 
 
-def named(block: pa.Table, keys: Sequence[str], folder_values: Mapping[str, str | None]) -> NamedSensors:
+def name_sensors(block: pa.Table, keys: Sequence[str], folder_values: Mapping[str, str | None]) -> NamedSensors:
     """Return the sensor of each row of a block.
 
     Parameters
@@ -101,12 +104,12 @@ def named(block: pa.Table, keys: Sequence[str], folder_values: Mapping[str, str 
     keys : sequence of str
         Columns, or keys of folders, that identify sensors.
     folder_values : mapping of str to str or None
-        Values from the names of folders. They take precedence over a column of the same name.
+        Values from the names of folders, by key. They take precedence over a column of the same name.
 
     Raises
     ------
     InputError
-        If a column cannot name a folder.
+        If a column has values that cannot be part of a folder's name.
     """
     sensors = _all_of("", block.num_rows)
     for key in keys:
@@ -115,7 +118,7 @@ def named(block: pa.Table, keys: Sequence[str], folder_values: Mapping[str, str 
             if key in folder_values
             else _of_column(key, block.column(key))
         )
-        sensors = _of_both(sensors, own)
+        sensors = _combine(sensors, own)
     return sensors
 
 
@@ -123,16 +126,16 @@ def _all_of(name: str, rows: int) -> NamedSensors:
     return NamedSensors([name], np.zeros(rows, np.int64))
 
 
-def _of_both(first: NamedSensors, second: NamedSensors) -> NamedSensors:
-    """Combine the names by two keys; combinations without rows are left out."""
+def _combine(first: NamedSensors, second: NamedSensors) -> NamedSensors:
+    """Combine the sensors by two keys; combinations without rows are left out."""
     if len(first.names) == 1:
-        return NamedSensors([_joined(first.names[0], name) for name in second.names], second.codes)
+        return NamedSensors([_join_names(first.names[0], name) for name in second.names], second.codes)
     pairs, codes = np.unique(first.codes * len(second.names) + second.codes, return_inverse=True)
     split = zip(*np.divmod(pairs, max(1, len(second.names))), strict=True)
-    return NamedSensors([_joined(first.names[one], second.names[other]) for one, other in split], codes)
+    return NamedSensors([_join_names(first.names[one], second.names[other]) for one, other in split], codes)
 
 
-def _joined(above: str, name: str) -> str:
+def _join_names(above: str, name: str) -> str:
     return f"{above}/{name}" if above else name
 
 
@@ -147,11 +150,11 @@ def _of_column(key: str, column: pa.ChunkedArray) -> NamedSensors:
     return NamedSensors(names, np.asarray(coded.indices, np.int64))
 
 
-def _plain(text: str) -> str:
-    return unquote(text, errors="surrogateescape")  # bytes that are not UTF-8 keep names distinct
+def _unescape(text: str) -> str:
+    return unquote(text, errors="surrogateescape")  # keeps bytes that are not UTF-8, so that names stay distinct
 
 
-def _escaped(text: str) -> str:
-    if text == NULL:  # a text that looks like the null value names another sensor
+def _escape(text: str) -> str:
+    if text == NULL:  # a text that equals the null marker is escaped, because it is not null
         return f"%{ord(text[0]):02X}{text[1:]}"
     return _SPECIAL.sub(lambda match: f"%{ord(match[0]):02X}", text)

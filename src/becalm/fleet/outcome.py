@@ -1,4 +1,4 @@
-"""Hold the outcome of one sensor: its rows in the fleet's report, whether it was refused, and how long it took."""
+"""Define the outcome of one sensor: its rows in the fleet's report, its state, and the time it took."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class Outcome:
     Attributes
     ----------
     sensor : str
-        Its path within the lake.
+        The sensor's path within the lake.
     state : {"cleaned", "kept", "refused"}
-        "kept": it was finished before, and its input has not changed since.
+        "kept": an earlier job finished the sensor, and its input has not changed since. "refused": it was not cleaned.
     channels : tuple of FleetRow
         A row of the report for each channel; one row with the reason if the sensor was refused.
     took_s : float
-        The time it took in all tasks together, in seconds.
+        The total time of its tasks, in seconds.
     seams : str
-        How the stretches fit together, if the sensor was cleaned in stretches of time.
+        A sentence on how well its stretches join; empty if it was not cut in time.
     """
 
     sensor: str
@@ -38,7 +38,7 @@ class Outcome:
 
     @property
     def reason(self) -> str:
-        """Return why the sensor was refused, as a sentence."""
+        """Return a sentence on why the sensor was refused; empty if it was not."""
         return self.channels[0].reason if self.state == "refused" else ""
 
     @property
@@ -52,7 +52,7 @@ class Outcome:
         return max(row.rows for row in self.channels)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
+        """Return the outcome as plain values for JSON."""
         return asdict(self)
 
     @classmethod
@@ -62,7 +62,7 @@ class Outcome:
         Raises
         ------
         ValueError
-            If a value is missing, or is not one of an outcome.
+            If a value is missing or unknown.
         """
         try:
             return cls(**{**data, "channels": tuple(FleetRow(**row) for row in data["channels"])})
@@ -72,7 +72,7 @@ class Outcome:
 
 
 def noted(rows: Sequence[FleetRow], notes: Sequence[str]) -> tuple[FleetRow, ...]:
-    """Return the report's rows with `notes`, on their sensor's files and clock, appended to what each says."""
+    """Return the report's rows with notes on the sensor's files and clock appended to their sentences."""
     return tuple(replace(row, says=" ".join((row.says, *notes)).strip()) for row in rows)
 
 

@@ -8,7 +8,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from becalm.errors import OutputError
-from becalm.live.locking import locked
+from becalm.live.locking import lock_file
 
 
 @contextmanager
@@ -20,17 +20,17 @@ def lock_output(folder: Path, lock: Path) -> Iterator[None]:
     folder : Path
         The folder, for messages.
     lock : Path
-        An empty file; it is created if it is missing, and stays.
+        The lock file, which is empty. It is created if it is missing, and is not removed.
 
     Raises
     ------
     UsageError
         If another job has locked the folder.
     OutputError
-        If the file cannot be created, or its file system does not support locks.
+        If the lock file cannot be created, or its file system does not support locks.
     """
     try:
-        held = locked(lock, f"Another job is at work on {folder}; wait for it, or name another folder with -o.")
+        held = lock_file(lock, f"Another job is at work on {folder}; wait for it, or name another folder with -o.")
     except sqlite3.Error as cause:
         raise OutputError(f"{lock} cannot be locked ({cause}); choose another folder with -o.") from cause
     with closing(held):

@@ -1,4 +1,4 @@
-"""Write the output files of one sensor, one for each input file, in a staging folder; then move all into place."""
+"""Write the output files of one sensor, one for each input file, in a staging folder; then move them all."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from becalm.files.registry import PARQUET_FORMAT
 from becalm.files.writing import TableOutput, open_output
 
 STAGED = ".becalm.*.part"
-"""Pattern of the names of staging folders."""
+"""Pattern that matches the names of staging folders."""
 
 
 class OutputFile(NamedTuple):
-    """A file to write."""
+    """An output file of a sensor."""
 
-    name: str  # path within the output folder of its sensor
-    rows: int
+    name: str  # path within the output folder of the sensor
+    rows: int  # number of rows
 
 
 @contextmanager
 def staging(folder: Path) -> Iterator[Path]:
-    """Make a staging folder in another folder; it is removed at the end of the `with`.
+    """Make a staging folder in `folder`; it is removed at the end of the `with`.
 
     Raises
     ------
     OutputError
-        If it cannot be made.
+        If the staging folder cannot be made.
     """
     staged = open_staging(folder)
     with removed_afterwards(staged):
@@ -41,12 +41,12 @@ def staging(folder: Path) -> Iterator[Path]:
 
 
 def open_staging(folder: Path) -> Path:
-    """Make a staging folder that several processes write to; the caller, or the end of the job, removes it.
+    """Make a staging folder in `folder`, and return its path; the caller, or the end of the job, removes it.
 
     Raises
     ------
     OutputError
-        If it cannot be made.
+        If the staging folder cannot be made.
     """
     staged = folder / STAGED.replace("*", secrets.token_hex(6))
     make_folder(staged)
@@ -54,12 +54,12 @@ def open_staging(folder: Path) -> Path:
 
 
 def put_in_place(staged: Path, folder: Path, names: Sequence[str]) -> None:
-    """Move files from the staging folder into their final folder, and sync it to disk.
+    """Move files from the staging folder into `folder`, and sync that folder to disk.
 
     Raises
     ------
     OutputError
-        If a file cannot be moved; the call can be repeated.
+        If a file cannot be moved.
     """
     for name in names:
         target = folder / name
@@ -72,14 +72,14 @@ def put_in_place(staged: Path, folder: Path, names: Sequence[str]) -> None:
 
 
 class Pieces:
-    """A writer that spreads rows over several files, one after the other, in a `with`.
+    """A writer that divides a sequence of rows among several files; for use in a `with`.
 
     Parameters
     ----------
     folder : Path
         The folder of the files.
     pieces : sequence of OutputFile
-        All the files, in the order of their rows.
+        The files, in the order of their rows.
     metadata : mapping of str to str
         Metadata stored in each file.
     """
@@ -88,24 +88,24 @@ class Pieces:
         self._folder, self._metadata, self._stack = folder, metadata, ExitStack()
         self._left = list(pieces)
         self._output: TableOutput | None = None
-        self._room = 0  # rows that the open file still lacks
+        self._room = 0  # rows that the open file has yet to receive
 
     def write(self, table: pa.Table) -> None:
-        """Write the next rows to the file, or the files, that they belong to.
+        """Write the next rows; a table may continue in the next file.
 
         Raises
         ------
         OutputError
-            If they cannot be written.
+            If a file cannot be written.
         """
         at = 0
         while at < table.num_rows:
-            output = self._opened()
+            output = self._open_output()
             part = table.slice(at, self._room)
             output.write(part)
             at, self._room = at + part.num_rows, self._room - part.num_rows
 
-    def _opened(self) -> TableOutput:
+    def _open_output(self) -> TableOutput:
         if self._output is None or not self._room:
             self._stack.close()
             piece = self._left.pop(0)
@@ -121,5 +121,5 @@ class Pieces:
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish the open file, or discard it after an exception."""
+        """Close the open file; after an exception, discard it."""
         self._stack.__exit__(kind, cause, trace)

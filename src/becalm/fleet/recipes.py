@@ -1,4 +1,4 @@
-"""Find the recipe of each sensor: one for all, or the nearest in a folder with the same layout as the lake."""
+"""Find the recipe of each sensor: one recipe for all, or a folder of recipes with the same layout as the lake."""
 
 from __future__ import annotations
 
@@ -10,26 +10,27 @@ from becalm.cleaning.recipe import Recipe
 from becalm.errors import RecipeError, UsageError
 
 DEFAULT = "default"
-"""Name, without its ending, of the recipe for all sensors that have none of their own."""
+"""Name, without ending, of the recipe for all sensors that have no other recipe."""
 
 ENDING = ".toml"
 """Ending of recipe files."""
 
 
 class RecipeBook:
-    """A book of recipes that finds the recipe of a sensor.
+    """A collection of recipes, which finds the recipe of a sensor by its name.
 
     Parameters
     ----------
     texts : mapping of str to str
-        TOML texts by paths within the lake, of a sensor or of a folder of sensors. `DEFAULT` is for all others.
+        TOML texts of recipes by name. A name is the path of a sensor, or of a folder of sensors, within the lake, or
+        `DEFAULT` for all other sensors.
     source : str
-        The file or folder that they were read from, for messages.
+        The file or folder that the recipes were read from, for messages.
 
     Attributes
     ----------
     by_hash : dict of str to str
-        The texts by their hashes: SHA-256, in hexadecimal digits.
+        The texts by their SHA-256 hashes in hexadecimal digits.
     names : tuple of str
         The names of all recipes, sorted.
     """
@@ -46,7 +47,7 @@ class RecipeBook:
         Raises
         ------
         RecipeError
-            If it cannot be read, or is not a recipe.
+            If the file cannot be read, or is not a recipe.
         """
         return cls({DEFAULT: Recipe.load(path).to_toml()}, str(path))
 
@@ -57,7 +58,7 @@ class RecipeBook:
         Raises
         ------
         RecipeError
-            If it holds none, or one cannot be read.
+            If the folder holds no recipe, or a recipe cannot be read.
         """
         if not folder.is_dir():
             raise RecipeError(f"{folder} is not a folder; name one that holds recipes, or one recipe with --recipe.")
@@ -71,7 +72,7 @@ class RecipeBook:
         return cls({name: Recipe.load(path).to_toml() for name, path in zip(names, paths, strict=True)}, str(folder))
 
     def name_for(self, sensor: str) -> str:
-        """Return the name of a sensor's recipe: its own, else that of the nearest folder above, else `DEFAULT`."""
+        """Return the name of a sensor's recipe: its own, else that of the nearest folder above it, else `DEFAULT`."""
         path = PurePosixPath(sensor)
         names = map(str, (path, sensor.removesuffix(".parquet").removesuffix(".pq"), *path.parents))
         return next((name for name in names if name in self._hashes), DEFAULT)
@@ -81,17 +82,17 @@ class RecipeBook:
         return self._hashes.get(self.name_for(sensor))
 
     def unused(self, sensors: Iterable[str]) -> tuple[str, ...]:
-        """Return the names of recipes, except `DEFAULT`, that none of these sensors uses."""
+        """Return the names of recipes, except `DEFAULT`, that no sensor in `sensors` uses."""
         return tuple(sorted({*self.names} - {DEFAULT} - set(map(self.name_for, sensors))))
 
     def why_not(self, sensor: str) -> str:
-        """Return a sentence on what to do for a sensor that has no recipe."""
-        own = "" if sensor == "." else f"{sensor}{ENDING}, or "  # the lake itself has no name
+        """Return a sentence which says that a sensor has no recipe, and how to add one."""
+        own = "" if sensor == "." else f"{sensor}{ENDING}, or "  # a lake that is one sensor has no folder name
         return f"{self._source} has no recipe for it; add {own}{DEFAULT}{ENDING} for all others."
 
 
 def recipes_in(folder: Path) -> list[Path]:
-    """List the recipes of a folder, at any depth, without hidden files and those in hidden folders."""
+    """List the recipes in a folder and its subfolders, without hidden files and hidden folders."""
     paths = sorted(folder.rglob(f"*{ENDING}"))
     return [path for path in paths if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
 
@@ -104,7 +105,7 @@ def open_book(recipe: Path | None = None, recipes: Path | None = None) -> Recipe
     UsageError
         If neither or both are given.
     RecipeError
-        If they cannot be read.
+        If a recipe cannot be read.
     """
     if recipe is not None and recipes is None:
         return RecipeBook.of_one(recipe)

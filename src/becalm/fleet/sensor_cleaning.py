@@ -1,4 +1,4 @@
-"""Clean one sensor in one task, chunk by chunk; `batch` gives the tasks to Spark through `spark_tasks`."""
+"""Clean one sensor in one task, chunk by chunk; `fleet.batch` runs these tasks on Spark."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from time import monotonic
 from typing import NamedTuple, TypeVar
 
-from becalm.cleaning.pipeline import fitted
+from becalm.cleaning.pipeline import fit_to_recording
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.report import ChannelReport
 from becalm.errors import BecalmError, InputError, OutputError
@@ -18,10 +18,10 @@ from becalm.files.atomic_file import explain_write_errors
 from becalm.files.chunked_cleaning import clean_chunks
 from becalm.files.lake.folder import FolderRows
 from becalm.files.opening import OpenSource, open_table, select_table
-from becalm.files.read_options import asked_by
+from becalm.files.read_options import options_of_recipe
 from becalm.files.tables import VERDICT
 from becalm.fleet.job import Job, Sensor
-from becalm.fleet.marks import CompletionMark, came_of
+from becalm.fleet.marks import CompletionMark, hash_input
 from becalm.fleet.outcome import SHOWN, Outcome, noted, refused
 from becalm.fleet.pieces import OutputFile, Pieces, put_in_place, staging
 from becalm.report.fleet_rows import row_of
@@ -40,7 +40,7 @@ class OpenedSensor(NamedTuple):
 
 
 def clean_whole(job: Job, sensor: Sensor) -> Outcome:
-    """Clean a sensor unless it is finished; an error is returned as the reason of a refusal, never raised.
+    """Clean a sensor unless its output is up to date; return a refusal with the reason after an error, raise nothing.
 
     Parameters
     ----------
@@ -49,31 +49,31 @@ def clean_whole(job: Job, sensor: Sensor) -> Outcome:
     sensor : Sensor
         One sensor of the lake.
     """
-    return refuse_on_error(sensor, lambda: _cleaned(job, sensor))
+    return refuse_on_error(sensor, lambda: _clean(job, sensor))
 
 
 def refuse_on_error(sensor: Sensor, work: Callable[[], Done]) -> Done | Outcome:
-    """Run a function on a sensor; if it fails, return a refusal with the reason, so that the job continues."""
+    """Call `work`, which processes a sensor; after an error, return a refusal with the reason; the job continues."""
     began = monotonic()
     try:
         return work()
     except BecalmError as cause:
         return refused(sensor.name, str(cause), monotonic() - began)
-    except Exception as cause:  # damage that no check expects
+    except Exception as cause:  # file damage that no check detects
         return refused(sensor.name, f"{type(cause).__name__}: {cause}", monotonic() - began)
 
 
-def all_died(sensor: Sensor, why: str) -> Outcome:
-    """Return the outcome of a sensor on which every worker died."""
+def report_lost_sensor(sensor: Sensor, why: str) -> Outcome:
+    """Return the refusal of a sensor on which every worker died."""
     return refused(sensor.name, why)
 
 
 def finished(job: Job, sensor: Sensor, hashed: str) -> Outcome | None:
-    """Return the outcome of a sensor whose output exists and has the same input hash; otherwise None."""
+    """Return the outcome of a sensor whose output exists and was made from the same input; otherwise None."""
     mark = CompletionMark.of(job.mark_of(sensor))
-    if mark is None or mark.came_of != hashed or not mark.is_whole(job.output_folder(sensor)):
+    if mark is None or mark.input_hash != hashed or not mark.is_whole(job.output_folder(sensor)):
         return None
-    if mark.job == job.own:  # finished in this job, in a stage that Spark gave up because of another sensor
+    if mark.job == job.job_id:  # finished by this job, in an attempt that failed because of another sensor
         return mark.outcome
     channels = tuple(replace(row, state="kept") for row in mark.outcome.channels)
     return replace(mark.outcome, state="kept", channels=channels, took_s=0.0)
@@ -85,24 +85,24 @@ def hash_of(job: Job, sensor: Sensor) -> str:
     Raises
     ------
     InputError
-        If its files cannot be listed or read.
+        If the sensor's files cannot be listed or read.
     """
-    if sensor.came_of:
-        return sensor.came_of
+    if sensor.input_hash:
+        return sensor.input_hash
     files = [(job.name_of(sensor, path), path) for path in job.files_of(sensor)]
-    return came_of(files, job.recipes[sensor.recipe], job.asked)
+    return hash_input(files, job.recipes[sensor.recipe], job.asked)
 
 
-def opened(job: Job, sensor: Sensor) -> OpenedSensor:
+def open_sensor(job: Job, sensor: Sensor) -> OpenedSensor:
     """Open a sensor with the options of its recipe. The caller closes the source.
 
     Raises
     ------
     BecalmError
-        If it cannot be read, or its recipe does not fit.
+        If the sensor cannot be read, or its recipe does not match its channels.
     """
     place, recipe = job.input_of(sensor), job.recipe_of(sensor)
-    options = asked_by(recipe, job.another)
+    options = options_of_recipe(recipe, job.tune_command)
     tables = job.tables_of(sensor)
     rows = tables[0].rows
     files = tuple(rows.pieces) if isinstance(rows, FolderRows) else ((place, rows.count),)
@@ -114,18 +114,20 @@ def opened(job: Job, sensor: Sensor) -> OpenedSensor:
             if name + VERDICT in source.schema.names:
                 raise InputError(f"{place} has a column {name + VERDICT!r}, which becalm writes; rename that column.")
         paths = tuple(path for path, _ in files)
-        return OpenedSensor(source, fitted(recipe, source.names, source.units), pieces, paths, raw.rows is rows)
+        return OpenedSensor(
+            source, fit_to_recording(recipe, source.names, source.units), pieces, paths, raw.rows is rows
+        )
     except BaseException:
         source.close()
         raise
 
 
-def _cleaned(job: Job, sensor: Sensor) -> Outcome:
+def _clean(job: Job, sensor: Sensor) -> Outcome:
     began, hashed = monotonic(), hash_of(job, sensor)
     kept = finished(job, sensor, hashed)
     if kept is not None:
         return kept
-    parts = opened(job, sensor)
+    parts = open_sensor(job, sensor)
     names = tuple(piece.name for piece in parts.pieces)
     with parts.source as source:
         refuse_foreign(job, sensor, names)
@@ -133,7 +135,7 @@ def _cleaned(job: Job, sensor: Sensor) -> Outcome:
             with Pieces(staged, parts.pieces, metadata_of(parts.recipe)) as out:
                 reports = clean_chunks(source, parts.recipe, out.write, lambda *_: None, verdicts=True)
             outcome = outcome_of(sensor, reports, source, monotonic() - began)
-            commit(job, sensor, staged, CompletionMark(hashed, names, outcome, job=job.own))
+            commit(job, sensor, staged, CompletionMark(hashed, names, outcome, job=job.job_id))
     return outcome
 
 
@@ -143,7 +145,8 @@ def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
     Raises
     ------
     OutputError
-        If a file exists that becalm did not write, two output files have one name, or a link leads out of the output.
+        If an output file already exists and becalm did not write it, two output files have the same name, or a link
+        leads out of the output.
     """
     folder, mark = job.output_folder(sensor), CompletionMark.of(job.mark_of(sensor))
     if not folder.resolve().is_relative_to(Path(job.output).resolve()):
@@ -156,7 +159,7 @@ def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
         raise OutputError(
             f"Two files of the sensor would both be written to {folder / twice[0]}; rename one of them in the lake."
         )
-    own = set() if mark is None else mark.own
+    own = mark.own if mark is not None and mark.outcome.sensor == sensor.name else set()  # of "a", not of "A"
     if foreign := [name for name in names if name not in own and os.path.lexists(folder / name)]:
         raise OutputError(
             f"{folder / foreign[0]} exists already, and no mark shows that becalm wrote it; remove it, or name another"
@@ -165,34 +168,34 @@ def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
 
 
 def metadata_of(recipe: Recipe) -> dict[str, str]:
-    """Return the metadata of every output file: the recipe that made it."""
+    """Return the metadata of every output file: the recipe that it was cleaned with."""
     return {"becalm.recipe": recipe.to_toml()}
 
 
 def outcome_of(sensor: Sensor, reports: tuple[ChannelReport, ...], source: OpenSource, took_s: float) -> Outcome:
-    """Return the outcome of a sensor that was cleaned."""
+    """Return the outcome of a cleaned sensor."""
     shown = sensor.recipe[:SHOWN]
     rows = tuple(row_of(sensor.name, report, recipe=shown, rate_hz=source.rate_hz) for report in reports)
     return Outcome(sensor.name, "cleaned", noted(rows, notes_of(source)), took_s)
 
 
 def notes_of(source: OpenSource) -> tuple[str, ...]:
-    """Return sentences about a sensor's files and columns that its user must know."""
+    """Return sentences for the report about a sensor's files and replaced columns."""
     replaced = ", ".join(source.replaced)
     return (*source.notes, *((f"Replaced by the new uncertainty: {replaced}.",) if replaced else ()))
 
 
 def commit(job: Job, sensor: Sensor, staged: Path, mark: CompletionMark) -> None:
-    """Move the files of a sensor into place, remove files of an older output, and write its completion mark last.
+    """Move the files of a sensor into its output folder, remove files of an older output, and write its mark last.
 
     Raises
     ------
     InputError
-        If the input has changed since the work began.
+        If the input has changed since it was hashed.
     OutputError
-        If a file cannot be moved or written, or is not one of becalm; the sensor is not finished then.
+        If a file cannot be moved or written, or a foreign file has its name; the sensor then has no valid mark.
     """
-    if hash_of(job, sensor) != mark.came_of:
+    if hash_of(job, sensor) != mark.input_hash:
         raise InputError(
             f"The files of {sensor.name} changed while they were read; wait until all have arrived, and repeat."
         )
@@ -202,7 +205,7 @@ def commit(job: Job, sensor: Sensor, staged: Path, mark: CompletionMark) -> None
     own = {*mark.files, *(() if older is None else older.own)}
     with explain_write_errors(staged):
         sizes = tuple((staged / name).stat().st_size for name in mark.files)
-    unfinished = replace(mark, came_of="", files=(), held=tuple(sorted(own)))  # until all files are in place
+    unfinished = replace(mark, input_hash="", files=(), held=tuple(sorted(own)))  # the mark while files are moved
     unfinished.write(path)
     put_in_place(staged, folder, mark.files)
     for name in own - set(mark.files):

@@ -1,4 +1,4 @@
-"""Start Spark for the command line: on this machine, reachable by loopback only, unless another master is named."""
+"""Start Spark for the command line; by default on this machine, where only the loopback address reaches it."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
 HERE = "local[*]"
 """The default master: all cores of this machine."""
 
-_TRIES = 4  # attempts at a task whose worker died, as on a cluster
+_TRIES = 4  # attempts at a task whose workers die; clusters use the same number
 _MASTER = re.compile(r"local(\[(\*|[1-9]\d*)(, *[1-9]\d*)?\])?|local-cluster\[.+\]|(spark|k8s)://.+|yarn")
 
 _LOOPBACK = "127.0.0.1"
-_RAISED = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")  # by Java
-_PYTHON_RAISED = re.compile(r"[A-Za-z_][\w.]*(?:Error|Exception): .+")  # last line of a worker's traceback
+_JAVA_EXCEPTION = re.compile(r"(?:Caused by)?:? ?(?:org|java|scala)\.[\w.$]*(?:Exception|Error): (?P<says>.+)")
+_PYTHON_EXCEPTION = re.compile(r"[A-Za-z_][\w.]*(?:Error|Exception): .+")  # last line of a worker's traceback
 _LONGEST = 300  # characters of Spark's reason in a message
 _LOGS = f"-Dlog4j2.configurationFile={Path(__file__).with_name('log4j2.properties').as_uri()}"
-_HARDLY_COMPILED = "-XX:TieredStopAtLevel=1"  # for a JVM that only schedules, full compilation costs more than it gains
+_HARDLY_COMPILED = "-XX:TieredStopAtLevel=1"  # full compilation takes a JVM that only schedules longer than it saves
 _QUIET = {
-    "spark.ui.enabled": "false",  # otherwise Spark opens a page to the whole network
+    "spark.ui.enabled": "false",  # the page would be open to the whole network
     "spark.ui.showConsoleProgress": "false",
     "spark.sql.session.timeZone": "UTC",
-    # a loopback TCP socket delays each task, and another user of the machine could connect to it
+    # Unix sockets: a TCP socket would delay each task, and other users of the machine could connect to it
     "spark.python.unix.domain.socket.enabled": str(os.name == "posix").lower(),
 }
 
@@ -41,17 +41,17 @@ _QUIET = {
 def session(
     master: str | None = None, settings: dict[str, str] | None = None, *, schedules: bool = False
 ) -> Iterator[SparkSession]:
-    """Provide a Spark session in a `with`. The session stops at its end, unless it was already running.
+    """Provide a Spark session in a `with`. At the end, the session stops, unless it was running before.
 
     Parameters
     ----------
     master : str, optional
-        A Spark master: `local[4]`, `spark://host:7077`, `yarn`; `HERE` by default. A task whose worker died is tried
-        four times, as on a cluster; with `local[4,1]` it is tried once.
+        A Spark master: `local[4]`, `spark://host:7077`, `yarn`; `HERE` by default. A task whose worker dies is tried
+        up to four times; with `local[4,1]` it is tried once.
     settings : dict of str to str, optional
-        Settings of Spark.
+        Additional Spark settings, by name.
     schedules : bool
-        Whether Spark only schedules tasks, as for cleaning or tuning a lake. Its JVM then has little to do.
+        Whether Spark only schedules tasks, as for cleaning or tuning a lake; the JVM then starts with less compilation.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def session(
 
 
 def _stop(spark: SparkSession) -> None:
-    """Stop Spark; if its JVM is gone, clear pyspark's references to it, so that this process can start another."""
+    """Stop Spark; if its JVM has ended, clear pyspark's references to it, so that this process can start a new JVM."""
     from py4j.protocol import Py4JError
     from pyspark import SparkContext
     from pyspark.sql import SparkSession
@@ -91,7 +91,7 @@ def _stop(spark: SparkSession) -> None:
 
 
 def _checked_master(master: str) -> str:
-    """Check the name of a master; add the number of attempts to a local one that does not state it."""
+    """Check the name of a master, and return it; add the number of attempts to a local master that has none."""
     if not _MASTER.fullmatch(master):
         raise UsageError(
             f"--master {master} is not a Spark master; give local[4], spark://HOST:7077 or yarn, or omit it to use this"
@@ -108,15 +108,15 @@ def _builder() -> tuple[SparkSession.Builder, SparkSession | None]:
         from pyspark.sql import SparkSession
     except ModuleNotFoundError as cause:
         raise UsageError("Spark is not installed. Type: pip install 'becalm[spark]', and install Java 17.") from cause
-    # ask for the context, which all threads share; a session is active only in the thread that made it
+    # check the context, which all threads share; a session is active only in the thread that made it
     there = SparkContext._active_spark_context is not None
     return SparkSession.builder, SparkSession.builder.getOrCreate() if there else None
 
 
 def _settings(master: str, schedules: bool) -> dict[str, str]:
-    """Return settings for a master; a local one uses this Python for its workers and listens on loopback only."""
+    """Return Spark settings; a local master runs workers with this Python and listens on the loopback address only."""
     executor = _HARDLY_COMPILED if schedules else ""
-    shared = {  # Spark puts these before the user's own options, and replaces none of them
+    shared = {  # Spark places these before the user's options, so the user's options take precedence
         "spark.driver.defaultJavaOptions": f"{_LOGS} {executor}".strip(),
         "spark.executor.defaultJavaOptions": executor,
     }
@@ -128,11 +128,11 @@ def _settings(master: str, schedules: bool) -> dict[str, str]:
 
 
 def reason_of(cause: BaseException) -> str:
-    """Return in one line why Spark failed: the message of the Python or Java exception, if there is one."""
+    """Return one line on why Spark failed: the message of the Python or Java exception, or else the first line."""
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
-    if python := [line for line in lines if _PYTHON_RAISED.match(line) and not line.startswith(("java.", "org."))]:
+    if python := [line for line in lines if _PYTHON_EXCEPTION.match(line) and not line.startswith(("java.", "org."))]:
         return python[-1][:_LONGEST].rstrip(".")
-    raised = [match["says"] for match in map(_RAISED.match, lines) if match]
+    raised = [match["says"] for match in map(_JAVA_EXCEPTION.match, lines) if match]
     return (raised[0] if raised else lines[0] if lines else type(cause).__name__)[:_LONGEST].rstrip(".")
 
 

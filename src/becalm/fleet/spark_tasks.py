@@ -1,4 +1,4 @@
-"""Run tasks on Spark. Spark schedules them and repeats them if a machine is lost; no sample passes through it."""
+"""Run tasks on Spark. Spark schedules tasks and repeats those of a lost machine; no sample passes through Spark."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 _SCHEMA = "number long, result binary"
-# The tasks that share a Spark task read at most this many bytes, and at most 1 / (this * cores) of all that are left.
-_TOGETHER_BYTES, _SHARES_A_CORE = 32 << 20, 4
+# Tasks that share a Spark task read at most `_SHARED_BYTES`, and at most 1 / (`_SHARES_A_CORE` * cores) of the bytes
+# of all tasks that have no Spark task yet.
+_SHARED_BYTES, _SHARES_A_CORE = 32 << 20, 4
 _DIED = re.compile("worker exited unexpectedly|ExecutorLostFailure")
-_MOST_DEATHS = 16  # tasks on which all workers may die; if there are more, the tasks are hardly the cause
+_MOST_DEATHS = 16  # if workers die on more tasks than this, the tasks are hardly the cause, and the job ends
 _ALL_DIED = (
     "Every process that worked on it died. It may need more memory than there is, or crash the library that reads its"
     " files; clean this sensor by itself with becalm clean."
@@ -43,7 +44,7 @@ def run_tasks(
     sizes: Sequence[int] = (),
     lost: Callable[[Task, str], Result] | None = None,
 ) -> list[Result]:
-    """Run a function on each of several tasks; Spark starts them in their order.
+    """Run a function on each of several tasks; Spark starts the tasks in their order.
 
     Parameters
     ----------
@@ -55,11 +56,11 @@ def run_tasks(
     tasks : sequence
         Small objects that can be pickled, such as paths and numbers.
     sizes : sequence of int
-        Bytes that each task reads. Small neighbours share one Spark task, because each Spark task costs some
-        milliseconds. With () each task is a Spark task of its own.
+        Bytes that each task reads. Neighbouring small tasks share one Spark task, because each Spark task costs some
+        milliseconds. With () each task has a Spark task of its own.
     lost : callable, optional
-        Takes a task whose workers all died, and the reason, and returns its result. To find that task, a job that
-        Spark gave up is halved, and each half runs by itself. If None, such a task ends the job.
+        Takes a task and a reason, and returns the result of a task on which every worker died. To find this task, a
+        list of tasks that Spark gave up is halved, and each half runs by itself. If None, such a task ends the job.
 
     Returns
     -------
@@ -99,22 +100,22 @@ def run_tasks(
 def _run(
     spark: SparkSession, work: Callable[[Task], Result], tasks: Sequence[Task], sizes: Sequence[int]
 ) -> list[Result]:
-    """Run one Spark stage; exceptions of Spark are passed on."""
+    """Run tasks in one Spark stage; exceptions of Spark are not caught."""
     from py4j.protocol import Py4JError
 
     if not tasks:
         return []
     cores = spark.sparkContext.defaultParallelism
-    shares = _shares(sizes, cores) if sizes else [range(number, number + 1) for number in range(len(tasks))]
-    packed = [_packed([tasks[number] for number in share]) for share in shares]  # a worker unpickles only its own
-    planned = spark.sparkContext.broadcast(_packed((work, shares, packed)))
+    shares = _group_tasks(sizes, cores) if sizes else [range(number, number + 1) for number in range(len(tasks))]
+    packed = [_pack([tasks[number] for number in share]) for share in shares]  # a worker unpickles its own shares
+    planned = spark.sparkContext.broadcast(_pack((work, shares, packed)))
 
     def run(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-        work, shares, packed = _unpacked(planned.value)
+        work, shares, packed = _unpack(planned.value)
         for share in chain.from_iterable(batch.column(0).to_pylist() for batch in batches):
             for number, task in zip(shares[share], pickle.loads(packed[share]), strict=True):
-                yield _row(number, work(task))
-        _settle(planned.value)
+                yield _result_batch(number, work(task))
+        _prepare_worker(planned.value)
 
     try:
         frame: Any = spark.range(0, len(shares), 1, len(shares)).mapInArrow(run, _SCHEMA)
@@ -125,11 +126,11 @@ def _run(
     return [results[number] for number in range(len(tasks))]
 
 
-def _shares(sizes: Sequence[int], cores: int) -> list[range]:
-    """Group neighbouring tasks up to a number of bytes; later groups are smaller, so that all cores end together."""
+def _group_tasks(sizes: Sequence[int], cores: int) -> list[range]:
+    """Group neighbouring tasks of few bytes; make later groups smaller, so that all cores end about together."""
     shares, first, held, left = list[range](), 0, 0, sum(sizes)
     for number, size in enumerate(sizes):
-        if number > first and held + size > min(_TOGETHER_BYTES, left / (_SHARES_A_CORE * cores)):
+        if number > first and held + size > min(_SHARED_BYTES, left / (_SHARES_A_CORE * cores)):
             shares.append(range(first, number))
             first, held, left = number, 0, left - held
         held += size
@@ -137,12 +138,12 @@ def _shares(sizes: Sequence[int], cores: int) -> list[range]:
 
 
 @lru_cache(maxsize=2)
-def _settle(planned: bytes) -> None:
+def _prepare_worker(planned: bytes) -> None:
     """Prepare a worker process for further tasks.
 
-    Spark collects garbage after each task. With becalm's libraries loaded, that takes longer than the work on many
-    sensors, so the loaded objects are frozen: later collections skip them. If the JVM is gone, the worker ends quietly
-    by SIGPIPE at its next write; by default, Python would print a traceback.
+    Spark collects garbage after each task. With becalm's libraries loaded, a collection takes longer than the work on
+    many sensors. Therefore the loaded objects are frozen: later collections skip them. If the JVM has ended, SIGPIPE
+    ends the worker at its next write, without a message; by default, Python would print a traceback.
     """
     gc.collect()
     gc.freeze()
@@ -150,7 +151,7 @@ def _settle(planned: bytes) -> None:
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
 
 
-def _packed(planned: object) -> bytes:
+def _pack(planned: object) -> bytes:
     from pyspark import cloudpickle
 
     packed: bytes = cloudpickle.dumps(planned)  # type: ignore[no-untyped-call]
@@ -158,12 +159,12 @@ def _packed(planned: object) -> bytes:
 
 
 @lru_cache(maxsize=2)
-def _unpacked(planned: bytes) -> tuple[Callable[[Any], Any], list[range], list[bytes]]:
-    """Unpickle a worker's plan once, and not for each task."""
+def _unpack(planned: bytes) -> tuple[Callable[[Any], Any], list[range], list[bytes]]:
+    """Unpickle the planned tasks once for each worker, and not for each task."""
     work, shares, packed = pickle.loads(planned)
     return work, shares, packed
 
 
-def _row(number: int, result: object) -> pa.RecordBatch:
+def _result_batch(number: int, result: object) -> pa.RecordBatch:
     columns = [pa.array([number], pa.int64()), pa.array([pickle.dumps(result)], pa.binary())]
     return pa.RecordBatch.from_arrays(columns, names=["number", "result"])

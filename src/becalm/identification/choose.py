@@ -1,8 +1,8 @@
 """Choose the motion model of a channel, and its tones, without any setting.
 
-The tuning of a causal filter maximises the likelihood, for orders 1 to 3. Where even the likeliest model does not
-describe the signal, `risk.retune` moves white noise that the likelihood took for motion into R. The tuning of a
-smoother minimises a cross-validation criterion, for orders 1 to 5; where no order can be tuned so, it maximises the
+The tuning of a causal filter maximises the likelihood, for orders 1 to 3. If even the likeliest model does not describe
+the signal, `risk.retune` raises R to the noise floor of the spectrum. The tuning of a smoother minimises a
+cross-validation criterion, for orders 1 to 5. If no order can be tuned by that criterion, the tuning maximises the
 likelihood.
 """
 
@@ -40,7 +40,8 @@ class Choice:
     motion : Tuning or None
         The chosen model without damping, tones and coloured noise.
     rivals : tuple of Tuning
-        The tunings of all orders that were compared, likewise without these; empty where the noise was known.
+        The tunings of all orders that were compared, each without damping, tones and coloured noise; empty if the noise
+        was known.
     """
 
     kind: Literal["motion", "constant", "untold"]
@@ -91,14 +92,14 @@ def choose(readings: Floats, elapsed: Floats, causal: bool = True, known: PriorK
     causal : bool
         True tunes a causal filter, False a smoother.
     known : PriorKnowledge
-        What need not be identified.
+        Noise and tones that are known, and therefore not identified.
 
     Raises
     ------
     RecordingError
         If the noise is known, and gaps cut the readings into stretches that are too short for a motion model.
     ModelError
-        If coloured noise is known, and a reading lies between two of its steps.
+        If coloured noise is known, and a reading lies between two steps of that noise.
     """
     seen = readings[np.isfinite(readings)]
     if len(seen) < FEWEST_READINGS:
@@ -131,17 +132,17 @@ def _choose_in_own_step(evidence: Evidence, causal: bool, known: PriorKnowledge)
 def _choose_damped(
     best: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...], rivals: tuple[Tuning, ...]
 ) -> Choice:
-    """Add tones to a motion model and damp it, so that its spread is that of the record."""
+    """Add tones to a motion model and damp it, so that its spread equals that of the record."""
     toned = _add_tones(best, evidence, causal, removed)
     return Choice("motion", damped(toned, evidence), best, rivals)
 
 
-def _add_tones(alone: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...]) -> Tuning:
+def _add_tones(plain: Tuning, evidence: Evidence, causal: bool, removed: tuple[float, ...]) -> Tuning:
     """Add tones to a motion model if they reduce the estimated risk of the filter, or of the smoother.
 
-    The spectrum alone may mislead: it averages over the whole record, even if the signal changes, as a chirp does.
+    The spectrum alone may mislead: it is an average over the whole record, even if the frequency changes as in a chirp.
     """
-    toned = add_tones(alone, evidence, removed)
+    toned = add_tones(plain, evidence, removed)
     if not toned.tones or any(tone.disturbance for tone in toned.tones):
         return toned
-    return choose_by_risk(toned, alone, evidence, causal)
+    return choose_by_risk(toned, plain, evidence, causal)

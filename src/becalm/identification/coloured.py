@@ -1,11 +1,10 @@
 """Identify the noise of a sensor at rest, and decide whether it is white or coloured.
 
-Readings at rest are modelled as white noise of variance R, autoregressive noise of order p, and a drift: a random walk
-that is fitted but not used later. The fit maximises a likelihood. For stretches without holes, it is the likelihood of
-their sine transform, whose ordinates are nearly independent and normal (Whittle, Ark. Mat. 2 (1953) 423). Where many
-readings are missing, it is the likelihood of the readings themselves, which the filter computes. The Bayesian
-information criterion decides whether there is coloured noise, and of which order (Schwarz, Annals of Statistics 6
-(1978) 461).
+Readings at rest are modelled as white noise of variance R, autoregressive noise of order p, and a drift, which is a
+random walk. The fit maximises a likelihood. For stretches without holes, this is the likelihood of their sine
+transform, whose ordinates are nearly independent and normal (Whittle, Ark. Mat. 2 (1953) 423). If many readings are
+missing, it is the likelihood of the readings themselves, which the filter computes. The Bayesian information criterion
+decides whether there is coloured noise, and of which order (Schwarz, Annals of Statistics 6 (1978) 461).
 """
 
 from __future__ import annotations
@@ -28,20 +27,20 @@ from becalm.identification.spectrum import pooled, sine_spectrum
 # Compute the likelihood of readings with coloured noise, from their spectrum or by a filter.
 #
 # The prior of the motion is flat. The prior of the coloured noise is its stationary distribution, with mean 0. With a
-# flat prior for both, the filter would need many readings to separate the noise from the motion. How many would depend
-# on the coefficients, so that likelihoods could not be compared.
+# flat prior for both, the filter would use many readings only to separate the noise from the motion. Their number would
+# depend on the coefficients, so that the likelihoods of different coefficients could not be compared.
 
 HIGHEST_ORDER = 3
 """Highest order of coloured noise that is tried."""
 
 UNSCORED = 6
-"""Readings of each stretch that only start the filter; the same number for every motion and noise model."""
+"""Number of readings of each stretch that only start the filter, equal for every motion and noise model."""
 
-_HALF_CYCLES = 8  # in a stretch, of the lowest frequency that is used
+_HALF_CYCLES = 8  # half cycles per stretch of the lowest frequency that is used
 _BIN = 0.02  # width of a bin, as a share of its frequency
 
 Misfit = Callable[["Shape"], tuple[float, float]]
-"""Function of a `Shape` that returns minus twice its log-likelihood, up to a constant, and the likeliest factor."""
+"""Function of a `Shape`; returns minus twice its log-likelihood, up to a constant, and the likeliest common factor."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +60,9 @@ class Shape:
 
 
 def spectral_misfit(parts: Sequence[Floats]) -> Misfit:
-    """Return the misfit to the sine transforms of stretches, (n,) each, without holes.
+    """Return the misfit of a noise model to stretches without holes, (n,) each, computed from their sine transforms.
 
-    The lowest frequencies are left out.
+    Frequencies below four cycles per stretch are left out.
     """
     spectra = [sine_spectrum(part) for part in parts]
     slowest = [np.full(len(s.angle), np.pi * _HALF_CYCLES / len(z)) for s, z in zip(spectra, parts, strict=True)]
@@ -78,7 +77,7 @@ def spectral_misfit(parts: Sequence[Floats]) -> Misfit:
     def misfit(shape: Shape) -> tuple[float, float]:
         model = shape.white + shape.drift * walk
         if shape.coefficients:
-            model = model + shape.innovation / (_squared(shape.coefficients) @ waves[: len(shape.coefficients) + 1])
+            model = model + shape.innovation / (_cosine_sum(shape.coefficients) @ waves[: len(shape.coefficients) + 1])
         factor = float(total @ (power / model)) / readings
         return float(total @ np.log(model)) + readings * (np.log(factor) + 1), factor
 
@@ -86,7 +85,7 @@ def spectral_misfit(parts: Sequence[Floats]) -> Misfit:
 
 
 def exact_misfit(parts: Sequence[Floats]) -> Misfit:
-    """Return the misfit, computed by the filter, to stretches (n,) with holes, which are NaN."""
+    """Return the misfit of a noise model to stretches with holes (NaN), (n,) each, computed by the filter."""
     records = [_record(part) for part in parts]
 
     def misfit(shape: Shape) -> tuple[float, float]:
@@ -105,9 +104,9 @@ def exact_misfit(parts: Sequence[Floats]) -> Misfit:
 
 
 def score_coloured(component: Component, noise_variance: float, z: Floats, elapsed: Floats) -> Sums | None:
-    """Return the likelihood sums of all but the first six readings, with stationary coloured noise from the start.
+    """Return the likelihood sums of all readings after the sixth; the coloured noise starts as stationary noise.
 
-    Return None if these six do not determine the state of the motion.
+    Return None if the first six readings do not determine the state of the motion.
 
     Parameters
     ----------
@@ -124,8 +123,8 @@ def score_coloured(component: Component, noise_variance: float, z: Floats, elaps
     return sums if sums.used == len(z) - UNSCORED else None
 
 
-def first_in_a_row(elapsed: Floats) -> int:
-    """Return the first row of the first run of readings that is long enough to start the filter; 0 if none is."""
+def start_of_first_run(elapsed: Floats) -> int:
+    """Return the row at which the first run of `UNSCORED` evenly sampled readings begins; 0 if there is none."""
     even = np.convolve(elapsed[1:] == 1.0, np.ones(UNSCORED - 1), "valid") if len(elapsed) >= UNSCORED else np.zeros(0)
     whole = np.flatnonzero(even > UNSCORED - 1.5)
     return int(whole[0]) if len(whole) else 0
@@ -135,15 +134,15 @@ def _record(part: Floats) -> tuple[Floats, Floats]:
     """Return the finite readings (m, 1) and the steps (m,) between them, from the first run that starts the filter."""
     seen = np.flatnonzero(np.isfinite(part))
     elapsed = np.diff(seen, prepend=seen[0]).astype(np.float64)
-    begin = first_in_a_row(elapsed)
+    begin = start_of_first_run(elapsed)
     return np.ascontiguousarray(part[seen[begin:], np.newaxis]), elapsed[begin:]
 
 
-def _squared(coefficients: tuple[float, ...]) -> Floats:
+def _cosine_sum(coefficients: tuple[float, ...]) -> Floats:
     """Return the coefficients c (p + 1,) for which |1 - sum phi_l exp(-i w l)|^2 = sum c_l cos(l w).
 
-    `autoregressive_power` uses the same polynomial. A search evaluates it thousands of times at the same angles; with c
-    it can use one table of cosines.
+    `autoregressive_power` uses the same polynomial. A search evaluates the polynomial thousands of times at the same
+    angles; with c, one table of cosines is enough for all of them.
     """
     a = np.array([1.0, *(-phi for phi in coefficients)])
     lagged = np.correlate(a, a, "full")[len(a) - 1 :]
@@ -151,7 +150,7 @@ def _squared(coefficients: tuple[float, ...]) -> Floats:
 
 
 FEWEST_AT_REST = 64
-"""Least number of readings in a run without holes that is used, and least number of readings in all."""
+"""Least number of readings at rest, both in total and in each run without holes that is used."""
 
 LONGEST_CORRELATION = 0.1
 """Longest correlation time of coloured noise, as a share of a stretch's length; slower noise looks like a drift."""
@@ -163,7 +162,7 @@ _PIECE, _PIECES = 2048, 2  # rows in a piece, and most pieces, where the filter 
 _WHITES = (-12.0, 14.0)  # limits of log(R / innovation variance - LEAST_WHITE), and ...
 _DRIFTS = (-30.0, 14.0)  # ... of log(drift density / (R + innovation variance))
 _PARTIAL = 6.0  # limit of |artanh(kappa)|, with the partial autocorrelations kappa
-_AT_LIMIT = 1.2  # times the slowest decay allowed; a slower fit counts as being at the limit
+_AT_LIMIT = 1.2  # decay rate of a fit, over the slowest rate allowed, below which the fit counts as at the limit
 _BEGIN_PARTIAL = ((0.97, 0.8, 0.4, -0.1, -0.5, -0.9), (-0.9, -0.5, 0.3), (-0.4, 0.4))  # starting values of each kappa
 _BEGIN_WHITES, _BEGIN_DRIFT = (-4.0, -1.0, 2.0), -12.0  # starting values of the two logarithms above
 
@@ -181,7 +180,7 @@ class NoiseModel:
     drift_density : float
         Density of the drift, a random walk, in unit^2/step; partly an artefact of where stretches start and end.
     count : int
-        Readings that were used; where many are missing, those in at most two pieces of 2048 rows.
+        Number of readings used; if many are missing, only those in at most two pieces of 2048 rows.
     gain : float
         Reduction of the information criterion (twice a log-likelihood) by coloured noise; 0 if there is none.
     """
@@ -199,21 +198,21 @@ def fit_noise(stretches: Sequence[Floats]) -> NoiseModel:
     Parameters
     ----------
     stretches : sequence of (n,) float array
-        Readings of one channel in even time, in its unit, NaN where missing. Each stretch has a level of its own.
+        Evenly sampled readings of one channel, in its unit, NaN where missing. Each stretch has a level of its own.
 
     Raises
     ------
     RecordingError
-        If there are fewer than 64 readings, or no piece of 2048 rows has so many.
+        If there are fewer than 64 readings, or no piece of 2048 rows has 64.
 
     Notes
     -----
     A slow drift and noise with a long correlation time look alike: one stretch cannot distinguish a sensor's wandering
     bias from a slow motion. Therefore periods longer than a quarter of a stretch are left out, a random walk is part of
     every candidate, and the correlation of coloured noise must fall to 1/e within a tenth of a stretch. Slower noise
-    counts as motion, and R is the white noise beside it. Noise with a correlation time of more than about a hundredth
-    of a stretch already resembles a drift and may be taken for one; that does less harm than taking motion for noise. A
-    steady tone at rest is taken for a narrow resonance of order 2.
+    counts as motion, and R contains only the white noise. Noise with a correlation time of more than about a hundredth
+    of a stretch already resembles a drift and may be identified as one; that does less harm than identifying motion as
+    noise. A steady tone at rest is identified as coloured noise of order 2 with a narrow resonance.
 
     R is never below a thousandth of the innovation variance of the coloured noise. The readings cannot distinguish so
     little white noise from none. The limit costs a filter at most a thousandth of its variance, and keeps the posterior
@@ -230,20 +229,20 @@ def fit_noise(stretches: Sequence[Floats]) -> NoiseModel:
         return NoiseModel(0.0, None, 0.0, count)
     whole = [run / np.sqrt(scale) for part in centred for run in _runs(part)]
     if sum(len(run) for run in whole) >= count / 2:
-        return _choose_order([spectral_misfit(whole)], _memory_limit(whole), count, scale)
+        return _choose_order([spectral_misfit(whole)], _largest_pole(whole), count, scale)
     pieces = [piece / np.sqrt(scale) for piece in _pieces(centred)]
     if not pieces:
         raise RecordingError(f"No stretch at rest holds {FEWEST_AT_REST} readings; name a longer rest.")
     used = sum(int(np.isfinite(piece).sum()) for piece in pieces)
-    misfits = [spectral_misfit([_bridged(piece) for piece in pieces]), exact_misfit(pieces)]
-    return _choose_order(misfits, _memory_limit(pieces), used, scale)
+    misfits = [spectral_misfit([_interpolated(piece) for piece in pieces]), exact_misfit(pieces)]
+    return _choose_order(misfits, _largest_pole(pieces), used, scale)
 
 
 def _choose_order(misfits: Sequence[Misfit], limit: float, count: int, scale: float) -> NoiseModel:
     """Return the noise model with the smallest information criterion, computed with the last of the misfits.
 
-    The misfits are minimised in turn, each from the end point of the one before. Order 3 is tried only if order 1 or 2
-    is better than white noise.
+    The misfits are minimised in turn; each search starts where the previous one ended. Order 3 is tried only if order 1
+    or 2 is better than white noise.
     """
 
     def cost(theta: Floats, misfit: Misfit = misfits[-1]) -> float:
@@ -260,7 +259,7 @@ def _choose_order(misfits: Sequence[Misfit], limit: float, count: int, scale: fl
     for order in range(1, HIGHEST_ORDER + 1):
         if order < HIGHEST_ORDER or best.coefficients:
             shape, criterion = fit(order)
-            if criterion < least and _forgets(shape.coefficients, limit):
+            if criterion < least and _is_within_limit(shape.coefficients, limit):
                 best, least = shape, criterion
     unit = misfits[-1](best)[1] * scale
     coloured = best.coloured._replace(variance=unit * best.coloured.variance) if best.coefficients else None
@@ -286,8 +285,7 @@ def _fit(cost: Callable[[Floats], float], starts: Sequence[Floats]) -> Floats:
 def _shape(theta: Floats, limit: float) -> Shape:
     """Return the noise at theta: artanh of p partial autocorrelations, then the logarithms in `_WHITES` and `_DRIFTS`.
 
-    For white noise theta holds the last of these only. The coefficients phi_i limit^i have the poles of phi_i times
-    `limit`.
+    For white noise theta is only the last of them. Multiplying phi_i by limit^i multiplies every pole by `limit`.
     """
     if len(theta) == 1:
         return Shape(1.0, float(np.exp(theta[0])))
@@ -297,8 +295,8 @@ def _shape(theta: Floats, limit: float) -> Shape:
     return Shape(white, (1 + white) * float(np.exp(theta[-1])), 1.0, tuple(phi.tolist()))
 
 
-def _forgets(coefficients: tuple[float, ...], limit: float) -> bool:
-    """Return whether the slowest pole lies well within the limit."""
+def _is_within_limit(coefficients: tuple[float, ...], limit: float) -> bool:
+    """Return whether the slowest pole decays clearly faster than a pole at `limit`."""
     slowest = np.abs(np.roots([1.0, *(-phi for phi in coefficients)])).max(initial=0.0)
     return bool(-np.log(max(slowest, 1e-300)) >= -_AT_LIMIT * np.log(limit))
 
@@ -324,12 +322,12 @@ def _pieces(parts: Sequence[Floats]) -> list[Floats]:
     return [pieces[k] for k in chosen]
 
 
-def _memory_limit(parts: Sequence[Floats]) -> float:
-    """Return the largest pole allowed: its correlation falls to 1/e within a tenth of the median stretch."""
+def _largest_pole(parts: Sequence[Floats]) -> float:
+    """Return the largest pole allowed, whose correlation falls to 1/e within a tenth of the median stretch."""
     return float(np.exp(-1 / (LONGEST_CORRELATION * np.median([len(part) for part in parts]))))
 
 
-def _bridged(piece: Floats) -> Floats:
-    """Fill the holes of a piece (n,) by straight lines, good enough to start a search."""
+def _interpolated(piece: Floats) -> Floats:
+    """Fill the holes of a piece (n,) by linear interpolation, which is accurate enough to start a search."""
     seen = np.flatnonzero(np.isfinite(piece))
     return np.interp(np.arange(len(piece)), seen, piece[seen])

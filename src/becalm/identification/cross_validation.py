@@ -1,11 +1,11 @@
 """Tune a smoother by cross-validation: by how well all other readings predict each reading. No truth is needed.
 
-The likelihood measures how well the next reading is predicted, and chooses too low an order for a smoother. Here the
-residuals of the smoother are weighed against the noise that it passes: with the mean weight g of a reading in its own
-estimate, P/R, the criterion is mean((z - y)^2) / (1 - c g)^2. With c = 1 that is generalised cross-validation. On short
-records its minimum sometimes follows the noise, so c exceeds 1 by one over the square root of g N, the number of
-parameters that the smoother fits; that is the scatter of the criterion itself. Source: Craven and Wahba, Numer. Math.
-31 (1979) 377; Kim and Gu, J. R. Statist. Soc. B 66 (2004) 337, who take c = 1.4.
+The likelihood measures how well a filter predicts the next reading; for a smoother it chooses too low an order. The
+criterion here is mean((z - y)^2) / (1 - c g)^2, with the readings z, their estimates y, and the mean weight g = P/R of
+a reading in its own estimate. With c = 1 this is generalised cross-validation. On short records that criterion
+sometimes chooses a smoother that follows the noise. Therefore c exceeds 1 by 1 / sqrt(g N), the scatter of the
+criterion; g N is the number of parameters that the smoother fits. Sources: Craven and Wahba, Numer. Math. 31 (1979)
+377; Kim and Gu, J. R. Statist. Soc. B 66 (2004) 337, who take c = 1.4.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from becalm.core.model.components import EVERY_ORDER, motion
 from becalm.identification.likelihood import Evidence, Tuning, find_ratio
 from becalm.identification.spectrum import pooled, sine_spectrum, slope_between_ends
 
-LONG, MOST_OF = 4096, 0.8
-"""Least number of readings in complete stretches, and their least share of all, for which spectra are enough.
+LONG, LEAST_COMPLETE = 4096, 0.8
+"""Least number, and least share, of readings in complete stretches for a tuning from spectra alone.
 
-With so many the ends of the stretches do not matter.
+With that many readings the ends of the stretches do not matter.
 """
 
-_INDISTINCT = 2.0  # difference of loss times readings, twice a log-likelihood, that does not distinguish two orders
-_ALIKE = 0.1  # difference of log r that a few stretches cannot resolve
+_INDISTINCT = 2.0  # difference of loss times number of readings, up to which two orders count as equally good
+_ALIKE = 0.1  # difference of log r that the readings of a few stretches cannot resolve
 _OPAQUE = 0.95  # raised weight of a reading in its own estimate, from which on almost nothing is smoothed
 
 Residuals = Callable[[float], tuple[float, float]]
 """Function of q/r that returns the mean squared residual, unit^2, and a reading's mean weight in its own estimate."""
 
 
-def cautious(weight: float, count: int) -> float:
-    """Return the mean weight of `count` readings in their own estimates, raised by the criterion's scatter."""
+def raised_weight(weight: float, count: int) -> float:
+    """Return the mean weight of `count` readings in their own estimates, raised by the scatter of the criterion."""
     return float(weight * (1 + 1 / np.sqrt(max(weight * count, 1.0))))
 
 
@@ -51,7 +51,7 @@ def criterion(squares: float, weight: float, count: int) -> float:
     squares : float
         Mean squared residual of the smoother, in unit^2.
     weight : float
-        Mean weight of a reading in its own estimate; a *small* one belongs to a smoother that smooths more.
+        Mean weight of a reading in its own estimate; it is *small* for a smoother that smooths more.
     count : int
         Number of readings.
 
@@ -60,10 +60,10 @@ def criterion(squares: float, weight: float, count: int) -> float:
     float
         The criterion; inf where almost nothing is smoothed, or the residuals are zero.
     """
-    charged = cautious(weight, count)
-    if not charged < _OPAQUE or not squares > 0:
+    raised = raised_weight(weight, count)
+    if not raised < _OPAQUE or not squares > 0:
         return np.inf
-    return float(np.log(squares) - 2 * np.log1p(-charged))
+    return float(np.log(squares) - 2 * np.log1p(-raised))
 
 
 def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
@@ -77,40 +77,40 @@ def tune_smoother(evidence: Evidence) -> tuple[Tuning, ...]:
     Returns
     -------
     tuple of Tuning
-        One for each order from 1 to 5 that can be tuned, with the criterion as `loss`; empty if none removes noise.
+        One for each order from 1 to 5 that can be tuned, with the criterion as `loss`; empty if none reduces the noise.
     """
     even = [evidence.z[part, 0] for part in _complete(evidence)]
-    tunings = _tuned(evidence, read_residuals(even)) if even else ()
-    if not lasting(evidence):
-        tunings = _tuned(evidence, lambda order: smooth_residuals(order, evidence), tunings)
-    elif not tunings or not _confirmed(min(tunings, key=lambda tuning: tuning.loss), evidence):
-        tunings = _tuned(evidence, lambda order: smooth_residuals(order, evidence))
+    tunings = _tune_orders(evidence, residuals_from_spectra(even)) if even else ()
+    if not stretches_for_spectra(evidence):
+        tunings = _tune_orders(evidence, lambda order: residuals_by_smoothing(order, evidence), tunings)
+    elif not tunings or not _is_confirmed(min(tunings, key=lambda tuning: tuning.loss), evidence):
+        tunings = _tune_orders(evidence, lambda order: residuals_by_smoothing(order, evidence))
     least = evidence.smallest_variance
     return tuple(replace(tuning, noise_variance=max(tuning.noise_variance, least)) for tuning in tunings)
 
 
 def simplest(tunings: Sequence[Tuning]) -> Tuning:
-    """Return the lowest order whose loss does not differ significantly from the least."""
+    """Return the tuning of the lowest order whose loss is not significantly above the least."""
     least = min(tuning.loss for tuning in tunings)
     return next(tuning for tuning in tunings if tuning.loss <= least + _INDISTINCT / tuning.count)
 
 
-def lasting(evidence: Evidence) -> list[slice]:
-    """Return the stretches whose spectra are enough; none if the record is short or too much is missing."""
+def stretches_for_spectra(evidence: Evidence) -> list[slice]:
+    """Return the complete stretches if their spectra alone are enough for a tuning; otherwise an empty list."""
     complete = _complete(evidence)
     return complete if sum(part.stop - part.start for part in complete) >= LONG else []
 
 
 def _complete(evidence: Evidence) -> list[slice]:
-    """Return the long stretches in even time if they hold most of the readings, else none."""
+    """Return the complete stretches if they contain most of the readings; otherwise an empty list."""
     readings = sum(part.stop - part.start for part in evidence.complete)
-    return evidence.complete if readings >= MOST_OF * len(evidence.z) else []
+    return evidence.complete if readings >= LEAST_COMPLETE * len(evidence.z) else []
 
 
-def _tuned(
+def _tune_orders(
     evidence: Evidence, residuals: Callable[[int], tuple[Residuals, int]], hints: Sequence[Tuning] = ()
 ) -> tuple[Tuning, ...]:
-    """Tune each order by the residuals of its smoothers; search near a hint first, such as a tuning from spectra."""
+    """Tune each order by the residuals of its smoothers; a search starts near the hint of its order, if any."""
     near = {hint.order: hint.ratio for hint in hints}
     steps = evidence.longest_steps
     tuned = []
@@ -121,16 +121,16 @@ def _tuned(
     return tuple(tuning for tuning in tuned if tuning is not None)
 
 
-def _confirmed(tuning: Tuning, evidence: Evidence) -> bool:
-    """Return whether smoothing gives the spectrum's noise variance; it does not where a record bends at its ends."""
-    squares, weight = smooth_residuals(tuning.order, evidence)[0](tuning.ratio)
+def _is_confirmed(tuning: Tuning, evidence: Evidence) -> bool:
+    """Return whether smoothing gives the same noise variance as the spectrum; not so if a record bends at its ends."""
+    squares, weight = residuals_by_smoothing(tuning.order, evidence)[0](tuning.ratio)
     return abs(np.log(squares / (1 - weight) / tuning.noise_variance)) < _ALIKE if squares > 0 else False
 
 
 def _minimise_criterion(
     order: int, steps: float, counted_residuals: tuple[Residuals, int], near: float | None
 ) -> Tuning | None:
-    """Find the ratio of one order that minimises the criterion, near a hint first; None if it is nowhere finite."""
+    """Find the ratio of one order that minimises the criterion, first around `near`; None if it is nowhere finite."""
     residuals, count = counted_residuals
 
     least = find_ratio(order, lambda ratio: criterion(*residuals(ratio), count), steps, near=near)
@@ -140,13 +140,13 @@ def _minimise_criterion(
     return Tuning(order, least.ratio, squares / (1 - weight), count, loss=least.cost, at_edge=least.at_edge)
 
 
-def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residuals, int]]:
+def residuals_from_spectra(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residuals, int]]:
     """Compute the residuals of smoothers from spectra, without smoothing.
 
     Parameters
     ----------
     stretches : sequence of (n,) float array
-        Readings in even time, in unit.
+        Evenly sampled readings, in unit.
 
     Returns
     -------
@@ -157,8 +157,8 @@ def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residua
     Notes
     -----
     A straight line is subtracted from each stretch before the sine transform. A smoother of order 2 or more follows
-    that line. One of order 1 departs from it at both ends: k readings from an end by s / sqrt(q/r) exp(-sqrt(q/r) k),
-    with the slope s.
+    that line. A smoother of order 1 departs from a line of slope s at both ends: k readings from an end, the
+    difference is s / sqrt(q/r) exp(-sqrt(q/r) k).
     """
     spectrum = pooled([sine_spectrum(z) for z in stretches])
     readings = int(spectrum.weight.sum())
@@ -179,12 +179,12 @@ def read_residuals(stretches: Sequence[Floats]) -> Callable[[int], tuple[Residua
 
 
 def _parts(evidence: Evidence, states: int) -> list[slice]:
-    """Return the stretches to smooth; none if each leaves one residual only, too few for two variances."""
+    """Return the stretches with more readings than states; none if no stretch has the two more that a tuning needs."""
     parts = [part for part in evidence.sample if part.stop - part.start > states]
     return parts if any(part.stop - part.start > states + 1 for part in parts) else []
 
 
-def smooth_residuals(order: int, evidence: Evidence) -> tuple[Residuals, int]:
+def residuals_by_smoothing(order: int, evidence: Evidence) -> tuple[Residuals, int]:
     """Compute the residuals of a smoother by smoothing.
 
     Parameters

@@ -1,10 +1,11 @@
 """Damp a motion model so that its spread equals that of the record, and its predictions stay bounded.
 
-A kinematic model is integrated noise: without readings its estimate runs away, and its variance grows without end. A
-model that is damped below a frequency a is stationary about a level of its own; above a, in the band where the filter
-works, it is the same as before. The record determines a: the variance V = q / (2 n sin(pi / 2n) a^(2n-1)) of the damped
-motion about its level must equal the variance of the signal about its own level. If the damped model predicts the
-readings worse (a ramp, for example, does not return), the damping is halved repeatedly, and finally left out.
+A kinematic model is integrated white noise: without readings its estimate runs away, and its variance grows without
+bound. A model that is damped below a frequency a varies about a level, a mean of its past, with bounded variance. Above
+a, in the band where the filter works, the model does not change. The record determines a: the variance V = q / (2 n
+sin(pi / 2n) a^(2n-1)) of the damped motion about its level must equal the variance of the signal about the signal's
+level. If the damped model predicts the readings worse, as on a ramp, which does not return, the damping is halved
+repeatedly, and finally left out.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from becalm.core.filter.channel import ChannelRecord, Sums
 from becalm.core.model.components import LEVEL_RATE
 from becalm.identification.likelihood import Evidence, Tuning
 
-_LEAST = 1e-250  # smallest noise variance, unit^2, of a model that is damped; the largest is one over it
+_LEAST = 1e-250  # smallest noise variance, unit^2, of a model that is damped; the largest is 1 / _LEAST
 _ROUNDS = 12  # most iterations
 _SAME = 1e-3  # relative change of the damping at which the iteration ends
 _CHANCE = 4.0  # standard errors of the noise variance; a smaller variance of the signal may be chance
-_SLOWEST = 1.0  # radians the record must last to show that a motion of order 1 returns
+_SLOWEST = 1.0  # least damping times duration, in radians, for a record to show that a motion of order 1 returns
 _NEVER = 1e-8  # radians a step; with less damping a motion returns in no record
-_BLOCK, _AT_ONCE = 64, 5.0  # readings in a block; highest rate of the mean, 1/reading: then it is the reading
-_HALVINGS = 12  # most dampings that are tried, each half of the one before
-_DOUBT = 2.0  # largest loss in log-likelihood by a damping
+_BLOCK, _AT_ONCE = 64, 5.0  # readings in a block; highest rate of the mean, 1/reading, at which it follows at once
+_HALVINGS = 12  # most dampings that are tried, each half of the previous one
+_DOUBT = 2.0  # largest loss in log-likelihood with which a damping is still accepted
 _UNSCORED = 64  # first readings of a piece, or a quarter of a shorter one, which are not scored
 _FASTEST = np.pi / 4  # largest damping, in radians a step, ...
 _HIGHEST = 1.0  # ... and as a multiple of the cut-off; a larger one would change the band where the filter works
@@ -45,7 +46,7 @@ def damped(tuning: Tuning, evidence: Evidence) -> Tuning:
 
     Notes
     -----
-    A random walk that does not return within the record is not damped: it predicts the last level, which is bounded.
+    A random walk that does not return within the record is not damped: its prediction, the last level, is bounded.
     """
     n, density = tuning.order, tuning.ratio * tuning.noise_variance
     if not (density > 0 and _LEAST < tuning.noise_variance < 1 / _LEAST):
@@ -73,10 +74,10 @@ def damped(tuning: Tuning, evidence: Evidence) -> Tuning:
 
 
 def _mean_log_likelihood(tuning: Tuning, evidence: Evidence) -> float:
-    """Return the mean log-likelihood of a reading, over pieces of the record; -inf where no piece starts the filter.
+    """Return the mean log-likelihood of a reading, over pieces of the record; -inf if no piece starts the filter.
 
-    The filter starts anew in each piece. Means are comparable, and sums are not: filters may need different numbers of
-    readings to start, and each log-density depends on the unit.
+    The filter starts anew in each piece. Means of two filters can be compared. Sums cannot, because the filters may
+    need different numbers of readings to start, and the log-density of each reading depends on the unit.
     """
     component, r, total = tuning.component, tuning.noise_variance, Sums()
     for part in evidence.sample:

@@ -1,7 +1,7 @@
-"""Decide whether a channel gets an innovation gate, and tune it where readings contain spikes.
+"""Decide whether a channel gets an innovation gate, and tune the channel if its readings contain spikes.
 
-Spikes inflate the identified noise, and the gate then rejects too few of them. So a channel is tuned and gated, and
-tuned again without the rejected readings. The readings after a reject show whether it was a spike.
+Spikes inflate the identified noise, and the gate then rejects too few of them. Therefore a channel is tuned and gated,
+and then tuned again without the rejected readings, until these no longer change.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from becalm.core.reading_verdicts import Verdict
 from becalm.identification.choose import NOTHING_KNOWN, Choice, PriorKnowledge, choose
 from becalm.identification.imputation import imputed
 from becalm.identification.likelihood import Tuning
-from becalm.identification.modes.banks import stand_out
+from becalm.identification.modes.banks import rejects_stand_out
 
 ROUNDS = 12
-"""Largest number of tunings. Each multiplies the noise that huge spikes add by the root of their share."""
+"""Largest number of tunings. Each reduces the noise that huge spikes add, by a factor of the root of their share."""
 
 MOST_REJECTED = 0.05
-"""Largest share of readings that a gate may reject; more are not exceptions."""
+"""Largest share of readings that a gate may reject; more rejected readings are no exceptions."""
 
 FEWEST_ISOLATED = 0.5
-"""Least share of the rejects that are isolated or in pairs."""
+"""Least share of the rejected readings that must be isolated or in pairs."""
 
 SHOULDER, MOST_NEAR = 0.7, 0.5
-"""Lower end of the shoulder, as a share of the threshold; most innovations in it, as a share of the rejects.
+"""Lower end of the shoulder, as a share of the threshold; most innovations in it, as a share of the rejected readings.
 
-Only innovations in excess of the number expected of Gaussian noise count. Spikes leave fewer than this share in the
-shoulder; heavy tails have at least twice as many.
+The shoulder is the range of innovations just below the gate's threshold. Only the innovations beyond the number that
+Gaussian noise has there count. Spikes leave fewer than `MOST_NEAR`, heavy tails at least twice as many.
 """
 
 DOUBT = 3.0
-"""Largest loss in log-likelihood with which a gate is still accepted; so small a difference is due to chance."""
+"""Largest loss in log-likelihood with which a gate is still accepted; a smaller difference may be due to chance."""
 
 _LEAST_SCALE = 1e-6  # least factor of the noise's standard deviation, for readings more than half of which are equal
 _MIDDLE = 1.4826  # standard deviation of Gaussian noise over the median of its magnitude
 _CHANCE = 3.0  # standard deviations by which a count may exceed its expectation
 _SAME = 0.1  # relative change of a noise variance at which the iteration ends
 _PAIR = 2  # longest run of rejects that are isolated or in a pair
-_PIECE = 1 << 15  # rows filtered at once; in uneven time each row has its own step matrices
+_PIECE = 1 << 15  # rows filtered at once; with uneven sampling each row has its own step matrices
 
 
 class GatedChoice(NamedTuple):
@@ -83,12 +83,12 @@ def choose_gated(
     causal : bool
         True tunes a causal filter, False a smoother.
     known : PriorKnowledge
-        What need not be identified.
+        Noise and tones that are known, and therefore not identified.
 
     Returns
     -------
     GatedChoice
-        The choice; that of `choose` if the gate is not used or rejects nothing.
+        The choice; it is that of `choose` if the gate is not used or rejects nothing.
 
     Raises
     ------
@@ -97,16 +97,17 @@ def choose_gated(
 
     Notes
     -----
-    Before each gating, r is reduced where the middle half of the innovations is narrower than expected; otherwise the
-    noise that spikes add would keep them within the threshold. The gate is used where it improves the predictions of
-    the accepted readings: an accepted spike spoils the predictions after it, and so does rejected motion.
+    Before each run with the gate, r is reduced if the median innovation is smaller than expected; otherwise the noise
+    that spikes add would keep the spikes within the threshold. The gate is used only if it does not make the
+    predictions of the accepted readings worse. An accepted spike makes the predictions after it worse, and so does
+    rejected motion.
     """
     plain = choice = choose(readings, elapsed, causal, known)
     before, variance = np.zeros(len(readings), dtype=bool), np.inf
     for _ in range(ROUNDS - 1):
         if choice.tuning is None:
             return GatedChoice(plain, False)
-        tuning = robust(choice.tuning, readings, elapsed)
+        tuning = with_robust_noise(choice.tuning, readings, elapsed)
         predictions = forecasts(tuning, readings, elapsed, gate)
         rejected = predictions.rejected
         if not _are_exceptions(rejected, readings) or has_shoulders(predictions, gate.threshold):
@@ -133,7 +134,7 @@ def predicts_better(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gat
 def has_shoulders(predictions: Forecasts, threshold: float) -> bool:
     """Return whether more innovations lie just below the threshold than Gaussian noise and spikes explain.
 
-    Then the rejects are not a separate population, but the end of heavy tails.
+    If so, the rejected readings are not spikes, but the ends of heavy tails.
     """
     from scipy.special import ndtr
 
@@ -157,8 +158,8 @@ def forecasts(tuning: Tuning, readings: Floats, elapsed: Floats, gate: Gate | No
     return Forecasts(nu / sigma, sigma, rejected)
 
 
-def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
-    """Return a tuning whose noise is at most that of the median innovation; spikes hardly change a median."""
+def with_robust_noise(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
+    """Return a tuning whose r is reduced to what the median innovation shows; spikes hardly change a median."""
     free = np.abs(forecasts(tuning, readings, elapsed, None).normalised)
     seen = free[np.isfinite(free)]
     scale = min(1.0, max(_LEAST_SCALE, _MIDDLE * float(np.median(seen)))) if len(seen) else 1.0
@@ -166,10 +167,10 @@ def robust(tuning: Tuning, readings: Floats, elapsed: Floats) -> Tuning:
 
 
 def _are_exceptions(rejected: Booleans, readings: Floats) -> bool:
-    """Return whether rejects are few, at least half isolated or in pairs, and stand out from their neighbours."""
+    """Return whether the rejected readings are few, mostly isolated or paired, and stand out from their neighbours."""
     count, seen = np.count_nonzero(rejected), np.count_nonzero(np.isfinite(readings))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], rejected, [False]]).astype(np.int8)))
     lengths = np.diff(edges)[::2]
-    alone = int(lengths[lengths <= _PAIR].sum())
-    few = count <= MOST_REJECTED * seen and alone >= FEWEST_ISOLATED * count
-    return bool(few and stand_out(readings, rejected))
+    isolated = int(lengths[lengths <= _PAIR].sum())
+    few = count <= MOST_REJECTED * seen and isolated >= FEWEST_ISOLATED * count
+    return bool(few and rejects_stand_out(readings, rejected))

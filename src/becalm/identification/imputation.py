@@ -1,6 +1,6 @@
-"""Replace missing or rejected readings by random draws, which completes a nearly complete record.
+"""Replace missing or rejected readings by random draws, so that the spectrum of the record can be computed.
 
-Source of the draws: Rubin, Multiple Imputation for Nonresponse in Surveys (1987), chapter 1.
+Source: Rubin, Multiple Imputation for Nonresponse in Surveys (1987), chapter 1.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ MOST_MISSING = 0.2
 def imputed(tuning: Tuning, readings: Floats, elapsed: Floats, rejected: Booleans) -> Floats:
     """Return readings (N,) with each reject replaced by a draw from its distribution given all other readings.
 
-    So a record in even time stays even, and its spectrum can be computed. A draw keeps the power of the noise; the mean
-    of the distribution would reduce it. The same record gets the same draws.
+    A draw keeps the power of the noise; the mean of the distribution would reduce it. The same record always gets the
+    same draws.
     """
-    left = np.where(rejected, np.nan, readings)
+    accepted = np.where(rejected, np.nan, readings)
     flow = SmoothedFlow(tuning.component, tuning.noise_variance, split=True)
-    smoothed = EstimatedRows.joined([*flow.push(left, elapsed), *flow.finish()])
+    smoothed = EstimatedRows.joined([*flow.push(accepted, elapsed), *flow.finish()])
     mean, spread = smoothed.parts.sum(axis=0), np.sqrt(smoothed.sigma**2 + tuning.noise_variance)
     draws = np.random.default_rng(len(readings)).normal(size=len(readings))
     return np.where(rejected, mean + spread * draws, readings)
 
 
 def completed(evidence: Evidence, tuning: Tuning) -> Evidence:
-    """Return the longest part of a record whose holes are short and few, with draws in these holes.
+    """Return the longest part of a record whose holes are short and few, with random draws in its holes.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def completed(evidence: Evidence, tuning: Tuning) -> Evidence:
 
 
 def nearly_complete(evidence: Evidence) -> slice:
-    """Return the longest part of a record in even time, apart from jitter, whose holes are short and few."""
+    """Return the longest evenly sampled part of a record, apart from jitter, whose holes are short and few."""
     elapsed = evidence.elapsed
     steps = np.round(elapsed)
     odd = (np.abs(elapsed - steps) > JITTER) | (steps < 1) | (steps > LONGEST_HOLE)

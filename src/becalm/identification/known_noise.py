@@ -1,11 +1,12 @@
-"""Tune a motion model with noise that is already known, for instance from a rest.
+"""Tune a motion model with noise that is already known, for instance because it was measured at rest.
 
 R is fixed, so it is not concentrated out of the likelihood. The tuning of a causal filter maximises the likelihood, and
 so does every tuning with coloured noise. The tuning of a smoother, where all noise is white, minimises its estimated
 risk: with the mean squared residual s and the mean weight g of a reading in its own estimate, the mean squared error of
 the estimate is s - R + 2 R g on average. This holds for any linear smoother, and needs no truth. On short records the
-minimum sometimes follows the noise, so g is raised as in `cross_validation.cautious`. Sources: Mallows, Technometrics
-15 (1973) 661; Stein, Annals of Statistics 9 (1981) 1135; Schweppe, IEEE TIT-11 (1965) 61.
+minimum sometimes belongs to a smoother that follows the noise; therefore `cross_validation.raised_weight` raises g.
+Sources: Mallows, Technometrics 15 (1973) 661; Stein, Annals of Statistics 9 (1981) 1135; Schweppe, IEEE TIT-11 (1965)
+61.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from becalm.core.filter.channel import Sums
 from becalm.core.model.autoregressive import ColouredNoise
 from becalm.core.model.components import EVERY_ORDER, ORDERS
 from becalm.errors import RecordingError
-from becalm.identification.coloured import first_in_a_row, score_coloured
+from becalm.identification.coloured import score_coloured, start_of_first_run
 from becalm.identification.cross_validation import (
     Residuals,
-    cautious,
-    lasting,
-    read_residuals,
+    raised_weight,
+    residuals_by_smoothing,
+    residuals_from_spectra,
     simplest,
-    smooth_residuals,
+    stretches_for_spectra,
 )
 from becalm.identification.likelihood import FEWEST_READINGS, Candidate, Evidence, Tuning, find_ratio
 
@@ -41,7 +42,7 @@ def tune_with_known_noise(
     Parameters
     ----------
     evidence : Evidence
-        The readings, at least 8; in even time if there is coloured noise.
+        The readings, at least 8; evenly sampled if there is coloured noise.
     noise_variance : float
         R, the variance of a reading's white noise, in unit^2; a *small* one trusts the readings and smooths less.
     coloured : ColouredNoise or None
@@ -59,8 +60,8 @@ def tune_with_known_noise(
 
     Notes
     -----
-    The given noise is not questioned: if it was measured at rest and is louder in motion, the excess is taken for
-    motion. With coloured noise, a record of more than 32768 readings is scored on sixteen pieces of 2048.
+    The given noise is not checked: if a sensor is noisier in motion than at rest, the excess counts as motion. With
+    coloured noise, a record of more than 32768 readings is scored on sixteen pieces of 2048.
     """
     if len(evidence.z) < FEWEST_READINGS:
         raise RecordingError(
@@ -68,9 +69,9 @@ def tune_with_known_noise(
         )
     R = max(noise_variance, evidence.smallest_variance)
     if coloured is not None:
-        tunings = [_beside_coloured(order, evidence, R, coloured) for order in ORDERS]
+        tunings = [_tune_with_coloured(order, evidence, R, coloured) for order in ORDERS]
     elif causal:
-        tunings = [_beside_white(order, evidence, R) for order in ORDERS]
+        tunings = [_tune_with_white(order, evidence, R) for order in ORDERS]
     else:
         tunings = _tune_smoothers(evidence, R)
     if not any(tuning.count for tuning in tunings):
@@ -80,7 +81,7 @@ def tune_with_known_noise(
     return max(tunings, key=lambda tuning: tuning.log_likelihood)
 
 
-def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
+def _tune_with_white(order: int, evidence: Evidence, R: float) -> Tuning:
     """Find the likeliest density of one order for a known R.
 
     The log-likelihood of n readings at R is less than at the likeliest r by n (r/R - 1 - log(r/R)) / 2.
@@ -91,13 +92,13 @@ def _beside_white(order: int, evidence: Evidence, R: float) -> Tuning:
         free = candidate.score(ratio)
         if not free.used:
             return -np.inf, 0
-        beyond = free.noise_variance / R
-        return free.log_likelihood - 0.5 * free.used * (beyond - 1 - np.log(beyond)), free.used
+        excess = free.noise_variance / R
+        return free.log_likelihood - 0.5 * free.used * (excess - 1 - np.log(excess)), free.used
 
     return _likeliest(likelihood, order, evidence, (R, R))
 
 
-def _beside_coloured(order: int, evidence: Evidence, R: float, coloured: ColouredNoise) -> Tuning:
+def _tune_with_coloured(order: int, evidence: Evidence, R: float, coloured: ColouredNoise) -> Tuning:
     """Find the likeliest density of one order for known white and coloured noise."""
     trial, parts = Tuning(order, 1.0, R, 0, coloured=coloured), _parts(evidence)
 
@@ -117,7 +118,7 @@ def _likeliest(
 ) -> Tuning:
     """Find the likeliest ratio q/r.
 
-    `variances` are R and the variance of all noise; the grid of cut-offs is that for the variance of all noise.
+    `variances` are R and the variance of all noise, in unit^2. The grid of cut-offs is that of q over the latter.
     """
     R, total = variances
     least = find_ratio(order, lambda ratio: -likelihood(ratio * total / R)[0], evidence.longest_steps)
@@ -128,19 +129,19 @@ def _likeliest(
 def _tune_smoothers(evidence: Evidence, R: float) -> list[Tuning]:
     """Tune a smoother of each order for known white noise."""
     orders = EVERY_ORDER[: len(evidence.z) - 3]
-    even = [evidence.z[part, 0] for part in lasting(evidence)]
+    even = [evidence.z[part, 0] for part in stretches_for_spectra(evidence)]
     if even:
-        residuals_by_order = list(map(read_residuals(even), orders))
+        residuals_by_order = list(map(residuals_from_spectra(even), orders))
         tunings = [
             _least_risk(order, *residuals, evidence, R)
             for order, residuals in zip(orders, residuals_by_order, strict=True)
         ]
         best = simplest(tunings)
         by_spectrum, _ = residuals_by_order[best.order - 1][0](best.ratio)
-        by_smoothing, _ = smooth_residuals(best.order, evidence)[0](best.ratio)
+        by_smoothing, _ = residuals_by_smoothing(best.order, evidence)[0](best.ratio)
         if by_smoothing > 0 and abs(np.log(by_smoothing / by_spectrum)) < _ALIKE:
             return tunings
-    every = {order: smooth_residuals(order, evidence) for order in orders}
+    every = {order: residuals_by_smoothing(order, evidence) for order in orders}
     return [_least_risk(order, *residuals, evidence, R) for order, residuals in every.items() if residuals[1]]
 
 
@@ -148,13 +149,13 @@ def _least_risk(order: int, residuals: Residuals, count: int, evidence: Evidence
     """Find the density at which the smoother of one order has the least estimated risk."""
 
     def loss(ratio: float) -> float:
-        return foretold_square(*residuals(ratio), count, R)
+        return log_prediction_error(*residuals(ratio), count, R)
 
     least = find_ratio(order, loss, evidence.longest_steps)
     return Tuning(order, least.ratio, R, count, loss=least.cost, at_edge=least.at_edge)
 
 
-def foretold_square(squares: float, weight: float, count: int, noise_variance: float) -> float:
+def log_prediction_error(squares: float, weight: float, count: int, noise_variance: float) -> float:
     """Return the logarithm of the sum of R and the estimated risk.
 
     The sum is the mean squared distance, in unit^2, of a new reading from the estimate.
@@ -168,9 +169,9 @@ def foretold_square(squares: float, weight: float, count: int, noise_variance: f
     noise_variance : float
         R, in unit^2.
     """
-    return float(np.log(squares + 2 * noise_variance * cautious(weight, count)))
+    return float(np.log(squares + 2 * noise_variance * raised_weight(weight, count)))
 
 
 def _parts(evidence: Evidence) -> list[slice]:
     """Return the pieces to score; each begins with a run of readings that is long enough to start the filter."""
-    return [slice(part.start + first_in_a_row(evidence.elapsed[part]), part.stop) for part in evidence.sample]
+    return [slice(part.start + start_of_first_run(evidence.elapsed[part]), part.stop) for part in evidence.sample]

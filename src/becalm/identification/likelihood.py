@@ -26,24 +26,24 @@ from becalm.identification.spectrum import ToneOscillator
 # Minimise a cost over one number: by a grid, then by Brent's method next to the best point.
 #
 # The number is the logarithm of a motion's cut-off, which determines q/r. The likelihood may have several maxima over
-# the cut-off; the grid finds the region of the highest, and Brent's method, which needs a single one, finds it.
+# the cut-off. The grid finds the region of the highest maximum, and Brent's method then finds the maximum itself.
 # Source: Brent, Algorithms for Minimization without Derivatives (1973), ch. 5.
 
 Edge = Literal["", "low", "high"]
 """Whether a search ended at the lowest or the highest point of its grid, or ("") between them."""
 
-_SLOWEST_CYCLES = 0.2  # of the slowest cut-off in the record; with a slower one the estimate is a polynomial
+_SLOWEST_CYCLES = 0.2  # cycles per record of the slowest cut-off; with a slower one the estimate is a polynomial
 _FASTEST = 4.0  # radians a step; a faster cut-off passes everything
-_AT_EDGE = 0.05  # distance from an end of the grid up to which a point is at it, as a share of the grid's spacing
+_AT_EDGE = 0.05  # distance from an end of the grid up to which a point counts as at this end, in spacings of the grid
 _POINTS = 17  # cut-offs in the grid
-_PRECISION = 3e-3  # of the logarithm of the cut-off: far below its standard error
+_PRECISION = 3e-3  # tolerance of the logarithm of the cut-off, far below its standard error
 
 
 class Least(NamedTuple):
     """The minimum of a cost."""
 
-    at: float
-    cost: float  # inf if it is nowhere finite
+    at: float  # argument of the cost at the minimum
+    cost: float  # inf if the cost is nowhere finite
     at_edge: Edge
     evaluations: int
 
@@ -52,7 +52,7 @@ class LeastRatio(NamedTuple):
     """The ratio q/r that minimises a cost."""
 
     ratio: float
-    cost: float  # inf if it is nowhere finite
+    cost: float  # inf if the cost is nowhere finite
     at_edge: Edge
 
 
@@ -72,7 +72,7 @@ def find_ratio(
     cost : callable
         Function of q/r, with q in unit^2/step^(2n-1); inf where the cost is undefined.
     steps : float
-        Length of the record in steps; the slowest cut-off makes a fifth of a cycle in it.
+        Length of the record in steps; the slowest cut-off has a fifth of a cycle in the record.
     enough : callable, optional
         See `find_least`.
     near : float, optional
@@ -155,26 +155,26 @@ FEWEST_READINGS = 8
 """Least number of readings; fewer cannot separate noise from signal."""
 
 UNSCORED = 3
-"""Readings that only start the filter; the same number for orders 1 to 3, so that likelihoods can be compared."""
+"""Number of readings that only start the filter, equal for orders 1 to 3 so that likelihoods can be compared."""
 
 LONG_GAP = 1000.0
 """Gap, in steps, at which tuning starts anew: a prediction across it would be almost worthless."""
 
 FEWEST_FOR_TONES = 256
-"""Least number of readings in even time, none missing, for a search for tones."""
+"""Least number of evenly sampled readings, none missing, for a search for tones."""
 
-LASTING = 1024
-"""Least number of readings in even time, none missing, for a useful spectrum."""
+FEWEST_FOR_SPECTRUM = 1024
+"""Least number of evenly sampled readings, none missing, for a useful spectrum."""
 
-_SELDOM = 1.5  # usual distance of two readings, in steps, from which on it becomes the step
+_LEAST_OWN_STEP = 1.5  # median time between two readings, in steps, from which on that time becomes the step
 _MOST_GAPS = 63  # most gaps at which tuning starts anew
 JITTER = 0.02
 """Steps by which the time between two rows of an even clock may differ from a whole number."""
 
-_LATE = 0.1  # steps by which a row may deviate from the even clock
+_LATE = 0.1  # deviation of a row from the time of an even clock, in steps, that is allowed
 _PIECE, _PIECES = 2048, 16  # readings in a piece, and pieces that represent a long record
 _FALLS = 3  # falls of the log-likelihood in a row after which slower cut-offs are not tried, ...
-_DEEP = 50.0  # ... if it is also so far below its maximum
+_DEEP = 50.0  # ... if the log-likelihood is also so far below its maximum
 
 
 class Score(NamedTuple):
@@ -200,11 +200,11 @@ class Tuning:
     count : int
         Number of readings scored.
     log_likelihood : float
-        Exact log-likelihood of the readings scored, at this ratio and the likeliest noise variance for it, or the known
-        one; NaN for a tuning with a `loss`.
+        Exact log-likelihood of the readings scored, at this ratio and the known noise variance or, if none is known,
+        the likeliest; NaN for a tuning with a `loss`.
     loss : float
-        Criterion that a smoother's tuning minimises: `cross_validation.criterion`, or `known_noise.foretold_square`
-        where the noise is known; otherwise NaN.
+        Criterion that a smoother's tuning minimises: `cross_validation.criterion` or, for known noise,
+        `known_noise.log_prediction_error`; otherwise NaN.
     at_edge : {"", "low", "high"}
         Whether the search ended at its slowest ("low") or fastest ("high") filter; see `Edge`.
     tones : tuple of ToneOscillator
@@ -296,7 +296,7 @@ class Evidence:
 
     @classmethod
     def of(cls, readings: Floats, elapsed: Floats) -> Evidence:
-        """Return the finite ones of readings (N,); the time of each missing one is added to the next finite one."""
+        """Return the finite ones of readings (N,), and the times between them."""
         seen = np.flatnonzero(np.isfinite(readings))
         times = np.cumsum(elapsed)[seen]
         whole = np.diff(times, prepend=times[:1])
@@ -306,9 +306,9 @@ class Evidence:
 
     @cached_property
     def own_step(self) -> float:
-        """Return the median distance of two readings, in steps; 1 if it is below 1.5 steps or above `LONG_GAP`."""
+        """Return the median time between two readings, in steps; 1 if the median is below 1.5 or above `LONG_GAP`."""
         apart = float(np.quantile(self.elapsed[1:], 0.5, method="lower")) if len(self.elapsed) > 1 else 1.0
-        return apart if _SELDOM <= apart <= LONG_GAP else 1.0
+        return apart if _LEAST_OWN_STEP <= apart <= LONG_GAP else 1.0
 
     def counted_in(self, steps: float) -> Evidence:
         """Return the same readings in a new time step that is `steps` old steps long."""
@@ -316,7 +316,7 @@ class Evidence:
 
     @cached_property
     def stretches(self) -> list[slice]:
-        """Return the rows between gaps over `LONG_GAP`, at most the 63 longest; the filter starts anew after each."""
+        """Return the stretches of rows between the 63 longest gaps over `LONG_GAP`; the filter starts anew in each."""
         long = np.flatnonzero(self.elapsed > LONG_GAP)
         long = np.sort(long[np.argsort(self.elapsed[long])[-_MOST_GAPS:]])
         bounds = [0, *long[long > 0].tolist(), len(self.z)]
@@ -337,12 +337,12 @@ class Evidence:
 
     @cached_property
     def complete(self) -> list[slice]:
-        """Return the stretches of `even` with at least `LASTING` readings."""
-        return [run for run in self.even if run.stop - run.start >= LASTING]
+        """Return the stretches of `even` with at least `FEWEST_FOR_SPECTRUM` readings."""
+        return [run for run in self.even if run.stop - run.start >= FEWEST_FOR_SPECTRUM]
 
     @cached_property
     def even(self) -> list[slice]:
-        """Return the stretches of at least 256 rows in even time, apart from a little jitter, with none missing."""
+        """Return the stretches of at least 256 rows, evenly sampled apart from a little jitter, with none missing."""
         uneven = np.abs(self.elapsed[1:] - 1.0) > JITTER
         bounds = np.flatnonzero(np.concatenate([[True], uneven, [True]]))
         runs = [slice(start, stop) for start, stop in pairwise(bounds.tolist()) if stop - start >= FEWEST_FOR_TONES]
@@ -354,7 +354,7 @@ class Evidence:
 
     @cached_property
     def smallest_variance(self) -> float:
-        """Return the variance, unit^2, that rounding alone, by float64 or a converter, adds to a noise-free record."""
+        """Return the variance, unit^2, that rounding by float64 or a converter adds to a noise-free record."""
         largest = float(np.abs(self.z).max(initial=0.0))
         rounded = (np.finfo(float).eps * largest) ** 2 + float(np.finfo(float).tiny)
         return max(rounded, converter_step(self.z[:, 0]) ** 2 / 12)

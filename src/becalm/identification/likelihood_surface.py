@@ -1,11 +1,13 @@
 """Compute the likelihood of a record as a surface over the noise variance and the density of a motion.
 
-At a given ratio q/r the filter's gains do not depend on r. With nu and S of a pass with r = 1,
+At a given ratio q/r the filter's gains do not depend on r. With the innovations nu and their variances S of a filter
+run with r = 1,
 
     -log L / N = 1/2 (log 2 pi + mean log S + log r + mean(nu^2 / S) / r)
 
-so one pass per ratio gives all points of a diagonal (Harvey, Forecasting, Structural Time Series Models and the
-Kalman Filter (1989), section 4.2). The densities of tones and the variance of coloured noise are scaled with r.
+so one run per ratio gives all points of the surface with this ratio, a diagonal (Harvey, Forecasting, Structural Time
+Series Models and the Kalman Filter (1989), section 4.2). The densities of tones and the variance of coloured noise are
+scaled with r.
 """
 
 from __future__ import annotations
@@ -22,11 +24,11 @@ from becalm.identification.likelihood import FEWEST_READINGS, UNSCORED, Evidence
 
 _NOISES, _DENSITIES = 41, 61  # points of the surface along each axis
 _NOISE_DECADES = 2.0  # decades of the noise's standard deviation on each side of the centre
-_STILL = 1e-9  # q/r at the centre of the surface of a filter without process noise
+_LEAST_RATIO = 1e-9  # q/r at the centre of the surface if the tuning has no process noise
 
 
 class Surface(NamedTuple):
-    """The cost of each noise and density around a tuning.
+    """The cost of each pair of noise and density around a tuning.
 
     Attributes
     ----------
@@ -58,12 +60,12 @@ def surface(tuning: Tuning, stretches: Sequence[Evidence]) -> Surface | None:
     Surface or None
         The surface; None if there are too few readings.
     """
-    ratio = tuning.ratio or _STILL
+    ratio = tuning.ratio or _LEAST_RATIO
     decades = _NOISE_DECADES * np.linspace(-1.0, 1.0, _NOISES)
     step = 2 * float(decades[1] - decades[0])  # decades of variance and of density, equal so that ratios are diagonals
-    passes = _Passes(tuning, stretches)
+    runs = _FilterRuns(tuning, stretches)
     least = step * -(_NOISES // 2 + _DENSITIES // 2)
-    sums = [passes.sums(ratio * 10.0 ** (least + step * k)) for k in range(_NOISES + _DENSITIES - 1)]
+    sums = [runs.sums(ratio * 10.0 ** (least + step * k)) for k in range(_NOISES + _DENSITIES - 1)]
     r = tuning.noise_variance * 10.0 ** (2 * decades)
     of_ratio = np.arange(_DENSITIES)[np.newaxis, :] - np.arange(_NOISES)[:, np.newaxis] + _NOISES - 1
     squares, log_det, used = (np.array([one[place] for one in sums], dtype=float)[of_ratio] for place in range(3))
@@ -77,8 +79,8 @@ def surface(tuning: Tuning, stretches: Sequence[Evidence]) -> Surface | None:
     return Surface(np.sqrt(r), density, cost - cost.min())
 
 
-class _Passes:
-    """A filter with r = 1 over stretches of readings, for any ratio q/r."""
+class _FilterRuns:
+    """The runs of a filter with r = 1 over stretches of readings, at any ratio q/r."""
 
     def __init__(self, tuning: Tuning, stretches: Sequence[Evidence]) -> None:
         r, noise = tuning.noise_variance, tuning.coloured
@@ -90,16 +92,16 @@ class _Passes:
             coloured=None if noise is None else noise._replace(variance=noise.variance / r),
         )
         component = unit.component
-        still = replace(unit, ratio=0.0).component
+        noiseless = replace(unit, ratio=0.0).component
         self._records = [
-            tuple(ChannelRecord(one, 1.0, evidence.z[:, 0], evidence.elapsed) for one in (component, still))
+            tuple(ChannelRecord(one, 1.0, evidence.z[:, 0], evidence.elapsed) for one in (component, noiseless))
             for evidence in stretches
         ]
 
     def sums(self, ratio: float) -> tuple[float, float, int]:
         """Return the sums of nu^2 / S and of log S at a ratio q/r, and the number of readings."""
         total = Sums()
-        for record, still in self._records:
-            still_noise = still.process_noise
-            total = total.plus(record.score(UNSCORED, still_noise + ratio * (record.process_noise - still_noise)))
+        for record, noiseless in self._records:
+            other_noise = noiseless.process_noise
+            total = total.plus(record.score(UNSCORED, other_noise + ratio * (record.process_noise - other_noise)))
         return total[0], total[1], total[2]

@@ -1,9 +1,9 @@
 """Retune a model that does not fit: R from the noise floor of the spectrum, the cut-off from the estimated risk.
 
-Maximum likelihood is right when the model is. When it is not (a sine is not a random walk), it takes white noise for
-motion. Two facts hold without any model: white noise lies under every band of the spectrum, so the quietest band bounds
-it; and the mean squared error of a linear filter can be estimated without the truth. Source: Stein, Annals of
-Statistics 9 (1981) 1135.
+Maximum likelihood is accurate if the model describes the signal. If it does not (a sine is not a random walk), maximum
+likelihood counts white noise as motion. Two facts hold for any signal. White noise has the same power in every band of
+the spectrum, so the band of least power is an upper bound of it. The mean squared error of a linear filter can be
+estimated without the truth. Source: Stein, Annals of Statistics 9 (1981) 1135.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _SEGMENT = 512
 _FEWEST = 4 * _SEGMENT
 _SEARCH = (-1.0, 0.7)  # range of the search about the likeliest cut-off, in its logarithm
 _PRECISION = 3e-3
-_BETTER = 0.1  # least reduction of the mean squared error by tones, of the error or sigma^2 without them
+_BETTER = 0.1  # least reduction of the mean squared error by tones, as a share of the error or sigma^2 without tones
 _ABSORBED = 4.0  # if R is so many times below the noise floor, the tones have absorbed white noise
 _CONSISTENT = 4.0  # largest ratio of squared error to sigma^2 that counts as consistent
 _PARTS = 8  # of the band
@@ -36,15 +36,15 @@ _PIECE, _PIECES = 1 << 15, 4  # readings in a piece of a long record, and pieces
 
 
 def retune(tuning: Tuning, evidence: Evidence) -> Tuning:
-    """Move white noise that the likelihood took for motion into R; return a tuning that fits unchanged.
+    """Raise R to the noise floor and tune the cut-off by the estimated risk; leave a model that fits unchanged.
 
     Parameters
     ----------
     tuning : Tuning
         The likeliest tuning.
     evidence : Evidence
-        The readings it was tuned on. Fewer than 2048, or readings that are not in even time apart from jitter and short
-        holes, leave the tuning unchanged.
+        The readings it was tuned on. Fewer than 2048, or readings that are not evenly sampled apart from jitter and
+        short holes, leave the tuning unchanged.
     """
     from scipy.optimize import minimize_scalar
 
@@ -88,9 +88,9 @@ def noise_floor_welch(z: Floats) -> float:
 def noise_floor_median(z: Floats) -> float:
     """Return the variance, in unit^2, of white noise as loud as the quietest eighth of the band of z (N,).
 
-    The median of a periodogram, which a few tones do not move, is log 2 times its mean where it is noise. Its standard
-    error is 1.44 over the root of the number of frequencies; the lowest of eight medians lies 1.4 standard errors too
-    low.
+    The median of the periodogram of noise is log 2 times its mean, and a few tones do not change it. Its relative
+    standard error is 1.44 over the root of the number of frequencies. On average the lowest of eight medians is 1.4
+    standard errors too low, which is corrected.
     """
     parts = np.array_split(periodogram(z).power, _PARTS)
     lowest = min(float(np.median(part)) for part in parts) / float(np.log(2))
@@ -100,9 +100,9 @@ def noise_floor_median(z: Floats) -> float:
 def choose_by_risk(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bool) -> Tuning:
     """Return the first tuning if the estimated risk of its filter, or smoother, is smaller; otherwise the second.
 
-    The first is rejected if its tones have absorbed white noise, which an R far below the noise floor shows. Its risk
-    must be smaller by a tenth of the second one's risk or sigma^2, whichever is smaller. Its sigma must not be too
-    small by more than a factor of two beyond chance, unless its risk is less than half.
+    The first tuning is rejected if its R is far below the noise floor, because its tones have then absorbed white
+    noise. Its risk must be smaller by a tenth of the second tuning's risk or sigma^2, whichever is smaller. Its sigma
+    must not be too small by more than a factor of two beyond chance, unless its risk is less than half of the second's.
 
     Parameters
     ----------
@@ -116,8 +116,8 @@ def choose_by_risk(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bo
 
     Notes
     -----
-    Cross-validation cannot compare a smoother that gives a reading the weight 0.5 in its own estimate with one that
-    gives it 0.1: it predicts a reading from the others only, and the first smoother relies on the reading itself.
+    Cross-validation cannot compare two smoothers that give a reading the weights 0.5 and 0.1 in its own estimate: it
+    predicts a reading from the others only, while the first smoother relies on the reading itself.
     """
     whole = completed(evidence, tuning)
     longest = max(whole.even, key=lambda part: part.stop - part.start, default=slice(0))
@@ -136,8 +136,8 @@ def choose_by_risk(tuning: Tuning, other: Tuning, evidence: Evidence, causal: bo
 class Risk(NamedTuple):
     """The error of a filter or smoother over a record, estimated without the truth."""
 
-    error: float  # mean square, unit^2, estimated; NaN where no stretch determines the state
-    predicted: float  # the same by the model: mean of sigma^2, unit^2
+    error: float  # estimated mean squared error, unit^2; NaN if no stretch determines the state
+    predicted: float  # mean squared error by the model: mean of sigma^2, unit^2
     readings: int
 
 
@@ -171,14 +171,14 @@ def long_pieces(evidence: Evidence) -> list[slice]:
 
 
 def _is_whole(evidence: Evidence) -> bool:
-    """Return whether the readings are many, all in even time apart from a little jitter, and none is missing."""
+    """Return whether there are enough readings, all evenly sampled apart from a little jitter, and none missing."""
     return len(evidence.z) >= _FEWEST and evidence.complete == [slice(0, len(evidence.z))]
 
 
 def _risk_and_predictable_share(tuning: Tuning, evidence: Evidence) -> tuple[float, float]:
     """Return the estimated mean squared error of the causal filter, and the predictable share of its innovations.
 
-    Where the readings never determine the state, the first is inf and the second 0.
+    If the readings never determine the state, the error is inf and the share 0.
     """
     component, r, z = tuning.component, tuning.noise_variance, evidence.z[:, 0]
     estimate = ChannelRecord(component, r, z, evidence.elapsed).filtered()

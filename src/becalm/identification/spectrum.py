@@ -1,4 +1,4 @@
-"""Compute power spectra: of a record, also in bins, and of a tone in closed form.
+"""Compute the power spectrum of a record, also averaged in bins, and that of a tone in closed form.
 
 Frequencies are angles, in radians per step; the power of white noise is its variance, in unit^2.
 """
@@ -110,15 +110,16 @@ def welch_power(z: Floats, window: Floats) -> Floats:
 
 
 def binned(spectrum: BinnedPeriodogram, tones: Sequence[ToneOscillator]) -> BinnedPeriodogram:
-    """Gather frequencies into bins, except those near a tone."""
+    """Return a spectrum averaged in bins of frequencies, except for the frequencies near a tone."""
     spacing = spectrum.angle[1] - spectrum.angle[0]
-    apart = [round((tone.angle - spectrum.angle[0]) / spacing) for tone in tones]
-    return _gather(spectrum.angle, spectrum.power, apart)
+    places = [round((tone.angle - spectrum.angle[0]) / spacing) for tone in tones]
+    return _gather(spectrum.angle, spectrum.power, places)
 
 
-def _gather(angle: Floats, power: Floats, apart: Sequence[int]) -> BinnedPeriodogram:
+def _gather(angle: Floats, power: Floats, tones: Sequence[int]) -> BinnedPeriodogram:
+    """Average frequencies in bins, except those near the indices `tones`."""
     unbinned = np.zeros(len(angle), dtype=bool)
-    for tone in apart:
+    for tone in tones:
         unbinned[max(0, tone - _UNBINNED) : tone + _UNBINNED + 1] = True
     starts, at = [], 0
     while at < len(angle):
@@ -141,7 +142,7 @@ def tone_power(tone: ToneOscillator, angle: Floats) -> Floats:
     return power
 
 
-# Compute the running median of five readings, which two adjacent outliers do not move.
+# Compute the running median of five readings, which two adjacent outliers do not change much.
 
 WINDOW = 5
 """Number of readings in a window."""
@@ -150,7 +151,7 @@ _PIECE = 1 << 16  # windows that are sorted at once
 
 
 def running_median(z: Floats) -> Floats:
-    """Return the median of the five readings around each of z (N,), N at least 5; near an end, of the five there."""
+    """Return the median of the five readings around each of z (N,), N at least 5; near an end, of the last five."""
     half, inner = WINDOW // 2, np.empty(len(z) - WINDOW + 1)
     for start in range(0, len(inner), _PIECE):
         windows = sliding_window_view(z[start : start + _PIECE + WINDOW - 1], WINDOW)

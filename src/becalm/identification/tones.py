@@ -1,9 +1,9 @@
 """Find tones in a record, where its spectrum exceeds that of the motion model, and tune them with the motion.
 
-A motion model that follows a tone lets the noise around it through; a slower motion plus an oscillator does not. All
-parameters are fitted at once to the periodogram, whose ordinates count as independent (a Hann window correlates
-neighbours by 0.44) and exponentially distributed about the model's spectrum. Sources: Whittle, Ark. Mat. 2 (1953) 423;
-Fisher scoring with Levenberg-Marquardt damping.
+A motion model that is fast enough to follow a tone passes much noise; a slower motion plus an oscillator does not. All
+parameters are fitted at once to the periodogram, by Fisher scoring with Levenberg-Marquardt damping. The ordinates are
+treated as independent, although a Hann window correlates neighbours by 0.44, and as exponentially distributed about the
+model's spectrum. Source: Whittle, Ark. Mat. 2 (1953) 423.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from becalm.identification.spectrum import BinnedPeriodogram, ToneOscillator, bi
 MOST_TONES = 5
 """Largest number of tones in a model."""
 
-_CYCLES = 8  # per record: slower tones belong to the motion; none is searched so near half the rate either
-_PARTS = 8  # of the band; the one with the least power bounds the noise
+_CYCLES = 8  # least frequency of a tone, and least distance from half the rate, in cycles per record
+_PARTS = 8  # parts of the band; the part with the least power bounds the noise
 _RESOLUTIONS = ((3, 15.0), (31, 3.0), (311, 1.5))  # width in bins; least ratio of its mean power to its surroundings
 _AROUND, _APART = 13, 2  # surroundings: on each side, from 2 to 13 widths away
-_FEWEST_WIDTHS = 8  # widths that the band must have
+_FEWEST_WIDTHS = 8  # least width of the band, in widths of a peak
 _MOST_CANDIDATES = 5  # bins with the highest power, per resolution
 _GAIN = 100.0  # least gain in log-likelihood of a tone: it adds three parameters and two states
-_GAIN_NAMED = 10.0  # the same for a tone whose frequency was given
+_GAIN_NAMED = 10.0  # least gain in log-likelihood of a tone whose frequency was given
 _NEAR = 0.02  # a tone is near a given frequency if it differs by no more than this share of it, ...
-_NEAR_CYCLES = 4  # ... or than twice so many cycles per record
+_NEAR_CYCLES = 4  # ... or by no more than twice this number of cycles per record
 _ORDERS = (1, 2, 3)  # of a motion with tones ...
 _MOST_STATES = 12  # ... and most states of both together
 _HIGHEST = np.pi * (1 - 1e-9)  # radians a step
-_LEAST_NOISE = 1e-3  # of the least power of a part of the band
-_MOST_ITERATIONS, _LEAST_GAIN = 60, 0.03  # a smaller gain in log-likelihood ends them
-_LONGEST_STEP = 1.0  # of the logarithm of a parameter, and of a frequency in spacings of the bins
+_LEAST_NOISE = 1e-3  # least noise variance, as a share of the least power of a part of the band
+_MOST_ITERATIONS, _LEAST_GAIN = 60, 0.03  # a smaller gain in log-likelihood ends the iterations
+_LONGEST_STEP = 1.0  # longest step of the logarithm of a parameter, and of a frequency in spacings of the spectrum
 
 
 class SpectralPeak(NamedTuple):
-    """A frequency where a spectrum stands out."""
+    """A peak of a spectrum."""
 
-    angle: float  # radians a step
+    angle: float  # frequency, radians a step
     width: float  # radians a step
 
 
@@ -59,7 +59,7 @@ class Fit(NamedTuple):
 
     @property
     def tuning(self) -> Tuning:
-        """Return the fit as a tuning that no reading has scored."""
+        """Return the fit as a tuning, whose `count` of scored readings is 0."""
         return Tuning(self.order, self.density / self.noise_variance, self.noise_variance, 0, tones=self.tones)
 
 
@@ -71,7 +71,8 @@ def add_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float] = ())
     tuning : Tuning
         The best motion model without tones.
     evidence : Evidence
-        The readings it was tuned on; fewer than 256 in even time, apart from short holes, leave it unchanged.
+        The readings it was tuned on; the tuning stays unchanged if fewer than 256 are evenly sampled, apart from short
+        holes.
     removed : sequence of float
         Angles in radians per step near which a tone is a disturbance; weaker tones are accepted there.
     """
@@ -108,7 +109,7 @@ def _with_tones(tuning: Tuning, evidence: Evidence, removed: Sequence[float]) ->
 
 
 def find_peaks(spectrum: BinnedPeriodogram, fit: Fit) -> list[SpectralPeak]:
-    """Find the peaks of a spectrum over that of a fit.
+    """Find the peaks of a spectrum relative to the spectrum of a fit.
 
     Parameters
     ----------
@@ -150,7 +151,7 @@ def _peak(excess: Floats, spectrum: BinnedPeriodogram, width: int, least_ratio: 
 
 
 def _fit_disturbances(removed: Sequence[float], now: Fit, spectrum: BinnedPeriodogram) -> Fit:
-    """Fit a tone at each of the given angles, if it gains enough there and stays near."""
+    """Fit a tone at each given angle; keep it if the log-likelihood gains enough and the fitted angle is near."""
     for angle in removed:
         more = _with_tone(now, SpectralPeak(angle, float(spectrum.angle[1] - spectrum.angle[0])), spectrum)
         if _gain(now, more, spectrum) > _GAIN_NAMED and _is_near(more.tones[-1], (angle,), spectrum):
@@ -214,10 +215,10 @@ def _fit_motion(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
 
 
 def _fit_best_order(tuning: Tuning, spectrum: BinnedPeriodogram) -> Fit:
-    """Fit a motion of the best order; with a wrong order, a tone would make up for it."""
+    """Fit a motion of the best order; with a wrong order, a tone would be fitted to the difference."""
     cutoff = ratio_to_cutoff(tuning.order, tuning.ratio)
-    alike = [replace(tuning, order=order, ratio=cutoff_to_ratio(order, cutoff)) for order in {tuning.order, *_ORDERS}]
-    return min((_fit_motion(one, spectrum) for one in alike), key=lambda fit: fit.cost)
+    tunings = [replace(tuning, order=order, ratio=cutoff_to_ratio(order, cutoff)) for order in {tuning.order, *_ORDERS}]
+    return min((_fit_motion(one, spectrum) for one in tunings), key=lambda fit: fit.cost)
 
 
 def _with_tone(now: Fit, peak: SpectralPeak, spectrum: BinnedPeriodogram) -> Fit:
@@ -276,7 +277,7 @@ def _slopes(fit: Fit, spectrum: BinnedPeriodogram, motion: Floats, spacing: floa
 
 
 def _moved(fit: Fit, step: Floats, spacing: float, least: float) -> Fit:
-    """Return the fit after a step; its noise variance is at least `least`, below which it could not be told from 0."""
+    """Return the fit after a step; its noise variance is at least `least`, hardly distinguishable from 0."""
     tones = []
     for k, tone in enumerate(fit.tones):
         own = step[2 + 3 * k : 5 + 3 * k]

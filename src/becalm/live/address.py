@@ -14,7 +14,7 @@ from becalm.errors import BecalmError, UsageError
 _TIMES = {"us": 1e-6, "ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _TIME = re.compile(r"(?P<number>\d+\.?\d*|\.\d+)\s*(?P<unit>us|ms|s|min|h|d)")
 _SECRET = re.compile(r"(?<=//)\S*@")  # user and password of a URL, with any characters
-_ADVICE = re.compile(  # command-line options in messages of errors
+_ADVICE = re.compile(  # command-line options in error messages
     r"--(?P<name>rate|time|group|channels|stamps)( (?P<value>HZ|COLUMN|NAME|as-written|'[^']*'|\d[\w.+]*\b))?"
 )
 
@@ -28,7 +28,7 @@ class Address:
     kind : str
         "replay", "udp", ...
     rest : str
-        Text after the colon: a file, a port, a URL.
+        Text between the colon and the question mark: a file, a port, a URL.
     options : dict of str to str
         Options after the question mark.
     """
@@ -87,14 +87,14 @@ class Address:
         return value
 
     def seconds(self, name: str, default: float) -> float:
-        """Return an option that is a time with unit (20ms, 5min, 7d), in seconds; raise the errors of `seconds_of`."""
+        """Return an option such as 20ms, 5min or 7d in seconds; raise a UsageError if it is not a time with a unit."""
         text = self.options.get(name)
         if text is None:
             return default
         return seconds_of(f"{self.kind}: {name}", text)
 
     def chosen(self, name: str, among: Sequence[str], default: str) -> str:
-        """Return an option; raise a UsageError if it is not one of the words `among`."""
+        """Return a text option; raise a UsageError if its value is not in `among`."""
         text = self.options.get(name, default)
         if text not in among:
             raise UsageError(f"{self.kind}: {name}={text} is not one of {', '.join(among)}.")
@@ -128,7 +128,7 @@ def seconds_of(what: str, text: str) -> float:
 
 @contextmanager
 def advising_addresses() -> Iterator[None]:
-    """Rewrite the advice of errors from command-line options to address options: --rate HZ becomes ?rate=HZ."""
+    """Rewrite command-line options in the messages of errors as address options: --rate HZ becomes ?rate=HZ."""
     try:
         yield
     except BecalmError as cause:

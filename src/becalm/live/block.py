@@ -20,7 +20,7 @@ class LossKind(StrEnum):
     GARBLED = "garbled"  # could not be parsed: lines, messages, wrong column counts
     DROPPED = "dropped"  # the queue was full, and the policy is to drop the oldest
     GAP = "gap"  # the sender or becalm stopped for a while, and the rows of that time cannot be read again
-    CLOCK = "clock"  # a stamp jumped: rows need not be lost, but the stamps are not continuous
+    CLOCK = "clock"  # the sender's clock jumped: the stamps are not continuous, but no row need be lost
     AWAY = "away"  # a broker, server or port could not be reached for a while
     SILENT = "silent"  # no rows arrived for longer than the watchdog waits
     STORAGE = "storage"  # a disk was full or could not be written; the stream had to wait
@@ -39,7 +39,7 @@ class Loss:
     says : str
         One sentence for the user, without secrets.
     noticed_s : float
-        Time when it was noticed, in seconds since 1970.
+        Time when the loss was noticed, in seconds since 1970.
     """
 
     kind: LossKind
@@ -61,14 +61,14 @@ class Block:
     values : (B, m) float array
         Readings, C-contiguous, NaN where missing.
     position : str
-        Position of the source after this block, as JSON text; "" if the source cannot replay.
+        Position of the source after this block, as JSON text; "" if the source has no position.
     elapsed : (B,) float array or None
-        Time before each row in steps of 1 / `Source.rate_hz`, if the source knows its clock (a file); with None the
-        stamps are used.
+        Time from the previous row to each row, in steps of 1 / `Source.rate_hz`, if the source knows it (a file); with
+        None it is computed from the stamps.
     losses : tuple of Loss
         Losses before or in this block. A block without rows carries only losses.
     arrived_s : float
-        `time.monotonic()` when the last row arrived; for joined blocks that of the first block.
+        `time.monotonic()` when the last row arrived; for joined blocks, the value of the first block.
     """
 
     names: tuple[str, ...]
@@ -84,14 +84,17 @@ class Block:
         """Return the number of rows."""
         return len(self.time_s)
 
-    def goes_on_in(self, after: Block) -> bool:
-        """Return whether a later block can be joined to this one: same channels and clock, no losses in between."""
+    def is_joinable_with(self, after: Block) -> bool:
+        """Return whether a later block can be joined to this one.
+
+        The channels must be the same, the later block has no losses, and both blocks or neither have `elapsed`.
+        """
         alike = self.names == after.names and self.units == after.units
         return alike and not after.losses and (self.elapsed is None) == (after.elapsed is None)
 
     @classmethod
     def joined(cls, blocks: list[Block]) -> Block:
-        """Concatenate blocks; `goes_on_in` must hold for each block and the next."""
+        """Concatenate blocks; `is_joinable_with` must hold for each block and the next."""
         first, last = blocks[0], blocks[-1]
         elapsed = [block.elapsed for block in blocks if block.elapsed is not None]
         return replace(
@@ -115,7 +118,7 @@ class Output:
     Attributes
     ----------
     first_row : int
-        Number of the first row, counted from 0 over the whole life of the stream.
+        Number of the first row, counted from 0 since the stream was first started.
     time_s : (B,) float array
         Stamps in seconds.
     values : (B, m) float array
@@ -127,9 +130,9 @@ class Output:
     losses : tuple of Loss
         Losses before or in these rows.
     arrived_s : float
-        `Block.arrived_s` of the block that made these estimates ready; 0 if the end of the stream did.
+        `Block.arrived_s` of the block that completed these estimates; 0 for rows returned at the end of the stream.
     modes : (B, K) float array
-        Mode probabilities of all channels with an IMM, channel after channel; (0, 0) if there is none.
+        Mode probabilities of all channels with an IMM, channel after channel; (0, 0) if no channel has one.
     """
 
     first_row: int
@@ -174,11 +177,11 @@ class Checkpoint:
     Attributes
     ----------
     rows : int
-        Number of rows returned over the whole life of the stream.
+        Number of rows returned since the stream was first started.
     position : str
-        Position after which the source continues; "" if it cannot replay.
+        Position after which the source continues; "" if it has none.
     snapshot : bytes
-        State of filters and clock.
+        State of the filters and the clock.
     recipe : str
         The recipe as TOML; a restart without --recipe continues with it.
     source : str

@@ -1,4 +1,4 @@
-"""A sink to which one thread writes and which another flushes; rows for an unreachable sink are buffered."""
+"""A wrapper of a sink that buffers rows while the sink cannot be reached."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from becalm.live.protocols import AwayError, Sink
 
 
 class BufferedSink:
-    """A sink with a buffer for the time when it cannot be reached.
+    """A sink that buffers rows while the wrapped sink cannot be reached.
 
-    The filtering thread writes and the commit thread flushes. Rows that cannot be written are buffered until `flush`
-    has reached the sink again. The buffer stays small: no batch is committed before all sinks are flushed, and the
-    filters wait when several batches are not committed.
+    The filtering thread calls `write` and the commit thread calls `flush`. Rows that cannot be written are buffered
+    until `flush` has reached the sink again. The buffer stays small: a batch is committed only after all sinks are
+    flushed, and the filters wait while several batches are uncommitted.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class BufferedSink:
                 self._is_away = True
 
     def flush(self) -> None:
-        """Return once the sink has delivered all rows that were written.
+        """Wait until the sink has delivered all written rows.
 
         Raises
         ------
@@ -61,13 +61,13 @@ class BufferedSink:
                 assert self._head is not None
                 self._sink.close()
                 self._sink.open(self._head)
-                self._is_away = False
                 while self._waiting:
                     self._sink.write(self._waiting[0])
                     del self._waiting[0]
+                self._is_away = False  # not before: rows written meanwhile come after those that wait
         self._sink.flush()
 
-    def away(self) -> None:
+    def mark_away(self) -> None:
         """Mark the sink as unreachable."""
         with self._lock:
             self._is_away = True

@@ -15,7 +15,7 @@ from becalm.live.protocols import AwayError, CheckpointSink, Source, StorageFull
 from becalm.live.reader import BackOff
 from becalm.live.watching.watch import Watch
 
-_BATCHES = 2  # queued batches; with more the filters wait for the disk
+_BATCHES = 2  # most batches in the queue; while it is full, the filters wait for the disk
 _POLL_S = 0.25  # seconds to wait for room in the queue before failures are checked again
 
 
@@ -27,38 +27,38 @@ class Transaction(NamedTuple):
 
 
 class StreamSinks(NamedTuple):
-    """The keeper of a stream, if any, and its other sinks."""
+    """The checkpoint sink of a stream, if it has one, and its other sinks."""
 
-    keeper: CheckpointSink | None
+    checkpoint_sink: CheckpointSink | None
     others: tuple[BufferedSink, ...]
 
 
 class CommitThread:
-    """Commits batches in order in a separate thread; if the keeper is full or away, it tries again.
+    """Commits batches in order in a separate thread; if the checkpoint sink is full or away, it tries again.
 
     Parameters
     ----------
-    outlets : StreamSinks
-        The sinks. The sinks are flushed before a batch is committed, so that they have all committed rows.
+    sinks : StreamSinks
+        The sinks. The other sinks are flushed before each commit, so that they have received every committed row.
     source : Source
-        Source that is called with each committed position.
+        Source; its method `committed` is called with each committed position.
     watch : Watch
-        Counts the commits and records when the keeper is full or away.
+        Counts the commits and records when the checkpoint sink is full or away.
     head : Head
         Names, units, rate and recipe of the stream.
     """
 
-    def __init__(self, outlets: StreamSinks, source: Source, watch: Watch, head: Head) -> None:
-        self._outlets, self._source, self._watch, self._head = outlets, source, watch, head
+    def __init__(self, sinks: StreamSinks, source: Source, watch: Watch, head: Head) -> None:
+        self._sinks, self._source, self._watch, self._head = sinks, source, watch, head
         self._batches: queue.Queue[Transaction | None] = queue.Queue(_BATCHES)
-        self._give_up = threading.Event()
+        self._stop_retrying = threading.Event()
         self._failure: BaseException | None = None
         self._losses: list[Loss] = []
-        self._in_doubt = False  # the keeper went away; the last batch may have been committed before
+        self._in_doubt = False  # True after a lost connection: the current batch may have been committed already
         self._thread = threading.Thread(target=self._run, name="keeper", daemon=True)
         self._thread.start()
 
-    def give(self, batch: Transaction) -> None:
+    def submit(self, batch: Transaction) -> None:
         """Queue a batch for commit; wait while earlier batches wait for the disk.
 
         Raises
@@ -76,11 +76,11 @@ class CommitThread:
 
     def losses(self) -> tuple[Loss, ...]:
         """Return the losses since the last call."""
-        taken, self._losses = self._losses, []
-        return tuple(taken)
+        losses, self._losses = self._losses, []
+        return tuple(losses)
 
     def finish(self, patience_s: float) -> None:
-        """Commit the queued batches; give up on a full disk or an absent server after `patience_s`.
+        """Commit the queued batches and end the thread; after `patience_s`, a full disk or absent server is a failure.
 
         Raises
         ------
@@ -94,9 +94,9 @@ class CommitThread:
                 break
             except queue.Full:
                 if time.monotonic() > until:
-                    self._give_up.set()
+                    self._stop_retrying.set()
         self._thread.join(max(0.0, until - time.monotonic()))
-        self._give_up.set()
+        self._stop_retrying.set()
         self._thread.join()
         self._raise_failure()
 
@@ -112,49 +112,49 @@ class CommitThread:
             self._failure = cause
 
     def _commit(self, batch: Transaction) -> None:
-        begun = time.monotonic()
-        for outlet in self._outlets.others:
-            self._retry(outlet.flush, outlet.away)
-        if self._outlets.keeper is not None:
-            self._retry(partial(self._commit_once, batch), self._mark_keeper_away)
+        began_s = time.monotonic()
+        for sink in self._sinks.others:
+            self._retry(sink.flush, sink.mark_away)
+        if self._sinks.checkpoint_sink is not None:
+            self._retry(partial(self._commit_once, batch), self._mark_checkpoint_sink_away)
         rows = sum(len(output) for output in batch.outputs)
-        self._watch.meter.kept(rows, time.monotonic() - begun, batch.checkpoint.position)
+        self._watch.meter.count_commit(rows, time.monotonic() - began_s, batch.checkpoint.position)
         self._source.committed(batch.checkpoint.position)
 
     def _commit_once(self, batch: Transaction) -> None:
-        keeper = self._outlets.keeper
-        assert keeper is not None
+        checkpoint_sink = self._sinks.checkpoint_sink
+        assert checkpoint_sink is not None
         if self._in_doubt:
-            last = keeper.last()
-            keeper.open(self._head)
+            last = checkpoint_sink.last()
+            checkpoint_sink.open(self._head)
             self._in_doubt = False
             if last is not None and last == batch.checkpoint:
                 return  # the batch was committed before the connection was lost
-        keeper.keep(batch.outputs, batch.checkpoint)
+        checkpoint_sink.commit(batch.outputs, batch.checkpoint)
 
-    def _retry(self, do: Callable[[], None], away: Callable[[], None]) -> None:
-        """Call `do` until it succeeds, as long as the disk is full or the server away."""
+    def _retry(self, do: Callable[[], None], mark_away: Callable[[], None]) -> None:
+        """Call `do`; while the disk is full or the server is away, call it again."""
         back_off, troubled = BackOff(), False
         while True:
             try:
                 do()
             except (StorageFullError, AwayError) as cause:
                 if isinstance(cause, AwayError):
-                    away()
+                    mark_away()
                 if not troubled:
                     self._record(LossKind.STORAGE if isinstance(cause, StorageFullError) else LossKind.AWAY, str(cause))
                 troubled = True
-                if self._give_up.is_set():
+                if self._stop_retrying.is_set():
                     raise
-                back_off.wait(self._give_up)
+                back_off.wait(self._stop_retrying)
                 continue
             if troubled:
                 self._watch.state("running")
             return
 
-    def _mark_keeper_away(self) -> None:
-        assert self._outlets.keeper is not None
-        self._outlets.keeper.close()
+    def _mark_checkpoint_sink_away(self) -> None:
+        assert self._sinks.checkpoint_sink is not None
+        self._sinks.checkpoint_sink.close()
         self._in_doubt = True
 
     def _record(self, kind: LossKind, message: str) -> None:

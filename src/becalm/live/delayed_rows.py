@@ -9,10 +9,10 @@ from becalm.errors import ModelError
 
 
 class DelayedRows:
-    """A buffer of the rows that a filter with a lag has taken and not estimated yet.
+    """A buffer of the rows that were passed to a fixed-lag filter and whose estimates are not ready yet.
 
-    `returned` is the number of rows at its front that were already returned, because the stream was finished and then
-    continued.
+    `returned` is the number of rows at the front that `Stream.finish` has already returned with estimates, if the
+    stream continues after it.
 
     Parameters
     ----------
@@ -33,14 +33,14 @@ class DelayedRows:
         """Return stamps and readings of the buffered rows from row `first` on; they stay in the buffer."""
         return self.time_s[first:], self.values[first:]
 
-    def through(self, time_s: Floats, values: Floats, ready: int) -> tuple[Floats, Floats, int]:
+    def push_and_pop(self, time_s: Floats, values: Floats, ready: int) -> tuple[Floats, Floats, int]:
         """Add rows at the end and remove `ready` rows from the front.
 
         Returns
         -------
         tuple
             Stamps (n,) and readings (n, m) of the removed rows that were not returned before, and the number of removed
-            rows that were.
+            rows that were returned before.
         """
         time_s, values = np.concatenate([self.time_s, time_s]), np.concatenate([self.values, values])
         self.time_s, self.values = time_s[ready:].copy(), values[ready:].copy()
@@ -49,7 +49,7 @@ class DelayedRows:
         return time_s[returned_before:ready], values[returned_before:ready], returned_before
 
     def restore(self, time_s: Floats, values: Floats, returned: int) -> None:
-        """Restore the buffer of a stopped stream; raise a ModelError if the arrays do not fit each other."""
+        """Restore the buffer of a stopped stream; raise a ModelError if the shapes of the arrays do not match."""
         if values.shape != (len(time_s), self.values.shape[1]) or not 0 <= returned <= len(time_s):
             raise ModelError("The stream's snapshot is damaged; start a new stream in another folder.")
         self.time_s, self.values, self.returned = time_s, values, returned

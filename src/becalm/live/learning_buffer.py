@@ -1,4 +1,4 @@
-"""Learn a recipe from a stream's first seconds, if none is given."""
+"""Learn a recipe from the first rows of a stream for which none is given."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FEW_STAMPS = 20
 """Least number of stamps from which their resolution is estimated."""
 
 _DAY_S = 86400.0
-_CONSTANT_STAMPS_S = 10.0  # extra time to wait for rows whose stamps do not advance
+_CONSTANT_STAMPS_S = 10.0  # extra time to wait, in seconds, if the stamps do not advance
 
 
 class Learned(NamedTuple):
@@ -45,10 +45,10 @@ class LearningBuffer:
     rows : int
         Number of rows in the blocks.
     steps : float or None
-        Sum of the elapsed steps; None if a block does not have them.
+        Sum of `Block.elapsed` over all rows; None if a block does not have it.
     span_s : float
-        Time that the stamps span, in seconds, without steps backwards and steps of more than a day.
-    came_for_s : float
+        Sum of the intervals between stamps, in seconds, except negative intervals and intervals of more than a day.
+    arrival_span_s : float
         Time between the arrivals of the first and the last rows, in seconds.
     """
 
@@ -56,9 +56,9 @@ class LearningBuffer:
         self.blocks: list[Block] = []
         self.rows = 0
         self.steps: float | None = 0.0
-        self.span_s = self.came_for_s = 0.0
+        self.span_s = self.arrival_span_s = 0.0
         self._last_s = np.nan
-        self._began_s: float | None = None
+        self._first_arrival_s: float | None = None
 
     def add(self, block: Block) -> None:
         """Add the next block."""
@@ -71,12 +71,12 @@ class LearningBuffer:
         stamps = np.append(self._last_s, block.time_s)
         stamps = stamps[np.isfinite(stamps)]
         with np.errstate(over="ignore"):
-            passed = np.diff(stamps)
-        self.span_s += float(passed[(passed > 0) & (passed <= _DAY_S)].sum())
+            intervals_s = np.diff(stamps)
+        self.span_s += float(intervals_s[(intervals_s > 0) & (intervals_s <= _DAY_S)].sum())
         self._last_s = stamps[-1] if len(stamps) else np.nan
-        if self._began_s is None:
-            self._began_s = block.arrived_s
-        self.came_for_s = block.arrived_s - self._began_s
+        if self._first_arrival_s is None:
+            self._first_arrival_s = block.arrived_s
+        self.arrival_span_s = block.arrived_s - self._first_arrival_s
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Learner:
         Time to learn from, in seconds of the stream's own stamps. With a *short* time the filter starts soon, but
         noise and slow tones are identified less accurately.
     lag_s : float or None
-        Lag of the estimates in seconds, for which they use later measurements; None for no lag.
+        Lag in seconds: each estimate also uses the measurements up to this much later; None for no lag.
     channels : tuple of str
         Names of the channels to clean; empty for all.
     """
@@ -101,13 +101,13 @@ class Learner:
     def is_enough(self, early: LearningBuffer, rate_hz: float | None) -> bool:
         """Return whether the blocks have enough rows and span `learn_s`.
 
-        Rows whose stamps do not advance are enough once they have arrived for 2 `learn_s` + 10 s.
+        If the stamps do not advance, the rows are enough 2 `learn_s` + 10 s after the first arrival.
         """
         if early.rows < FEWEST_ROWS:
             return False
         if early.steps is not None and rate_hz:
             return early.steps >= self.learn_s * rate_hz
-        return early.span_s >= self.learn_s or early.came_for_s >= 2 * self.learn_s + _CONSTANT_STAMPS_S
+        return early.span_s >= self.learn_s or early.arrival_span_s >= 2 * self.learn_s + _CONSTANT_STAMPS_S
 
     def learn(self, blocks: list[Block], rate_hz: float | None) -> Learned:
         """Tune a recipe on blocks.
@@ -125,7 +125,7 @@ class Learner:
             )
         values = np.concatenate([block.values for block in full])
         with advising_addresses():
-            timebase, kept = _time(full, rate_hz)
+            timebase, kept = _timebase_of(full, rate_hz)
             recording = Recording(values[kept], names=full[0].names, units=full[0].units, timebase=timebase)
             wishes = Wishes(lag_s=self.lag_s)
             recipe = tune(recording, causal=self.lag_s is None, channels=self.channels or None, wishes=wishes)
@@ -138,7 +138,7 @@ def resolution_of(stamps_s: Floats) -> float:
     return last_digit(finite) if len(finite) >= FEW_STAMPS else 0.0
 
 
-def _time(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Integers]:
+def _timebase_of(blocks: list[Block], rate_hz: float | None) -> tuple[Timebase, slice | Integers]:
     """Return a timebase, and the rows that it describes: all rows, or only those whose stamps exceed all earlier ones.
 
     Raises

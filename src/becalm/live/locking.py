@@ -8,7 +8,7 @@ from pathlib import Path
 from becalm.errors import UsageError
 
 
-def locked(path: Path, refusal: str) -> sqlite3.Connection:
+def lock_file(path: Path, refusal: str) -> sqlite3.Connection:
     """Lock a file against other processes; return the connection that holds the lock until it is closed.
 
     Parameters
@@ -23,7 +23,7 @@ def locked(path: Path, refusal: str) -> sqlite3.Connection:
     UsageError
         If another process holds the lock.
     sqlite3.Error
-        If the file cannot be made.
+        If the file cannot be created.
     """
     connection = sqlite3.connect(path, timeout=0, isolation_level=None, check_same_thread=False)
     try:

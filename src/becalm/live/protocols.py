@@ -1,4 +1,4 @@
-"""The protocols of sources, sinks and keepers; a keeper is a sink from which a stream can be resumed."""
+"""The protocols of sources, sinks, and checkpoint sinks, from which a killed stream can be resumed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Source(Protocol):
     """Sample rate in hertz, set once the source is open; None if unknown. With a rate, blocks may have `elapsed`."""
 
     def open(self, position: str) -> None:
-        """Open the source and continue after `position`; "" means from the start, or from now. May be called again.
+        """Open the source and continue after `position`; "" starts a new stream. May be called again.
 
         Raises
         ------
@@ -55,12 +55,12 @@ class Source(Protocol):
         EndOfStream
             If the source has ended.
         AwayError
-            If the connection was lost; the runner closes, waits and opens again at the last block's position.
+            If the connection was lost; the reader then closes, waits, and opens again at the last block's position.
         """
         ...
 
     def committed(self, position: str) -> None:
-        """Acknowledge all rows up to `position`, if the source can: they are committed."""
+        """Acknowledge the rows up to `position`, which are now committed, if the source has acknowledgements."""
         ...
 
     def close(self) -> None:
@@ -81,7 +81,7 @@ class Sink(Protocol):
         ...
 
     def flush(self) -> None:
-        """Return once all written rows are delivered, and acknowledged if the receiver acknowledges.
+        """Wait until all written rows are delivered and, if the receiver sends acknowledgements, acknowledged.
 
         The commit thread calls this, while another thread calls `write`.
         """
@@ -104,7 +104,7 @@ class CheckpointSink(Protocol):
         """Prepare for a stream; a resumed stream has the same head as before."""
         ...
 
-    def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
+    def commit(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
         """Commit rows and checkpoint, both or neither. Once this returns, a power cut loses none of them.
 
         Raises

@@ -22,7 +22,7 @@ class BlockQueue:
     most_blocks : int
         Largest number of blocks; with a *small* number the queue fills soon if the filter is slow.
     policy : {"block", "drop-oldest"}
-        If the queue is full, the reader waits, or the oldest block is dropped and counted.
+        While the queue is full, the reader waits ("block"), or the oldest block is dropped and counted.
     """
 
     def __init__(self, most_blocks: int, policy: Policy) -> None:
@@ -31,7 +31,7 @@ class BlockQueue:
         self._change = threading.Condition()
         self._dropped = 0  # rows
         self._dropped_steps = 0.0  # sum of the dropped blocks' `elapsed`
-        self._losses: list[Loss] = []  # of dropped blocks
+        self._losses: list[Loss] = []  # carried by the dropped blocks
         self._ended = False
         self._failure: BaseException | None = None
 
@@ -63,7 +63,7 @@ class BlockQueue:
         timeout_s : float
             Longest time to wait, in seconds.
         rows : int
-            The blocks after it are joined to it until it has at least this many rows, so that a slow filter catches up.
+            Queued blocks are joined until the result has at least this many rows, so that a slow filter catches up.
         """
         with self._change:
             if not (self._blocks or self._ended):
@@ -73,14 +73,15 @@ class BlockQueue:
             block = self._blocks.popleft()
             if self._dropped:
                 text = f"Rows arrived faster than they could be filtered; the {self._dropped} oldest were dropped."
-                lost = Loss(LossKind.DROPPED, self._dropped, text)
-                block = replace(block, losses=(*self._losses, lost, *block.losses))
-                self._dropped, self._losses = 0, []
+                self._losses.append(Loss(LossKind.DROPPED, self._dropped, text))
+            if self._losses:
+                block = replace(block, losses=(*self._losses, *block.losses))
+            self._dropped, self._losses = 0, []
             if self._dropped_steps and block.elapsed is not None:
                 block = replace(block, elapsed=np.append(block.elapsed[0] + self._dropped_steps, block.elapsed[1:]))
                 self._dropped_steps = 0.0
             joined, count = [block], len(block)
-            while self._blocks and count < rows and block.goes_on_in(self._blocks[0]):
+            while self._blocks and count < rows and block.is_joinable_with(self._blocks[0]):
                 joined.append(self._blocks.popleft())
                 count += len(joined[-1])
             self._change.notify_all()

@@ -97,7 +97,7 @@ class Reader:
 
     def _take(self, block: Block) -> None:
         self._position = block.position or self._position
-        self._watch.meter.took(block)
+        self._watch.meter.count_block(block)
         self._queue.put(block, self._stop)
 
     def _record_away(self, cause: AwayError) -> None:

@@ -16,15 +16,15 @@ from becalm.live.commit_thread import CommitThread, StreamSinks, Transaction
 from becalm.live.protocols import Source
 from becalm.live.queueing import BlockQueue
 from becalm.live.reader import Reader
-from becalm.live.retuning import Heard, Retuning
+from becalm.live.retuning import RetuneCallback, Retuning
 from becalm.live.settings import Settings
 from becalm.live.stream import Stream
-from becalm.live.stream_start import StartedStream, StreamStarter, open_keeper, retry_until_reachable
+from becalm.live.stream_start import StartedStream, StreamStarter, open_checkpoint_sink, retry_until_reachable
 from becalm.live.watching.watch import Watch
 
 _POLL_S = 0.25  # longest wait for a block, in seconds
 _JOINED_ROWS = 1024  # queued blocks are filtered together up to this many rows
-_MOST_VALUES = 1 << 19  # number of readings that are committed before the commit interval ends
+_MOST_VALUES = 1 << 19  # readings that wait for a commit; more are committed before the interval ends
 _HEALTH_S = 1.0  # interval at which the meter gets the health of the channels, in seconds
 
 
@@ -37,12 +37,12 @@ class Runner:
     source : Source
         Source of the blocks.
     address : str
-        The source's address without secrets; a keeper with rows of another source is refused.
-    outlets : StreamSinks
-        Sinks and keeper that get the rows.
+        The source's address without secrets; a checkpoint sink that holds another source's rows is refused.
+    sinks : StreamSinks
+        Checkpoint sink and other sinks that get the rows.
     watch : Watch
         Records states, counts and losses.
-    beginning : StreamStarter
+    starter : StreamStarter
         Makes the filters.
     settings : Settings
         Commit interval, queue and patience.
@@ -50,9 +50,9 @@ class Runner:
 
     source: Source
     address: str
-    outlets: StreamSinks
+    sinks: StreamSinks
     watch: Watch
-    beginning: StreamStarter
+    starter: StreamStarter
     settings: Settings = field(default_factory=Settings)
 
     def __post_init__(self) -> None:
@@ -63,22 +63,22 @@ class Runner:
         self._outputs: list[Output] = []
         self._losses: list[Loss] = []
         self._position = ""
-        self._handed_over_s = 0.0  # time.monotonic() when rows were last handed to the keeper
+        self._submitted_s = 0.0  # time.monotonic() when rows were last passed to the commit thread
         self._health_s = 0.0  # time.monotonic() when the meter last got the health of the channels
         self.rows = 0
-        """Number of rows returned over the whole life of the stream."""
+        """Number of rows returned since the stream was first started."""
 
     def stop(self) -> None:
         """Stop reading; rows that were read are filtered, written and committed, then the run ends."""
         self._stop.set()
 
-    def retune(self, recipe: Callable[[], Recipe], heard: Heard = lambda _: None) -> None:
+    def retune(self, recipe: Callable[[], Recipe], on_result: RetuneCallback = lambda _: None) -> None:
         """Request another recipe for the same channels, used from the next block on without a jump of the signal.
 
-        `recipe` is called later and returns the recipe. `heard` is called with the result: see `Heard`. If several
-        recipes are requested before one is taken, the last one wins.
+        `recipe` is called later and returns the recipe; `on_result` is a `RetuneCallback`. If several recipes are
+        requested before one is applied, the last one wins.
         """
-        self._retuning.ask(recipe, heard)
+        self._retuning.ask(recipe, on_result)
 
     def run(self) -> None:
         """Run until the source ends or `stop` is called.
@@ -88,33 +88,33 @@ class Runner:
         BecalmError
             If the source or a sink can never be reached, or rows could not be committed; all other rows are committed.
         """
-        keeper = self.outlets.keeper
-        last = None if keeper is None else retry_until_reachable(keeper.last, self.watch, self._stop)
-        begun = None if last is None else self._resume(last)
+        checkpoint_sink = self.sinks.checkpoint_sink
+        last = None if checkpoint_sink is None else retry_until_reachable(checkpoint_sink.last, self.watch, self._stop)
+        started = None if last is None else self._resume(last)
         reader = self._reader = Reader(self.source, self._queue, self.watch, self._position)
         reader.start()
-        keeping: CommitThread | None = None
+        commit_thread: CommitThread | None = None
         try:
-            begun = begun or self._begin()
-            if begun is not None:
-                keeping = self._open(begun)
+            started = started or self._begin()
+            if started is not None:
+                commit_thread = self._open(started)
                 try:
-                    self._filter_all(begun, keeping)
+                    self._filter_all(started, commit_thread)
                 finally:
-                    self._commit(begun.stream, keeping, at_once=True)
+                    self._commit(started.stream, commit_thread, at_once=True)
             self.watch.state("stopping" if self._stop.is_set() else "ended")
         finally:
             reader.stop()
             try:
-                if keeping is not None:
-                    keeping.finish(self.settings.patience_s)
+                if commit_thread is not None:
+                    commit_thread.finish(self.settings.patience_s)
             finally:
                 self._close(reader)
 
     def _resume(self, last: Checkpoint) -> StartedStream:
-        begun = self.beginning.resumed(last, self.address)
-        if self.beginning.timed is not None:
-            self.source = self.beginning.timed(begun.stream.recipe)
+        started = self.starter.resume(last, self.address)
+        if self.starter.make_source is not None:
+            self.source = self.starter.make_source(started.stream.recipe)
         self._position = last.position
         if not self.source.replays:
             message = (
@@ -122,40 +122,42 @@ class Runner:
                 " sends them again."
             )
             self._losses.append(Loss(LossKind.GAP, None, message))
-        return begun
+        return started
 
     def _begin(self) -> StartedStream | None:
-        begun = None
+        started = None
         try:
-            begun = self.beginning.begun(self._next, self._queue, self.source, self.watch)
+            started = self.starter.start_new(self._next, self._queue, self.source, self.watch)
         finally:
-            if begun is None:  # there are no rows that could carry the losses
-                self.watch.lost(self._losses)
-        return begun
+            if started is None:  # no output will carry the losses
+                self.watch.record_losses(self._losses)
+        return started
 
-    def _open(self, begun: StartedStream) -> CommitThread:
-        head = begun.head
-        if self.outlets.keeper is not None:
-            retry_until_reachable(partial(open_keeper, self.outlets.keeper, head), self.watch, self._stop)
-        for outlet in self.outlets.others:
-            outlet.open(head)
-        self.watch.meter.begin(head.names, begun.stream.recipe.to_toml())
+    def _open(self, started: StartedStream) -> CommitThread:
+        head = started.head
+        if self.sinks.checkpoint_sink is not None:
+            retry_until_reachable(
+                partial(open_checkpoint_sink, self.sinks.checkpoint_sink, head), self.watch, self._stop
+            )
+        for sink in self.sinks.others:
+            sink.open(head)
+        self.watch.meter.begin(head.names, started.stream.recipe.to_toml())
         self.watch.state("running")
-        self._handed_over_s = time.monotonic()
-        return CommitThread(self.outlets, self.source, self.watch, head)
+        self._submitted_s = time.monotonic()
+        return CommitThread(self.sinks, self.source, self.watch, head)
 
-    def _filter_all(self, begun: StartedStream, keeping: CommitThread) -> None:
-        stream = begun.stream
-        if begun.before:
-            self._write(stream.take(Block.of_losses(*begun.before)))
-        for early in begun.blocks:
-            self._take(early, stream, keeping)
+    def _filter_all(self, started: StartedStream, commit_thread: CommitThread) -> None:
+        stream = started.stream
+        if started.early_losses:
+            self._write(stream.take(Block.of_losses(*started.early_losses)))
+        for early in started.blocks:
+            self._take(early, stream, commit_thread)
         while not self._queue.ended:
-            self._retuning.take(stream, self.watch)
+            self._retuning.apply(stream, self.watch)
             block = self._next()
             if block is not None:
-                self._take(block, stream, keeping)
-            self._commit(stream, keeping)
+                self._take(block, stream, commit_thread)
+            self._commit(stream, commit_thread)
             self._record_health(stream)
         if not self._stop.is_set():
             self._emit(stream.finish())
@@ -164,15 +166,15 @@ class Runner:
         if self._stop.is_set() and self._reader is not None:
             self._reader.stop()
         block = self._queue.get(_POLL_S, _JOINED_ROWS)
-        self._losses += self.watch.turned(block is not None)
-        self.watch.meter.queued(*self._queue.depth)
+        self._losses += self.watch.record_iteration(block is not None)
+        self.watch.meter.set_queue(*self._queue.depth)
         return block
 
-    def _take(self, block: Block, stream: Stream, keeping: CommitThread) -> None:
+    def _take(self, block: Block, stream: Stream, commit_thread: CommitThread) -> None:
         self._emit(stream.take(block))
         self._position = block.position or self._position
         if sum(output.values.size for output in self._outputs) >= _MOST_VALUES:
-            self._commit(stream, keeping, at_once=True)
+            self._commit(stream, commit_thread, at_once=True)
 
     def _emit(self, output: Output) -> None:
         """Write rows to the sinks and count them, with the losses since the last output."""
@@ -186,19 +188,19 @@ class Runner:
     def _write(self, output: Output) -> None:
         self.rows = output.first_row + len(output)
         self._outputs.append(output)  # before writing, so that it is committed even if a sink fails for good
-        for outlet in self.outlets.others:
-            outlet.write(output)
+        for sink in self.sinks.others:
+            sink.write(output)
 
-    def _commit(self, stream: Stream, keeping: CommitThread, *, at_once: bool = False) -> None:
-        """Hand the rows since the last commit to the keeper, if the commit interval has passed."""
+    def _commit(self, stream: Stream, commit_thread: CommitThread, *, at_once: bool = False) -> None:
+        """Pass the rows since the last commit to the commit thread, `at_once` or if the commit interval has passed."""
         now = time.monotonic()
-        if not at_once and now - self._handed_over_s < self.settings.commit_s:
+        if not at_once and now - self._submitted_s < self.settings.commit_s:
             return
-        self._handed_over_s = now
+        self._submitted_s = now
         if self._outputs:
             outputs, self._outputs = self._outputs, []
-            keeping.give(Transaction(outputs, stream.checkpoint(self._position, self.address)))
-        self._losses += keeping.losses()
+            commit_thread.submit(Transaction(outputs, stream.checkpoint(self._position, self.address)))
+        self._losses += commit_thread.losses()
 
     def _record_health(self, stream: Stream) -> None:
         now = time.monotonic()
@@ -209,10 +211,10 @@ class Runner:
 
     def _close(self, reader: Reader) -> None:
         reader.join()
-        for outlet in self.outlets.others:
-            outlet.close()
-        if self.outlets.keeper is not None:
-            self.outlets.keeper.close()
+        for sink in self.sinks.others:
+            sink.close()
+        if self.sinks.checkpoint_sink is not None:
+            self.sinks.checkpoint_sink.close()
 
 
 def _alarms(channel: ChannelHealth) -> list[str]:

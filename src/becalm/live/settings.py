@@ -14,8 +14,8 @@ class Settings:
     Attributes
     ----------
     commit_s : float
-        Interval between commits of rows, filters and position, in seconds; after a power cut a *short* interval
-        leaves less to do again.
+        Interval between commits of rows, filters and position, in seconds; with a *short* interval
+        fewer rows must be filtered again after a power cut.
     queue_blocks : int
         Largest number of blocks in the queue between reader and filters.
     when_full : {"block", "drop-oldest"}

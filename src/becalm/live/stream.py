@@ -7,7 +7,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from becalm.cleaning.handover import Handover, rows_to_forget
-from becalm.cleaning.pipeline import fitted
+from becalm.cleaning.pipeline import fit_to_recording
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
 from becalm.core.arrays import Booleans, Codes, Floats, Integers
@@ -20,7 +20,7 @@ from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.delayed_rows import DelayedRows
 
 _VERSION = 1  # of the snapshot
-_COUNTABLE = 2.0**52  # steps; a longer gap does not give a number of lost rows
+_COUNTABLE = 2.0**52  # in steps; the lost rows of a longer gap are not counted
 _LEFT_OUT = {  # rows that the clock leaves out: kind and text of the loss
     LATE: (LossKind.LATE, "have a stamp earlier than a row that was already processed"),
     REPEATED: (LossKind.REPEATED, "repeat the stamp of the previous row"),
@@ -29,13 +29,13 @@ _LEFT_OUT = {  # rows that the clock leaves out: kind and text of the loss
 }
 
 
-class Prepared(NamedTuple):
-    """Filters of another recipe, ready to take over a running stream."""
+class PreparedFilters(NamedTuple):
+    """Filters of another recipe (`later`), ready to take over a running stream."""
 
     recipe: Recipe
     toml: str
     later: StreamCleaner
-    rows: int  # until the filters no longer depend on their initial state
+    rows: int  # rows after which the filters no longer depend on their initial state
 
 
 class Stream:
@@ -44,7 +44,7 @@ class Stream:
     Parameters
     ----------
     recipe : Recipe
-        The channels and their filters. A smoothing recipe only filters here, because later rows are not available.
+        The channels and their filters. A smoothing recipe is used as a filter, because later rows are not available.
     step_s : float
         Time step in seconds.
     resolution_s : float
@@ -57,7 +57,7 @@ class Stream:
         """Number of rows returned so far."""
         self._clock = LiveClock(step_s, resolution_s)
         self._cleaner: StreamCleaner | Handover = StreamCleaner(recipe, step_s)
-        self._former = recipe  # of the outgoing filters during a handover
+        self._former = recipe  # recipe of the outgoing filters during a handover
         self._cached_toml = recipe, ""  # the recipe that was serialized last, with its TOML
         self._waiting = DelayedRows(len(recipe.channel))
         self._columns: list[int] | None = None
@@ -71,18 +71,18 @@ class Stream:
         return Head(names, units, 1 / self._step_s, self._toml())
 
     @property
-    def gives_way(self) -> bool:
+    def is_handing_over(self) -> bool:
         """Return whether a handover between two filters is running; a third filter would make the signal jump."""
         return isinstance(self._cleaner, Handover) and self._cleaner.has_begun
 
     @property
-    def taken_to_s(self) -> float:
+    def last_stamp_s(self) -> float:
         """Return the stamp of the last accepted row in seconds; -inf before the first."""
         return self._clock.last_s
 
-    def opened(self) -> None:
+    def notify_source_opened(self) -> None:
         """Notify the clock that the source was opened again."""
-        self._clock.opened()
+        self._clock.mark_interruption()
 
     def take(self, block: Block) -> Output:
         """Filter a block; return the rows whose estimates are ready, possibly none.
@@ -93,15 +93,15 @@ class Stream:
             If the recipe names a channel that the source does not have, or in another unit.
         """
         if any(loss.kind is LossKind.AWAY for loss in block.losses):
-            self._clock.opened()
+            self._clock.mark_interruption()
         if not len(block):
-            return self._output(*_nothing(len(self.recipe.channel)), block.losses, 0.0)
+            return self._output(*_no_rows(len(self.recipe.channel)), block.losses, 0.0)
         values = self._recipe_columns(block)
         stamps, losses = block.time_s, list(block.losses)
         if block.elapsed is not None:
             elapsed = block.elapsed
         else:
-            elapsed, codes = self._clock.passed(stamps, self._duplicates(stamps, values))
+            elapsed, codes = self._clock.process_stamps(stamps, self._duplicates(stamps, values))
             taken = (codes == TAKEN) | (codes == RESET)
             losses += _losses_of_left_out_rows(codes)
             if not taken.all():
@@ -114,7 +114,7 @@ class Stream:
         return self._delayed_output(stamps, values, estimates, tuple(losses), block.arrived_s)
 
     def finish(self) -> Output:
-        """Return the rows that are still delayed by the filter's lag; the stream can continue with more rows."""
+        """Return the rows that are still delayed by the filter's lag; more rows may follow."""
         estimates, done = self._cleaner.finish(), self._waiting.returned
         self._waiting.returned = self._waiting.count
         return self._output(*self._waiting.rows(done), _from_row(estimates, done), (), 0.0)
@@ -139,7 +139,7 @@ class Stream:
             names = [self._recipe_name(name) for name in block.names]
             block_units = block.units or ("",) * len(names)
             units = [unit or self._unit_of(name) for unit, name in zip(block_units, names, strict=True)]
-            self.recipe = fitted(self.recipe, names, units)
+            self.recipe = fit_to_recording(self.recipe, names, units)
             self._columns = [names.index(channel.name) for channel in self.recipe.channel]
         if self._columns == list(range(block.values.shape[1])):
             return block.values
@@ -159,7 +159,7 @@ class Stream:
         self, stamps: Floats, values: Floats, estimates: Streamed, losses: tuple[Loss, ...], arrived_s: float
     ) -> Output:
         if self._cleaner.lag_rows:
-            stamps, values, already_returned = self._waiting.through(stamps, values, len(estimates.signal))
+            stamps, values, already_returned = self._waiting.push_and_pop(stamps, values, len(estimates.signal))
             estimates = _from_row(estimates, already_returned)
         return self._output(stamps, values, estimates, losses, arrived_s)
 
@@ -172,11 +172,11 @@ class Stream:
     def checkpoint(self, position: str, source: str) -> Checkpoint:
         """Return the checkpoint to commit with the rows returned so far."""
         cleaner = self._cleaner
-        between = isinstance(cleaner, Handover)
+        is_handover = isinstance(cleaner, Handover)
         blob = cleaner.snapshot(self._former) if isinstance(cleaner, Handover) else cleaner.snapshot()
         state: dict[str, Floats | Codes | Integers] = {
             "step_s": np.array([self._step_s]),
-            "told": np.array([_VERSION, between, self._waiting.returned], np.int64),
+            "told": np.array([_VERSION, is_handover, self._waiting.returned], np.int64),
             "clock": self._clock.state,
             "before": self._last_row,
             "cleaner": np.frombuffer(blob, np.int8),
@@ -205,14 +205,14 @@ class Stream:
         recipe = Recipe.from_toml(checkpoint.recipe, "The recipe of the stream")
         try:
             arrays = unpacked(checkpoint.snapshot)
-            version, between, waiting_returned = (int(number) for number in arrays["told"])
+            version, is_handover, waiting_returned = (int(number) for number in arrays["told"])
             if version != _VERSION:
                 raise ModelError(f"The stream's snapshot has version {version}; this becalm reads {_VERSION}.")
             stream = cls(recipe, float(arrays["step_s"][0]))
-            stream._clock = LiveClock.resumed(arrays["clock"])
+            stream._clock = LiveClock.from_state(arrays["clock"])
             stream._last_row = arrays["before"]
             blob = arrays["cleaner"].tobytes()
-            if between:
+            if is_handover:
                 stream._cleaner, stream._former = Handover.resume(blob, recipe)
             else:
                 stream._cleaner = StreamCleaner.resume(blob, recipe)
@@ -224,7 +224,7 @@ class Stream:
         stream.rows = checkpoint.rows
         return stream
 
-    def retuned(self, recipe: Recipe) -> None:
+    def retune(self, recipe: Recipe) -> None:
         """Use another recipe for the same channels from the next row on, without a jump of the signal.
 
         Raises
@@ -232,9 +232,9 @@ class Stream:
         RecipeError
             If the recipe has other channels or another lag.
         """
-        self.take_over(self.prepared(recipe))
+        self.take_over(self.prepare_filters(recipe))
 
-    def prepared(self, recipe: Recipe) -> Prepared:
+    def prepare_filters(self, recipe: Recipe) -> PreparedFilters:
         """Make the filters of another recipe. This takes some tenths of a second; any thread may call it.
 
         Raises
@@ -243,13 +243,13 @@ class Stream:
             If the recipe has other channels.
         """
         names, units = zip(*((one.name, one.unit) for one in self.recipe.channel), strict=True)
-        recipe = fitted(recipe, names, units)
+        recipe = fit_to_recording(recipe, names, units)
         if [one.name for one in recipe.channel] != list(names):
             raise RecipeError("The recipe has other channels than the stream; give a recipe for the stream's channels.")
         cleaner = StreamCleaner(recipe, self._step_s)
-        return Prepared(recipe, recipe.to_toml(), cleaner, rows_to_forget(recipe, self._step_s))
+        return PreparedFilters(recipe, recipe.to_toml(), cleaner, rows_to_forget(recipe, self._step_s))
 
-    def take_over(self, prepared: Prepared) -> None:
+    def take_over(self, prepared: PreparedFilters) -> None:
         """Hand over to prepared filters from the next row on.
 
         Raises
@@ -258,7 +258,7 @@ class Stream:
             If the prepared filters have another lag.
         """
         if isinstance(self._cleaner, Handover) and not self._cleaner.has_begun:
-            former = self._cleaner.former  # the filters in between have not returned a row yet
+            former = self._cleaner.former  # the filters of the last request have not returned a row yet: drop them
             self._cleaner = Handover(former, prepared.later, prepared.rows)
         else:
             former = self._cleaner.later if isinstance(self._cleaner, Handover) else self._cleaner
@@ -270,7 +270,7 @@ def _from_row(estimates: Streamed, row: int) -> Streamed:
     return Streamed(estimates.signal[row:], estimates.sigma[row:], estimates.verdicts[row:], estimates.modes[row:])
 
 
-def _nothing(channels: int) -> tuple[Floats, Floats, Streamed]:
+def _no_rows(channels: int) -> tuple[Floats, Floats, Streamed]:
     none = np.empty((0, channels))
     return np.empty(0), none, Streamed(none, none, np.empty((0, channels), np.int8))
 

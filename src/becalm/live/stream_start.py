@@ -31,14 +31,14 @@ class StartedStream(NamedTuple):
         Names, units, rate and recipe for the sinks.
     blocks : list of Block
         Blocks that already arrived, from the first row on.
-    before : list of Loss
+    early_losses : list of Loss
         Losses before the first row; the watch has already recorded them.
     """
 
     stream: Stream
     head: Head
     blocks: list[Block]
-    before: list[Loss]
+    early_losses: list[Loss]
 
 
 @dataclass(frozen=True)
@@ -48,21 +48,21 @@ class StreamStarter:
     Attributes
     ----------
     recipe : Recipe or None
-        Recipe to use; with None the stream continues with its own recipe, or a new stream learns one.
+        Recipe to use; with None a resumed stream keeps its own recipe, and a new stream learns one.
     learner : Learner
         Tunes a recipe on the first rows if there is none.
-    learned : callable
+    on_learned : callable
         Called with a learned recipe, to save it.
-    timed : callable or None
-        Makes the source of a resumed stream from its recipe, which may hold how the rows are timed.
+    make_source : callable or None
+        Makes the source of a resumed stream from the stream's recipe, which may define how rows are timed.
     """
 
     recipe: Recipe | None
     learner: Learner
-    learned: Callable[[Recipe], None] = lambda _: None
-    timed: Callable[[Recipe], Source] | None = None
+    on_learned: Callable[[Recipe], None] = lambda _: None
+    make_source: Callable[[Recipe], Source] | None = None
 
-    def resumed(self, last: Checkpoint, address: str) -> StartedStream:
+    def resume(self, last: Checkpoint, address: str) -> StartedStream:
         """Continue from a checkpoint, with another recipe if one is given.
 
         Raises
@@ -80,25 +80,25 @@ class StreamStarter:
         stream = Stream.resumed(last)
         head = stream.head  # before retuning: sinks keep the head that the stream began with
         if self.recipe is not None and self.recipe != stream.recipe:
-            stream.retuned(self.recipe)
-        stream.opened()
+            stream.retune(self.recipe)
+        stream.notify_source_opened()
         return StartedStream(stream, head, [], [])
 
-    def begun(
-        self, following: Callable[[], Block | None], queue: BlockQueue, source: Source, watch: Watch
+    def start_new(
+        self, next_block: Callable[[], Block | None], queue: BlockQueue, source: Source, watch: Watch
     ) -> StartedStream | None:
         """Wait for the first rows, or for enough rows to learn from; return None if the source ends without rows.
 
         Parameters
         ----------
-        following : callable
-            Returns the next block of the queue, or None after some time.
+        next_block : callable
+            Returns the next block of the queue, or None after a timeout.
         queue : BlockQueue
             Queue between reader and filters; it knows when the source has ended.
         source : Source
             Source that is read; it may know the rate.
         watch : Watch
-            Records losses if no stream can be made to report them.
+            Records the losses if no stream starts that could report them.
 
         Raises
         ------
@@ -110,11 +110,11 @@ class StreamStarter:
         ended = False
         try:
             while stream is None and not ended:
-                block = following()
+                block = next_block()
                 if block is not None and (len(block) or early.rows):
                     early.add(block)
                 elif block is not None:
-                    watch.lost(block.losses)
+                    watch.record_losses(block.losses)
                     before += block.losses
                 ended = queue.closed
                 stream = self._stream_of(early, source.rate_hz, ended=ended)
@@ -123,8 +123,8 @@ class StreamStarter:
                 queue.raise_failure()
             raise
         finally:
-            if stream is None:  # there is no output that could carry the losses
-                watch.lost([loss for one in early.blocks for loss in one.losses])
+            if stream is None:  # no output will carry the losses
+                watch.record_losses([loss for one in early.blocks for loss in one.losses])
         if stream is None:
             queue.raise_failure()
             return None
@@ -138,27 +138,27 @@ class StreamStarter:
             return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s)
         if self.recipe is None and ((ended and early.rows) or self.learner.is_enough(early, rate_hz)):
             learned = self.learner.learn(early.blocks, rate_hz)
-            self.learned(learned.recipe)
+            self.on_learned(learned.recipe)
             return Stream(learned.recipe, learned.step_s, learned.resolution_s)
         return None
 
 
-def open_keeper(keeper: CheckpointSink, head: Head) -> None:
-    """Open a keeper; if the connection was lost since its last checkpoint was read, connect once more.
+def open_checkpoint_sink(checkpoint_sink: CheckpointSink, head: Head) -> None:
+    """Open a checkpoint sink; if the connection was lost since its last checkpoint was read, connect once more.
 
     Raises
     ------
     AwayError
-        If the keeper cannot be reached now.
+        If the sink cannot be reached now.
     BecalmError
-        If it can never be reached, or holds another stream.
+        If the sink can never be reached, or holds another stream.
     """
     try:
-        keeper.open(head)
+        checkpoint_sink.open(head)
     except AwayError:
-        keeper.close()
-        keeper.last()
-        keeper.open(head)
+        checkpoint_sink.close()
+        checkpoint_sink.last()
+        checkpoint_sink.open(head)
 
 
 def retry_until_reachable(do: Callable[[], Result], watch: Watch, stop: threading.Event) -> Result:
@@ -167,7 +167,7 @@ def retry_until_reachable(do: Callable[[], Result], watch: Watch, stop: threadin
     Raises
     ------
     AwayError
-        If `stop` is set before.
+        If `stop` is set before the server is reached.
     """
     back_off = BackOff()
     while True:

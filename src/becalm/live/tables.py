@@ -10,7 +10,7 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.roles import SIGMA
-from becalm.files.tables import VERDICT, in_words
+from becalm.files.tables import VERDICT, verdict_words
 from becalm.live.block import Head, Output
 
 ROW, TIME = "row", "time_s"
@@ -82,7 +82,7 @@ def output_table(head: Head, outputs: Sequence[Output]) -> pa.Table:
     verdicts = np.ascontiguousarray(np.concatenate([one.verdicts for one in outputs]).T)
     for channel in range(len(head.names)):
         columns += [pa.array(part[channel]) for part in numbers]
-        columns.append(in_words(verdicts[channel]))
+        columns.append(verdict_words(verdicts[channel]))
     return pa.table(columns, schema=schema)
 
 

@@ -1,1 +1,1 @@
-"""Measures of the quality of a signal, with and without a known truth."""
+"""Measures of the quality of a signal, with and without a known true signal."""

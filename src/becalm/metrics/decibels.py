@@ -12,10 +12,10 @@ from becalm.core.arrays import Floats
 
 
 def snr_db(signal: Floats, noise: Floats) -> float:
-    """Return 10 log10 of the mean square of a signal (N,) over the mean square of its noise (N,); NaN is left out."""
+    """Return 10 log10 of the mean square of a signal (N,) over that of its noise (N,); NaN is ignored."""
     return float(10 * np.log10(np.nanmean(signal**2) / np.nanmean(noise**2)))
 
 
 def snr_paper_db(signal: Floats, noise: Floats) -> float:
-    """Return 20 log10 of the same ratio of powers: the car paper's convention, twice the usual decibel."""
+    """Return 20 log10 of the ratio of powers in `snr_db`: the car paper's convention, twice the usual decibel."""
     return 2 * snr_db(signal, noise)

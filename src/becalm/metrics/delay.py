@@ -1,4 +1,4 @@
-"""Delay and overshoot of a recorded output against its truth, without knowledge of the filter."""
+"""Delay and overshoot of a recorded output relative to the true signal, without knowledge of the filter."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from becalm.core.arrays import Floats, Integers
 def lag_of(signal: Floats, truth: Floats) -> float:
     """Return the lag of a signal (N,) behind its truth (N,), in samples: the shift of least mean square difference.
 
-    Only overlapping samples count; NaN counts as the mean. A parabola through the minimum and its neighbours gives
-    fractions of a sample; with noise or a slow truth these are inaccurate. Lags up to half of the record are tried. The
-    result is NaN if the signal or the truth is constant, or if the minimum is at the largest lag either way.
+    Only overlapping samples count; NaN counts as the mean. A parabola through the minimum and its neighbours gives the
+    fraction of a sample, which is inaccurate with noise or a slow truth. Lags of up to half of the record in either
+    direction are tried. The result is NaN if the signal or the truth is constant, or if the largest lag is the best.
     """
     from scipy.fft import irfft, next_fast_len, rfft
 
@@ -37,7 +37,7 @@ def lag_of(signal: Floats, truth: Floats) -> float:
 
 
 def _sums(values: Floats, first: Integers, last: Integers) -> Floats:
-    """Return sums of squares without the first `first` and the last `last` values."""
+    """Return sums of squares (l,), each without the first `first` (l,) and the last `last` (l,) values."""
     sums = np.concatenate([[0.0], np.cumsum(values**2)])
     return np.asarray(sums[len(values) - last] - sums[first])
 
@@ -47,20 +47,20 @@ class StepDelays(NamedTuple):
 
     delay_50: float  # samples from the step to half of the height
     delay_90: float  # samples to nine tenths of the height
-    overshoot: float  # beyond the final level, as a share of the height
+    overshoot: float  # largest value beyond the final level, over the height
 
 
 def follow(signal: Floats, row: int, before: float, after: float) -> StepDelays:
-    """Return how a signal (N,) follows a step at `row` from the level `before` to the level `after`.
+    """Return delays and overshoot of a signal (N,) after a step at `row` from the level `before` to the level `after`.
 
-    Delays to levels that are never reached are inf. The step counts as a straight line from the row before it.
+    The delay to a level that is never reached is inf. The step counts as a straight line from the row before it.
     """
     risen = (signal[row - 1 :] - before) / (after - before)
     return StepDelays(_crossing(risen, 0.5), _crossing(risen, 0.9), max(0.0, float(np.nanmax(risen)) - 1))
 
 
 def _crossing(risen: Floats, level: float) -> float:
-    """Return the delay until a rise first reaches a level, relative to a straight line from 0 to 1 at the step."""
+    """Return the delay at which a rise first reaches a level, relative to a line from 0 to 1 just before the step."""
     reached = np.flatnonzero(risen >= level)
     if not len(reached):
         return np.inf

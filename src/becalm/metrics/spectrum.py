@@ -37,7 +37,7 @@ def welch(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrum:
     rate_hz : float
         Sampling rate, in hertz.
     segment : int
-        Samples per segment; a *small* one has a coarser frequency resolution and less scatter.
+        Samples per segment; a *small* number gives a coarser frequency resolution and less scatter.
 
     Notes
     -----
@@ -57,7 +57,7 @@ class Spectrogram(NamedTuple):
 
 
 def spectrogram(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrogram:
-    """Return the spectra of half-overlapping segments of a record (N,) without gaps, with Hann windows.
+    """Return the spectra of half-overlapping segments, with Hann windows, of a record (N,) without gaps.
 
     Parameters
     ----------
@@ -66,11 +66,11 @@ def spectrogram(z: Floats, rate_hz: float, segment: int = _SEGMENT) -> Spectrogr
     rate_hz : float
         Sampling rate, in hertz.
     segment : int
-        Samples per segment; a *small* one resolves time better and frequency worse.
+        Samples per segment; a *small* number resolves time better and frequency worse.
 
     Notes
     -----
-    The mean over time is Welch's spectrum.
+    The mean of the result over time is the spectrum of `welch`.
     """
     from scipy.signal import ShortTimeFFT
     from scipy.signal.windows import hann

@@ -1,4 +1,4 @@
-"""Measures of the error of a signal whose truth is known."""
+"""Measures of the error of a signal whose true values are known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from becalm.core.arrays import Floats
 
 
 def rms_error(signal: Floats, truth: Floats) -> float:
-    """Return the root mean square of signal minus truth, in their unit; NaN is left out."""
+    """Return the root mean square of signal minus truth, in their unit; NaN is ignored."""
     return float(np.sqrt(np.nanmean((signal - truth) ** 2)))
 
 

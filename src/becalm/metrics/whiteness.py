@@ -1,4 +1,4 @@
-"""Tests of the innovations: whether they are white, how predictable they are, and whether their size is right."""
+"""Tests of innovations: whether they are white, how predictable they are, and whether their variance is right."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import numpy as np
 from becalm.core.arrays import Floats, frozen
 from becalm.core.closed_forms import autoregressive_power
 
-# The autocovariance of a sequence that comes in pieces, exact across their borders.
+# The autocovariance of a sequence that comes in pieces; products across the boundaries of pieces are included.
 
 MOST_LAGS = 32  # largest lag of the sums
-_ROW = 8  # shortest row for which BLAS is fast
+_ROW = 8  # shortest row of a matrix for which BLAS is fast
 _SHIFTS = MOST_LAGS // _ROW + 1
 
 
 class LaggedSums(NamedTuple):
-    """Sums over a sequence e, and over its products with the values up to 32 places earlier.
+    """Sums over a sequence e, and over products of its values with values up to 32 places earlier.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class LaggedSums(NamedTuple):
     total : float
         Sum of c.
     products : (5, 8, 8) float array
-        Sums of products of c with c up to 32 values earlier, both in rows of 8; see `about_mean`.
+        Sums of products of c with values of c up to 32 places earlier, in rows of 8; see `about_mean`.
     head, tail : (32,) float array
         The first and the last 32 values of c; zero if there are fewer.
     varies : bool
@@ -38,8 +38,8 @@ class LaggedSums(NamedTuple):
 
     Notes
     -----
-    The shift loses no accuracy: n var = sum (e - mean)^2 >= P (shift - mean)^2 for a first piece of
-    P values, so rounding errors grow at most by the factor n/P for any mean.
+    The sums about the shift are accurate: n var = sum (e - mean)^2 >= P (shift - mean)^2 for a first piece of P values,
+    so that rounding errors grow at most by the factor n/P, whatever the mean.
     """
 
     seen: int = 0
@@ -51,7 +51,7 @@ class LaggedSums(NamedTuple):
     varies: bool = False
 
     def extended(self, piece: Floats) -> LaggedSums:
-        """Return the sums with a piece (n,) of finite values added; the first needs 32 values if others follow."""
+        """Return the sums with a piece (n,) of finite values added; the first of several pieces needs 32 values."""
         n = len(piece)
         shift = self.shift if self.seen else float(np.mean(piece))
         rows = -(-n // _ROW)
@@ -97,61 +97,61 @@ Sums = TypeVar("Sums")
 class Running(Generic[Sums]):
     """Sums over the finite values of a sequence that comes in blocks of any length.
 
-    The finite values are split into pieces of `PIECE`, counted from the first finite value; so the sums
-    depend neither on the borders of the blocks nor on missing values.
+    The finite values are split into pieces of `PIECE` values, counted from the first finite value. So the sums depend
+    neither on the boundaries of the blocks nor on the places of missing values.
 
     Parameters
     ----------
-    nothing : Sums
-        The sums of no values.
+    initial : Sums
+        The sums before the first value.
     extended : callable
-        Takes sums and a piece (up to `PIECE`,), and returns the sums with the piece added. Only the last
-        piece is shorter. The array of the piece is reused afterwards.
+        Function of sums and a piece, which returns the sums with the piece added. A piece has `PIECE` values; only the
+        last piece may have fewer. The array of the piece is reused after the call.
     """
 
-    def __init__(self, nothing: Sums, extended: Callable[[Sums, Floats], Sums]) -> None:
-        self._sums = nothing
+    def __init__(self, initial: Sums, extended: Callable[[Sums, Floats], Sums]) -> None:
+        self._sums = initial
         self._extended = extended
-        self._rest = np.empty(PIECE)  # buffer for an incomplete piece
-        self._held = 0  # values in the buffer
+        self._buffer = np.empty(PIECE)  # buffer for an incomplete piece
+        self._buffered = 0  # values in the buffer
 
     def add(self, values: Floats) -> None:
-        """Add a block (B,); NaN and inf are left out."""
+        """Add a block (B,); NaN and inf are ignored."""
         with np.errstate(over="ignore", invalid="ignore"):
             for start in range(0, len(values), PIECE):
                 part = values[start : start + PIECE]
                 finite = np.isfinite(part)
-                self._take(part if finite.all() else part[finite])
+                self._add_part(part if finite.all() else part[finite])
 
     def sums(self) -> Sums:
         """Return the sums of all values so far; more may follow."""
-        if not self._held:
+        if not self._buffered:
             return self._sums
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._extended(self._sums, self._rest[: self._held])
+            return self._extended(self._sums, self._buffer[: self._buffered])
 
-    def _take(self, part: Floats) -> None:
-        """Add at most one piece of finite values; a whole piece is not copied if the buffer is empty."""
-        if len(part) == PIECE and not self._held:
+    def _add_part(self, part: Floats) -> None:
+        """Add up to `PIECE` finite values; a whole piece is not copied if the buffer is empty."""
+        if len(part) == PIECE and not self._buffered:
             self._sums = self._extended(self._sums, part)
             return
-        fitting, excess = part[: PIECE - self._held], part[PIECE - self._held :]
-        self._rest[self._held : self._held + len(fitting)] = fitting
-        self._held += len(fitting)
-        if self._held == PIECE:
-            self._sums = self._extended(self._sums, self._rest)
-            self._rest[: len(excess)] = excess
-            self._held = len(excess)
+        fitting, excess = part[: PIECE - self._buffered], part[PIECE - self._buffered :]
+        self._buffer[self._buffered : self._buffered + len(fitting)] = fitting
+        self._buffered += len(fitting)
+        if self._buffered == PIECE:
+            self._sums = self._extended(self._sums, self._buffer)
+            self._buffer[: len(excess)] = excess
+            self._buffered = len(excess)
 
 
-LAGS = 20  # of the Ljung-Box test
-_PREDICTOR_LAGS = MOST_LAGS
+LAGS = 20  # number of lags of the Ljung-Box test
+_PREDICTOR_LAGS = MOST_LAGS  # largest number of lags of a linear predictor
 _CYCLES = np.linspace(0.0, 0.5, 501)  # frequencies in cycles per value
-_READINGS_PER_LAG = 8  # least number of values per lag; short sequences use fewer lags
+_READINGS_PER_LAG = 8  # least number of values per lag; a short sequence uses fewer lags
 
 
 class Predictor(NamedTuple):
-    """A linear predictor of a value: the sum of coefficients[j] times the value j + 1 places earlier.
+    """A linear predictor: it predicts a value as the sum of coefficients[j] times the value j + 1 places earlier.
 
     Attributes
     ----------
@@ -176,9 +176,9 @@ class Predictor(NamedTuple):
         return 1 - float(np.exp(np.log(outside).mean()) / outside.mean())
 
     def power(self, angle: Floats) -> Floats:
-        """Return the power (k,) of the autoregressive process of the predictor at angles (k,), in radians per value.
+        """Return the power (k,) of the predictor's autoregressive process at angles (k,), in radians per value.
 
-        Its average is 1.
+        The average of the power over all angles is 1.
         """
         return autoregressive_power(self.coefficients, self.error, angle)
 
@@ -193,18 +193,18 @@ class Whiteness:
     Attributes
     ----------
     p_value : float
-        Ljung-Box test over 20 lags: probability that white noise looks at least as coloured. Long real
-        records always fail; `predictable_share` is the size of the effect.
+        Ljung-Box test over 20 lags: probability that white noise looks at least as coloured. It is nearly 0 for all
+        long real records; `predictable_share` is the size of the effect.
     first_correlation : float
-        Correlation of neighbours; positive: the filter is too slow, negative: too fast.
+        Correlation of consecutive values. If it is positive the filter is too slow, if negative too fast.
     predictable_share : float
-        Share of the innovation power that a linear predictor of 32 lags predicts, less the share that
-        it predicts of white noise by chance; 0 to 1.
+        Share of the innovation power that a linear predictor of 32 lags predicts, minus the share that it predicts by
+        chance for white noise; 0 to 1.
     loudest : float or None
-        Frequency of the maximum of the spectrum from 32 lags, in cycles per value, 0 to 0.5; None if there are too
-        few values.
+        Frequency at which the spectrum, computed from 32 lags, has its maximum, in cycles per value, 0 to 0.5; None if
+        there are too few values.
     predictor : Predictor
-        The predictor with the number of lags, up to 32, that an information criterion selects; 0 for white noise.
+        The predictor whose number of lags, up to 32, an information criterion selects; it has 0 lags for white noise.
     """
 
     p_value: float
@@ -226,7 +226,7 @@ class RunningWhiteness(Running[LaggedSums]):
 
 
 def whiteness(normalised: Floats) -> Whiteness:
-    """Return the whiteness of normalised innovations (N,); NaN is left out, and lags count the other values."""
+    """Return the whiteness of normalised innovations (N,); NaN is removed first, so that lags count only values."""
     running = RunningWhiteness()
     running.add(normalised)
     return running.result()
@@ -237,7 +237,7 @@ def judge_whiteness(sums: LaggedSums) -> Whiteness:
 
     Notes
     -----
-    Ljung and Box, Biometrika 65 (1978) 297. The predictors are those of Levinson and Durbin.
+    Ljung and Box, Biometrika 65 (1978) 297. The predictors are computed by the recursion of Levinson and Durbin.
     """
     from scipy.special import gammaincc
 
@@ -259,11 +259,11 @@ def judge_whiteness(sums: LaggedSums) -> Whiteness:
         float(correlation[1]),
         max(0.0, (share - chance) / (1 - chance)),
         float(_CYCLES[int(np.argmax(smoothed_power(correlation, _CYCLES)))]),
-        min(every, key=lambda predictor: _price(predictor, n)),
+        min(every, key=lambda predictor: _information_criterion(predictor, n)),
     )
 
 
-def _price(predictor: Predictor, count: int) -> float:
+def _information_criterion(predictor: Predictor, count: int) -> float:
     """Return the Bayesian information criterion of a predictor (Schwarz, Annals of Statistics 6 (1978) 461)."""
     smallest = np.finfo(float).tiny
     return count * float(np.log(max(predictor.error, smallest))) + len(predictor.coefficients) * float(np.log(count))
@@ -322,20 +322,20 @@ class RunningNis(Running[Power]):
 
 
 def mean_nis(normalised: Floats) -> float:
-    """Return the mean squared normalised innovation without NaN; 1 if the noise variance is right."""
+    """Return the mean squared normalised innovation, NaN ignored; it is 1 if the innovation variances are right."""
     running = RunningNis()
     running.add(normalised)
     return running.result()
 
 
-# Test whether the variance of the innovations is constant, as a model with one noise level assumes.
+# Test whether the variance of the innovations is constant, as a model with one noise variance assumes.
 
-_BLOCK = 50  # values
-_FACTOR = 4.0  # largest ratio of powers in an even block: a factor of two in sigma
+_BLOCK = 50  # number of values in a block
+_FACTOR = 4.0  # a block is uneven if its mean power is more than this, or less than 1 over this
 
 
 class BlockCount(NamedTuple):
-    """Number of blocks of 50 values, and number of uneven blocks."""
+    """Number of blocks of 50 values, and number of uneven blocks, see `uneven_share`."""
 
     blocks: int = 0
     uneven: int = 0
@@ -370,25 +370,25 @@ def uneven_share(normalised: Floats) -> float:
     Parameters
     ----------
     normalised : (N,) float array
-        Innovations over their expected standard deviation; NaN is left out.
+        Innovations over their expected standard deviation; NaN is ignored.
 
     Notes
     -----
-    The mean power of 50 white Gaussian innovations is 1 with a standard deviation of 0.2, so chance
-    gives no uneven blocks. A large share means that sigma is correct only on average.
+    The mean power of 50 white Gaussian innovations is 1 with a standard deviation of 0.2, so that no block is uneven by
+    chance. A large share means that sigma is correct only on average.
     """
     running = RunningEvenness()
     running.add(normalised)
     return running.result()
 
 
-# Compare the distribution of scores with the standard normal one: find the share of probability that is misplaced.
+# Compare the distribution of scores with the standard normal distribution.
 #
-# An IMM predicts a mixture. The score of a reading is its normal quantile under the mixture, and it is never large,
-# because one of the modes expects even distant readings. The test therefore uses the whole distribution, not the
-# power.
+# An IMM predicts a mixture of normal distributions. The score of a reading is the normal quantile of its probability
+# under the mixture. It is never large, because one of the modes expects even distant readings. Therefore the test uses
+# the whole distribution and not the power.
 
-_EDGES = 0.1 * np.arange(1, 40)  # magnitudes of scores
+_EDGES = 0.1 * np.arange(1, 40)  # magnitudes of scores at which the distributions are compared
 
 
 class ScoreCount(NamedTuple):
@@ -402,7 +402,7 @@ class ScoreCount(NamedTuple):
         return ScoreCount(self.below + np.searchsorted(np.sort(np.abs(piece)), _EDGES), self.seen + len(piece))
 
     def share(self) -> float:
-        """Return the misplaced share of probability, 0 to 1; it is 0.16 if every score is 1.4 times too large."""
+        """Return the largest difference of the distributions, 0 to 1; 0.16 if all scores are 1.4 times too large."""
         from scipy.special import ndtr
 
         if not self.seen:

@@ -1,7 +1,7 @@
 """Call the C99 filter of one channel, which is compiled when becalm is built.
 
-`kernel.h` describes the structs; here they are NumPy structured arrays. The functions work on the caller's arrays; only
-a stepper keeps its own.
+`kernel.h` describes the structs, which are NumPy structured arrays here. The functions work on the caller's arrays;
+only the function that `stepper` returns has arrays of its own.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ kernel.channel_forget_counts.argtypes, kernel.channel_forget_counts.restype = [c
 kernel.channel_is_sound.argtypes, kernel.channel_is_sound.restype = [ctypes.c_void_p] * 2, ctypes.c_int
 kernel.likelihood_add.argtypes = [*[ctypes.c_void_p] * 3, ctypes.c_int64, ctypes.c_void_p]
 kernel.likelihood_add.restype = None
-_locked = ctypes.PyDLL(str(LIBRARY))  # keeps Python's lock, because releasing it takes longer than one row
+_locked = ctypes.PyDLL(str(LIBRARY))  # calls keep Python's lock, because its release takes longer than one row
 _locked.channel_call.restype = None
 
 STATE, _SCORE = map(layout_of, ("state", "score"))
@@ -59,14 +59,14 @@ def set_history(  # noqa: PLR0913  (keyword arguments)
     least: float,
     most: float,
 ) -> None:
-    """Set the history before the first row: first, least and greatest measurement, in unit; rows and steps so far."""
+    """Set the history before the first row: first, least and greatest measurement, in unit; rows and steps."""
     channel = settings.ctypes.data, coefficients.ctypes.data, state.ctypes.data
     kernel.channel_begin_after(*channel, first, rows, steps, least, most)
 
 
 def reduced(settings: NDArray[np.void], state: NDArray[np.void], *, alive: bool) -> NDArray[np.void]:
-    """Return a copy of the state with only what later estimates depend on; without hops if the sensor is `alive`."""
-    own = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())  # copy() would copy the fields alone
+    """Return a copy of the state, reduced to what later estimates depend on; without hops if the sensor is `alive`."""
+    own = np.frombuffer(bytearray(state.tobytes()), STATE).reshape(())  # copy() would copy only the named fields
     kernel.channel_reduce(settings.ctypes.data, own.ctypes.data, alive)
     return own
 
@@ -82,10 +82,11 @@ def process(settings: NDArray[np.void], coefficients: NDArray[np.void], state: N
     Parameters
     ----------
     settings, coefficients, state : () structured array
-        Those of the channel; the state changes.
+        The structs of the channel; the state changes.
     **rows : array
-        z, elapsed, signal, sigma, innovation, deviation (B,), F, Q (u, n, n) of float64; step (B,) of int32, each below
-        u; verdict (B,) of int8; x (B, n) of float64, or none. All are C-contiguous. See `block_t` and `estimate_t`.
+        z, elapsed, signal, sigma, innovation, deviation (B,), and F, Q (u, n, n), of float64; step (B,) of int32, with
+        values below u; verdict (B,) of int8; optionally x (B, n) of float64. All are C-contiguous. See `block_t` and
+        `estimate_t`.
 
     Raises
     ------
@@ -109,12 +110,12 @@ def stepper(
     F: NDArray[np.float64],
     Q: NDArray[np.float64],
 ) -> Callable[[float], tuple[float, float]]:
-    """Return a fast function that takes a measurement, one step after the last, and returns signal and sigma.
+    """Return a fast function that takes the measurement of the next step and returns signal and sigma.
 
     Parameters
     ----------
     settings, coefficients, state : () structured array
-        Those of the channel; each call changes the state.
+        The structs of the channel; each call changes the state.
     F, Q : (1, n, n) float64 array
         Matrices of the step.
 
@@ -178,11 +179,11 @@ def score(
     Parameters
     ----------
     settings, coefficients : () structured array
-        Those of the channel.
+        The structs of the channel.
     scored_from : int
         The first row that counts; earlier rows only start the filter.
     **rows : array
-        z, elapsed, F, Q and step, as in `process`; z holds NaN where no measurement may enter.
+        z, elapsed, F, Q and step, as in `process`; z is NaN where no measurement may enter the filter.
 
     Raises
     ------

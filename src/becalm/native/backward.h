@@ -7,8 +7,8 @@
 #include "opening.h"
 #include "pack.h"
 
-/* Smooth a row at which information was still gathered, with the row after it; without one, from its own information.
-   Return 0 if this does not determine the state. */
+/* Smooth a row before which measurements did not determine the state: from the smoothed row after it or, if there is
+   none, from the information of the row. Return 0 if the state remains undetermined. */
 INLINE int smooth_gathering(const int n, const coefficients_t *model, const filter_t *row, const real *Q,
                             future_t *future, real *signal, real *sigma) {
     const real nothing[N_MAX] = {0};
@@ -17,7 +17,7 @@ INLINE int smooth_gathering(const int n, const coefficients_t *model, const filt
     real Pc[N_MAX], V[NN_MAX];
     if (!(future->later == STATE_TOO && from_later(n, U, b, future))) {
         future->later = NOTHING_LATER;
-        if (unknown || !tells_state(n, model->R, Q, U, V)) return 0;
+        if (unknown || !determines_state(n, model->R, Q, U, V)) return 0;
         copy(n, b, future->x);
         determine(n, V, future->P, future->x);
         future->later = STATE_TOO;
@@ -31,8 +31,8 @@ INLINE int smooth_gathering(const int n, const coefficients_t *model, const filt
     return 1;
 }
 
-/* Smooth one row: add the information of later rows to its filtered signal. Return 0 if this loses digits, and the
-   smoothed row after it, which would preserve them, is not known. */
+/* Smooth one row: add the information of later rows to its filtered signal. Return 0 if this loses digits and the
+   smoothed next row, from which an accurate result could be computed, is not known. */
 INLINE int smooth_row(const int n, const coefficients_t *model, const filter_t *row, const real *Q, future_t *future,
                       real *signal, real *sigma) {
     real smoothed[NN_MAX], Pr[N_MAX];
@@ -50,14 +50,14 @@ INLINE int smooth_row(const int n, const coefficients_t *model, const filter_t *
     return !lost || known;
 }
 
-/* Carry the information of later rows back through the update of a row, and through the step before it. */
+/* Transform the information of later rows: back through the update of a row, and through the step before this row. */
 INLINE void step_back(const int n, const real *h, const real S, const real *K, const real *F, const real innovation,
                       future_t *future) {
     real A[NN_MAX], g[N_MAX], G[N_MAX];
     const int used = !isnan(innovation);
     const real nu = used ? innovation : 0;
-    see_through(n, 1, h, F, g);
-    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* S = 0: predicted exactly, nothing new */
+    multiply_HF(n, 1, h, F, g);
+    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* S = 0: an exact prediction, no information */
     if (used)
         close_loop(n, 1, F, K, g, A);
     else
@@ -66,10 +66,10 @@ INLINE void step_back(const int n, const real *h, const real S, const real *K, c
     pull_back(n, 1, A, G, g, future->M);
 }
 
-/* Move from a smoothed row to the row before, after `step_back`. */
-INLINE void leave_row(const int n, const real *F, const real *Q, const int8_t verdict, const int8_t start,
+/* After `step_back`, prepare the smoothing of the previous row. */
+INLINE void prepare_row_before(const int n, const real *F, const real *Q, const int8_t verdict, const int8_t start,
                       future_t *future) {
-    if (start == ANEW) forget_future(n, future);         /* rows before a restart do not use it */
+    if (start == RESTARTS) forget_future(n, future);         /* rows before a restart use no later rows */
     if (verdict == STEP) future->later = NOTHING_LATER; /* a jump adds more than Q */
     copy(n * n, F, future->F), copy(n * n, Q, future->Q);
 }

@@ -1,7 +1,7 @@
 /* Process one channel row by row: limits, gap, predict, gate, update, monitor, estimate.
 
    Three passes run over a block: they check the measurements, filter them, and monitor their innovations. Each pass
-   works row by row, so that the cuts between blocks change no bit.
+   works row by row, so that the boundaries between blocks change no bit.
 
    Equations are numbered as in core/reference/kalman.py. */
 #include <string.h>

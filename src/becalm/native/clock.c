@@ -1,9 +1,9 @@
-/* The clock of a stream: count the steps before each row, and detect impossible stamps. It works row by row, so that
-   cuts between blocks change nothing. */
+/* The clock of a stream: count the steps before each row, and detect impossible stamps. It works row by row, so that the
+   boundaries between blocks have no influence. */
 #include "kernel.h"
 
-#define PULL ((real)0.75)     /* share of a stamp's distance by which the even grid follows it */
-#define PULL_PACE ((real)0.1) /* the same for the sender's pace */
+#define PULL ((real)0.75)     /* correction of the even grid, over the distance of a stamp from the grid */
+#define PULL_PACE ((real)0.1) /* correction of the sender's pace, over this distance */
 #define LEAST_PACE ((real)0.98) /* limits of the sender's pace, see stamps_t */
 #define GREATEST_PACE ((real)1.02)
 #define WHOLE_FROM ((real)4503599627370496) /* 2^52: numbers from here on are whole */
@@ -14,8 +14,8 @@ static real nearest_whole(const real x) {
     return whole > x + (real)0.5 ? whole - 1 : whole;
 }
 
-/* Hold back an impossible stamp; after AGREEING such stamps that agree, the clock has jumped. */
-static int8_t hold_back(stamps_t *state, const real t, real *elapsed) {
+/* Count an impossible stamp; after AGREEING such stamps in ascending order, the clock has jumped: continue from it. */
+static int8_t reject_stamp(stamps_t *state, const real t, real *elapsed) {
     const real passed = t - state->last;
     const int agrees = state->held > 0 && t > state->held_last && t - state->held_last <= state->farthest;
     state->held = agrees ? state->held + 1 : 1;
@@ -28,7 +28,7 @@ static int8_t hold_back(stamps_t *state, const real t, real *elapsed) {
     return CLOCK_RESET;
 }
 
-/* Count the steps to a stamp that is not before the last one; their number is whole if the stamp lies on the grid. */
+/* Count the steps to a stamp that is not before the last stamp; the number is whole if the stamp lies on the grid. */
 static int8_t count_steps(stamps_t *state, const real t, const int doubled, real *elapsed) {
     const real steps = (t - state->grid) / state->step, off = steps - state->pace;
     const real whole = nearest_whole(steps / state->pace);
@@ -63,7 +63,7 @@ void clock_walk(stamps_t *state, const real *stamps, const int8_t *doubled, cons
             state->started = 1;
             state->grid = state->last = t;
         } else if (passed < 0 || (passed > state->farthest && state->opened == 0))
-            codes[k] = hold_back(state, t, elapsed + k);
+            codes[k] = reject_stamp(state, t, elapsed + k);
         else
             codes[k] = count_steps(state, t, doubled[k], elapsed + k);
     }

@@ -6,7 +6,7 @@
 #include "opening.h"
 #include "sensor.h"
 
-#define LONG ((real)1e9) /* steps: assumed time at the signal that a filter starts at */
+#define LONG ((real)1e9) /* assumed time for which the signal was constant before the start, in steps */
 
 void device_start(const device_t *device, device_state_t *state) {
     channel_start(&device->settings, &state->channel);
@@ -22,7 +22,8 @@ void device_start_at(const device_t *device, device_state_t *state, const real s
     device_start(device, state);
     if (no_measurement(settings, signal) || fabs(signal) > settings->largest_accepted) return;
     if (signal <= settings->low || signal >= settings->high) return;
-    filter_begin_after(settings, model, &state->channel.sensor.limits, filter, signal, settings->gap_measurements, LONG);
+    filter_begin_after(settings, model, &state->channel.sensor.limits, filter, signal, settings->gap_measurements,
+                       LONG);
     filter->phase = DETERMINED;
     for (int i = 0; i < n; i++) filter->x[i] = (signal - filter->level) * device->still[i];
     copy(n * n, device->P, filter->P);
@@ -33,8 +34,8 @@ void device_start_at(const device_t *device, device_state_t *state, const real s
     state->sigma = widened(settings, model->R, &state->channel.sensor, signal, filter->sigma, 1);
 }
 
-/* Process one row after a step; return the signal, NaN if there is no estimate. */
-static real take(const device_t *device, device_state_t *state, const real z, const real elapsed, const real *F,
+/* Process the row after a step; return the signal, NaN if there is no estimate. */
+static real process_row(const device_t *device, device_state_t *state, const real z, const real elapsed, const real *F,
                  const real *Q, int8_t *verdict) {
     const int32_t step = 0;
     real signal, innovation, deviation;
@@ -45,7 +46,7 @@ static real take(const device_t *device, device_state_t *state, const real z, co
     return signal;
 }
 
-/* Return the model's prediction, however uncertain; NaN while the signal is undetermined. */
+/* Return the model's prediction, even if it is very uncertain; NaN while the signal is undetermined. */
 static real predicted(const device_t *device, const filter_t *filter) {
     const int n = (int)device->settings.states;
     real signal = NOT_A_NUMBER, sigma;
@@ -56,7 +57,7 @@ static real predicted(const device_t *device, const filter_t *filter) {
 
 int device_step(const device_t *device, device_state_t *state, const real z, real *signal) {
     int8_t verdict = USED;
-    *signal = take(device, state, z, 1, device->F, device->Q, &verdict);
+    *signal = process_row(device, state, z, 1, device->F, device->Q, &verdict);
     if (!isnan(*signal)) return verdict;
     if (verdict == HOLE) *signal = predicted(device, &state->channel.filter);
     const real entered = state->channel.sensor.entered;
@@ -69,5 +70,5 @@ void device_gap(const device_t *device, device_state_t *state, const uint32_t ro
     int8_t verdict = USED;
     if (rows == 0) return;
     many_steps((int)device->settings.states, device->F, device->Q, rows, F, Q);
-    (void)take(device, state, NOT_A_NUMBER, rows, F, Q, &verdict);
+    (void)process_row(device, state, NOT_A_NUMBER, rows, F, Q, &verdict);
 }

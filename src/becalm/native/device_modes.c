@@ -6,7 +6,7 @@
 #include "doubling.h"
 #include "sensor.h"
 
-enum { SINGLE = 1000 }; /* rows of a gap processed one by one; then the modes have their long-term probabilities */
+enum { SINGLE = 1000 }; /* rows of a gap that are processed one by one; then the mode probabilities are constant */
 enum { ROOM = 2 * ((MODES_MAX + 1) / 2 * (4 * NN_MAX + 3 * N_MAX) + NN_MAX) };
 
 static imm_state_t *modes_of(device_modes_state_t *state) { return (imm_state_t *)(void *)state->now; }
@@ -29,9 +29,10 @@ void device_modes_start(const device_modes_t *device, device_modes_state_t *stat
     state->sigma = INFINITE;
 }
 
-/* Process one row after a step; return the signal, NaN if there is none, and write the filter's own, also in a hole. */
-static real take(const device_modes_t *device, device_modes_state_t *state, const real z, const real elapsed,
-                 const real *F, const real *Q, const real *T, int8_t *verdict, real *believed) {
+/* Process the row after a step; return the signal, NaN if there is no estimate. Write the signal of the filter to
+   `filtered`, also in a hole. */
+static real process_row(const device_modes_t *device, device_modes_state_t *state, const real z, const real elapsed,
+                 const real *F, const real *Q, const real *T, int8_t *verdict, real *filtered) {
     const settings_t *settings = &device->settings;
     const int32_t step = 0;
     const imm_t imm = {settings->states, device->modes, F, Q, T, device->h, device->c, device->R, device->tail,
@@ -45,11 +46,11 @@ static real take(const device_modes_t *device, device_modes_state_t *state, cons
     pass_t pass;
     state->sigma = INFINITE;
     judge_rows(settings, &state->sensor, &block, verdict, &pass);
-    if (pass.starts[0] == ANEW) forget(device, state);
+    if (pass.starts[0] == RESTARTS) forget(device, state);
     const imm_block_t row = {pass.usable, &step, 1};
     imm_filter(&imm, modes_of(state), &row, &imm_estimate, &nothing, room, &score);
     if (device->rejects && wild > (real)0.5 && *verdict == USED) *verdict = SPIKE;
-    *believed = signal;
+    *filtered = signal;
     watch_rows(settings, device->noise_variance, &state->sensor, &block, &estimate, &pass);
     if (isnan(signal)) state->sigma = INFINITE;
     return signal;
@@ -57,9 +58,9 @@ static real take(const device_modes_t *device, device_modes_state_t *state, cons
 
 int device_modes_step(const device_modes_t *device, device_modes_state_t *state, const real z, real *signal) {
     int8_t verdict = USED;
-    real believed;
-    *signal = take(device, state, z, 1, device->F, device->Q, device->T, &verdict, &believed);
-    if (isnan(*signal)) *signal = verdict == HOLE ? believed : isnan(state->sensor.entered) ? 0 : state->sensor.entered;
+    real filtered;
+    *signal = process_row(device, state, z, 1, device->F, device->Q, device->T, &verdict, &filtered);
+    if (isnan(*signal)) *signal = verdict == HOLE ? filtered : isnan(state->sensor.entered) ? 0 : state->sensor.entered;
     return verdict;
 }
 
@@ -70,7 +71,7 @@ void device_modes_start_at(const device_modes_t *device, device_modes_state_t *s
 }
 
 /* Write T^rows, the transition probabilities over this many steps. */
-static void switch_often(const int m, const real *T, uint32_t rows, real *power) {
+static void power_of_transitions(const int m, const real *T, uint32_t rows, real *power) {
     real B[MODES_MAX * MODES_MAX], more[MODES_MAX * MODES_MAX];
     copy(m * m, T, B);
     for (int i = 0; i < m * m; i++) power[i] = i % (m + 1) == 0;
@@ -91,8 +92,8 @@ void device_modes_gap(const device_modes_t *device, device_modes_state_t *state,
     if (rows == single) return;
     for (int j = 0; j < m; j++)
         many_steps(n, device->F + j * n * n, device->Q + j * n * n, rows - single, F + j * n * n, Q + j * n * n);
-    switch_often(m, device->T, rows - single, T);
-    (void)take(device, state, NOT_A_NUMBER, rows - single, F, Q, T, &verdict, &estimate);
+    power_of_transitions(m, device->T, rows - single, T);
+    (void)process_row(device, state, NOT_A_NUMBER, rows - single, F, Q, T, &verdict, &estimate);
 }
 
 real device_modes_probability(const device_modes_t *device, const device_modes_state_t *state, const uint32_t mode) {

@@ -4,7 +4,7 @@
 
 #include "imm.h"
 
-/* The constants of a channel; imm.h describes the arrays of the modes. */
+/* The constants of a channel; imm.h describes the numbers of the modes. */
 typedef struct {
     settings_t settings; /* without a gate */
     int64_t modes;
@@ -20,7 +20,7 @@ typedef struct {
 
 enum { BELIEFS_MAX = MODES_MAX * (1 + N_MAX + NN_MAX) };
 
-/* Everything that later rows depend on, and the sigma of the last row. */
+/* The state that later rows depend on, and the sigma of the last row. */
 typedef struct {
     sensor_t sensor;
     real now[sizeof(imm_state_t) / sizeof(real) + BELIEFS_MAX]; /* the modes */
@@ -28,12 +28,12 @@ typedef struct {
 } device_modes_state_t;
 
 void device_modes_start(const device_modes_t *device, device_modes_state_t *state);
-/* Start as after a first measurement; if it is not a possible measurement, start without one. */
+/* Start with `signal` as the first measurement; if it is no possible measurement, start without it. */
 void device_modes_start_at(const device_modes_t *device, device_modes_state_t *state, real signal);
-/* Process a measurement, NaN if it is missing; return the verdict. The signal is always a number: without an estimate
-   it is the last used measurement, 0 before the first, and in a hole it is the prediction of the modes. */
+/* Process a measurement, NaN if it is missing; return the verdict. The signal is always a number: in a hole it is the
+   prediction of the modes, otherwise, without an estimate, the last used measurement, or 0 before the first. */
 int device_modes_step(const device_modes_t *device, device_modes_state_t *state, real z, real *signal);
-/* Process this many rows without a measurement: one by one up to a thousand, and the rest as one step. */
+/* Process this many rows without measurements: the first thousand one by one, all others as one step. */
 void device_modes_gap(const device_modes_t *device, device_modes_state_t *state, uint32_t rows);
 /* Return the probability of a mode; 0 before the first measurement, and for a mode that does not exist. */
 real device_modes_probability(const device_modes_t *device, const device_modes_state_t *state, uint32_t mode);

@@ -4,7 +4,7 @@
 
 #include "linear.h"
 
-/* Write A and W, the matrices of one step that equals `rows` steps with F and Q. */
+/* Write A and W, the transition matrix and the process noise of one step that equals `rows` steps with F and Q. */
 static inline void many_steps(const int n, const real *F, const real *Q, uint32_t rows, real *A, real *W) {
     real B[NN_MAX], V[NN_MAX], BB[NN_MAX], more[NN_MAX];
     copy(n * n, F, B), copy(n * n, Q, V);

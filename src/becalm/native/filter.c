@@ -20,7 +20,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     const real *h = model->h;
     real x[N_MAX], Ph[N_MAX];
     int verdict = USED;
-    if (state->agreeing > 0 && elapsed > 0) state->wandered += wander(n, h, F, Q, state->P);
+    if (state->agreeing > 0 && elapsed > 0) state->wandered += error_change_std(n, h, F, Q, state->P);
     if (elapsed > 0) {
         times(n, F, state->x, x); /* (1) */
         propagate(n, F, Q, state->P);
@@ -70,7 +70,7 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     const real variance = dot(n, model->c, Pc);
     if (arrived && loses_digits(n, model->R, Q, variance)) return NO_DIGITS;
     state->sigma = variance > 0 ? sqrt(variance) : 0;
-    notice(n, h, F, state, verdict == STEP ? -2 : elapsed, complete);
+    check_settling(n, h, F, state, verdict == STEP ? -2 : elapsed, complete);
     if (verdict == STEP) state->last_step = -1; /* no other row has this covariance */
     return verdict;
 }
@@ -97,7 +97,7 @@ INLINE int64_t filter_settled(const int n, const settings_t *settings, const coe
     for (int i = 0; i < n; i++) h[i] = model->h[i], c[i] = model->c[i], gain += c[i] * state->K[i];
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) A[i * n + j] = F[i * n + j] - L[i] * h[j];
-    for (; row < block->rows && block->elapsed[row] == step && pass->starts[row] != ANEW; row++) {
+    for (; row < block->rows && block->elapsed[row] == step && pass->starts[row] != RESTARTS; row++) {
         const real z = pass->usable[row] - level, measured = dot(n, h, s), next = z - measured;
         if (!(fabs(next) <= threshold)) break;
         nu = next;
@@ -171,7 +171,7 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
     for (int64_t row = 0; row < block->rows;) {
         const int64_t at = (int64_t)block->step[row] * n * n;
         const real *F = block->F + at, *Q = block->Q + at;
-        if (pass->starts[row] == ANEW) filter_forget(state);
+        if (pass->starts[row] == RESTARTS) filter_forget(state);
         if (state->settled && state->phase == DETERMINED) {
             const int64_t taken = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
             row += taken;
@@ -185,7 +185,7 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
                                            estimate->deviation + row);
             if (verdict == NO_DIGITS) {
                 filter_forget(state);
-                pass->starts[row] = ANEW;
+                pass->starts[row] = RESTARTS;
             } else if (verdict)
                 estimate->verdict[row] = (int8_t)verdict;
             estimate->signal[row] = dot(n, model->c, state->x) + state->level;

@@ -13,12 +13,12 @@ enum { GOES_ON = 16 }; /* a reject after fewer measurements since a jump may bel
 #define WIDE 1000000000 /* largest variance that a jump adds, over R; measurements then keep some digits */
 #define BEYOND_ANY_SENSOR ((real)1e100) /* no sensor measures larger magnitudes */
 
-enum { ANEW = 1, JUMPS = 2 }; /* the filter restarts before this row; a rejected measurement is a jump at once */
+enum { RESTARTS = 1, JUMPS = 2 }; /* the filter restarts before this row; a rejected measurement is a jump at once */
 
 /* Data from one pass over a block to the next. */
 typedef struct {
     real usable[BLOCK]; /* measurements, NaN where none may enter the filter */
-    int8_t starts[BLOCK]; /* ANEW, JUMPS or 0 */
+    int8_t starts[BLOCK]; /* RESTARTS, JUMPS or 0 */
 } pass_t;
 
 /* Discard all measurements so far. */

@@ -41,9 +41,9 @@ static void filter_one(const int n, const rows_t *rows, filter_t *state, const i
     const int64_t settled = state->settled, steady = state->steady;
     filter_part(rows->settings, rows->model, state, &one, &out, rows->starts + row);
     pack(n, state, rows->states + row * packed_size(n));
-    const int goes_on = settled && state->settled && steady == state->steady && row;
+    const int continues = settled && state->settled && steady == state->steady && row;
     rows->place[row] = row;
-    rows->alike[row] = state->settled ? 1 + (goes_on ? rows->alike[row - 1] : 0) : 0;
+    rows->alike[row] = state->settled ? 1 + (continues ? rows->alike[row - 1] : 0) : 0;
 }
 
 /* Filter the rows from `row` to before `until`. */
@@ -100,7 +100,7 @@ static void smooth_all(const int n, const rows_t *rows, const int64_t from, cons
             smooth_at(n, rows, k, &future, ignored, ignored + 1, NULL);
         if (packed_phase(packed) == DETERMINED)
             step_back(n, rows->model->h, packed_S(packed), packed_K(n, packed), F, out->innovation[k], &future);
-        leave_row(n, F, Q, out->verdict[k], rows->starts[k], &future);
+        prepare_row_before(n, F, Q, out->verdict[k], rows->starts[k], &future);
     }
 }
 
@@ -116,7 +116,7 @@ INLINE void smooth_by(const int n, const rows_t *rows, const int64_t row, const 
         if (packed_phase(packed) == DETERMINED)
             step_back(n, rows->model->h, packed_S(packed), packed_K(n, packed),
                       steps_of(n, rows->block, rows->block->F, k), rows->estimate->innovation[k], &future);
-        if (rows->starts[k] == ANEW) forget_future(n, &future);
+        if (rows->starts[k] == RESTARTS) forget_future(n, &future);
     }
     if (!gathers && smooth_at(n, rows, row, &future, signal, sigma, x)) return;
     *signal = filtered[0], *sigma = filtered[1];
@@ -132,7 +132,7 @@ static void note_stretch(const int n, const rows_t *rows, const int64_t row, con
     smooth_by(n, rows, row, row + lag, &signal, &steady->sigma, NULL);
     copy(n * n, packed_P(n, packed), steady->P);
     times(n, steady->P, rows->model->c, steady->Pc);
-    see_through(n, 1, rows->model->h, F, g);
+    multiply_HF(n, 1, rows->model->h, F, g);
     close_loop(n, 1, F, packed_K(n, packed), g, A);
     for (int i = 0; i < n; i++) steady->weights[i] = packed_S(packed) > 0 ? g[i] / packed_S(packed) : 0;
     for (int64_t k = 1; k < lag; k++)

@@ -15,11 +15,11 @@ INLINE int check_gap(const settings_t *settings, limits_t *state, const real ela
         const real spans = settings->gap_spans * state->last;
         longest = spans < longest ? spans : longest;
     }
-    const int anew = state->measurements && state->now - state->last > longest;
-    if (anew) state->now = 0, state->measurements = 0;
+    const int restarts = state->measurements && state->now - state->last > longest;
+    if (restarts) state->now = 0, state->measurements = 0;
     state->last = state->now;
     state->measurements++;
-    return anew;
+    return restarts;
 }
 
 /* Mark, among the first `rows` rows of a block, those at which the filter restarts. */
@@ -28,8 +28,8 @@ static inline void find_starts(const settings_t *settings, limits_t *limits, con
     limits_t own = *limits; /* a local copy can stay in registers */
     for (int64_t row = 0; row < rows; row++) {
         const int usable = fabs(block->z[row]) <= BEYOND_ANY_SENSOR;
-        const int anew = check_gap(settings, &own, block->elapsed[row], usable);
-        if (anew) starts[row] = ANEW;
+        const int restarts = check_gap(settings, &own, block->elapsed[row], usable);
+        if (restarts) starts[row] = RESTARTS;
     }
     *limits = own;
 }

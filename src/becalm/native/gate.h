@@ -9,9 +9,9 @@
 #define GROWS ((real)4) /* an innovation this many times larger than those of a jump is not part of it */
 
 /* Return the standard deviation of the change of a prediction's error over a step. */
-static inline real wander(const int n, const real *h, const real *F, const real *Q, const real *P) {
+static inline real error_change_std(const int n, const real *h, const real *F, const real *Q, const real *P) {
     real g[N_MAX], s = 0;
-    see_through(n, 1, h, F, g);
+    multiply_HF(n, 1, h, F, g);
     for (int j = 0; j < n; j++) g[j] -= h[j];
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) s += g[i] * P[i * n + j] * g[j] + h[i] * Q[i * n + j] * h[j];
@@ -36,7 +36,7 @@ static inline void jump(const int n, const settings_t *settings, const coefficie
     const int64_t level = state->since_jump >= settings->gate_most ? settings->gate_level : -1;
     const real most = WIDE * model->R, square = nu * nu < most ? nu * nu : most;
     real g[N_MAX];
-    see_through(n, 1, model->h, F, g);
+    multiply_HF(n, 1, model->h, F, g);
     for (int i = 0; i < n; i++) {
         real *P = state->P + i * n + i;
         if (level < 0) {
@@ -57,8 +57,8 @@ static inline int reject(const settings_t *settings, const coefficients_t *model
     state->agreeing = agrees ? state->agreeing + 1 : 1;
     state->rejected++;
     state->last_rejected = nu, state->wandered = 0;
-    const int goes_on = state->jumped && state->since_jump < GOES_ON && fabs(nu) <= GROWS * state->burst;
-    return goes_on || state->agreeing >= settings->gate_agree || state->rejected >= settings->gate_most;
+    const int belongs_to_jump = state->jumped && state->since_jump < GOES_ON && fabs(nu) <= GROWS * state->burst;
+    return belongs_to_jump || state->agreeing >= settings->gate_agree || state->rejected >= settings->gate_most;
 }
 
 #endif

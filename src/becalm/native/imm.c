@@ -65,7 +65,7 @@ INLINE void save(const int n, const int m, const pairs_t *now, real *beliefs) {
 
 /* Write the probability of each mode before the step, given each of two modes after it, without rare ones; return the
    probabilities of the two modes (1). */
-INLINE pair_t come_from(const int m, const real *mu, const pair_t *T, pair_t *w) {
+INLINE pair_t mixing_weights(const int m, const real *mu, const pair_t *T, pair_t *w) {
     pair_t c = both(0), kept = both(0);
     for (int i = 0; i < m; i++) w[i] = mu[i] * T[i], c += w[i];
     const mask_t reached = c > both(UNLIKELY); /* otherwise no transition leads to it: mix all modes */
@@ -143,37 +143,37 @@ INLINE void expect(const int n, const real *h, const pair_t R, const pair_t *x, 
 }
 
 /* Write the likelihood of a measurement for each mode, without a common factor (6). */
-INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z, mode_likelihoods_t *look) {
+INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z, mode_likelihoods_t *likelihood) {
     real half[MODES_MAX], half_wild[MODES_MAX], least = FARTHEST; /* half of squares over variances */
     for (int j = 0; j < m; j += 2) {
-        const pair_t nu = z - *at(look->y + j), square = (real)0.5 * nu * nu;
-        *at(half + j) = square / *at(look->S + j);
-        if (step->tails) *at(half_wild + j) = square / (*at(look->S + j) + imm->V);
+        const pair_t nu = z - *at(likelihood->y + j), square = (real)0.5 * nu * nu;
+        *at(half + j) = square / *at(likelihood->S + j);
+        if (step->tails) *at(half_wild + j) = square / (*at(likelihood->S + j) + imm->V);
     }
     for (int j = 0; j < m; j++) {
         least = half[j] < least ? half[j] : least;
         if (step->tails && imm->tail[j] > 0) least = half_wild[j] < least ? half_wild[j] : least;
     }
     for (int j = 0; j < m; j += 2) {
-        const pair_t S = *at(look->S + j), t = step->tail[j / 2];
+        const pair_t S = *at(likelihood->S + j), t = step->tail[j / 2];
         pair_t weight = (1 - t) / roots(S) * exponentials(least - *at(half + j)), share = both(0);
         if (step->tails) {
             const pair_t wild = t / roots(S + imm->V) * exponentials(least - *at(half_wild + j));
             weight += wild, share = choose(wild > both(0), wild / weight, both(0));
         }
-        *at(look->weight + j) = weight, *at(look->wild + j) = share;
+        *at(likelihood->weight + j) = weight, *at(likelihood->wild + j) = share;
     }
-    look->square = 2 * least;
+    likelihood->square = 2 * least;
 }
 
 /* Update two modes (7), in Joseph's form, B - (B h) K' + K R K' with B = P - K (P h)'. If the measurement may be an
-   outlier, the result is the mixture of both cases; `believed` is the probability that it is none. */
+   outlier, the result is the mixture of both cases; `tame` is the probability that it is none. */
 INLINE void correct_pair(const int n, const real *h, const int rejects, const pair_t R, const pair_t S, const pair_t nu,
-                         const pair_t believed, const pair_t *Ph, pair_t *x, pair_t *P) {
+                         const pair_t tame, const pair_t *Ph, pair_t *x, pair_t *P) {
     pair_t K[N_MAX], B[N_MAX];
     const pair_t share = 1 / S;
     UNROLL
-    for (int a = 0; a < n; a++) K[a] = Ph[a] * share, x[a] += believed * K[a] * nu;
+    for (int a = 0; a < n; a++) K[a] = Ph[a] * share, x[a] += tame * K[a] * nu;
     UNROLL
     for (int a = 0; a < n; a++) {
         pair_t Bh = both(0);
@@ -183,20 +183,20 @@ INLINE void correct_pair(const int n, const real *h, const int rejects, const pa
         for (int b = 0; b <= a; b++) {
             const pair_t KK = K[a] * K[b], updated = B[b] - Bh * K[b] + R * KK;
             pair_t mixed = updated;
-            if (rejects) mixed = believed * updated + (1 - believed) * (P[a * n + b] + believed * nu * nu * KK);
+            if (rejects) mixed = tame * updated + (1 - tame) * (P[a * n + b] + tame * nu * nu * KK);
             P[a * n + b] = P[b * n + a] = mixed;
         }
     }
 }
 
 /* Write the probability of each mode after a measurement (8); return its density, without the common factor. */
-INLINE real weigh(const int m, const mode_likelihoods_t *look, real *mu) {
+INLINE real weigh(const int m, const mode_likelihoods_t *likelihood, real *mu) {
     real total = 0;
-    for (int j = 0; j < m; j++) mu[j] = look->prior[j] * look->weight[j], total += mu[j];
+    for (int j = 0; j < m; j++) mu[j] = likelihood->prior[j] * likelihood->weight[j], total += mu[j];
     const int possible = total > 1 / FARTHEST; /* a measurement that no mode explains has no information on them */
     const real share = possible ? 1 / total : 1;
     for (int j = 0; j < m; j++) {
-        const real own = possible ? mu[j] * share : look->prior[j];
+        const real own = possible ? mu[j] * share : likelihood->prior[j];
         mu[j] = own > UNLIKELY ? own : UNLIKELY;
     }
     return possible ? total : 1 / FARTHEST;
@@ -243,17 +243,17 @@ INLINE void write_pairs(const int n, const int m, const real *c, const real leve
 /* Write the innovation of the mixture. Its distribution is not Gaussian, but the probability of a smaller measurement
    is uniform, and the normal quantile of this probability, the score, is standard normal and white. Source: Rosenblatt,
    Annals of Mathematical Statistics 23 (1952) 470. */
-static void write_innovation(const int m, const imm_t *imm, const real z, const mode_likelihoods_t *look, const int64_t row,
+static void write_innovation(const int m, const imm_t *imm, const real z, const mode_likelihoods_t *likelihood, const int64_t row,
                              const imm_estimate_t *estimate) {
     real y = 0, v = 0, sides[2] = {0, 0}; /* probability of smaller measurements, of larger ones */
-    for (int j = 0; j < m; j++) y += look->prior[j] * look->y[j];
+    for (int j = 0; j < m; j++) y += likelihood->prior[j] * likelihood->y[j];
     for (int j = 0; j < m; j++) {
-        const real t = imm->tail[j], nu = z - look->y[j];
+        const real t = imm->tail[j], nu = z - likelihood->y[j];
         const int larger = nu > 0;
-        v += look->prior[j] * (look->S[j] + (look->y[j] - y) * (look->y[j] - y));
-        real beyond = (1 - t) * upper_tail(fabs(nu) / sqrt(look->S[j]));
-        if (t > 0) beyond += t * upper_tail(fabs(nu) / sqrt(look->S[j] + imm->V));
-        sides[larger] += look->prior[j] * beyond, sides[!larger] += look->prior[j] * (1 - beyond);
+        v += likelihood->prior[j] * (likelihood->S[j] + (likelihood->y[j] - y) * (likelihood->y[j] - y));
+        real beyond = (1 - t) * upper_tail(fabs(nu) / sqrt(likelihood->S[j]));
+        if (t > 0) beyond += t * upper_tail(fabs(nu) / sqrt(likelihood->S[j] + imm->V));
+        sides[larger] += likelihood->prior[j] * beyond, sides[!larger] += likelihood->prior[j] * (1 - beyond);
     }
     const real sigma = sqrt(v);
     estimate->innovation[row] = sigma * normal_score(sides[0], sides[1]), estimate->innovation_sigma[row] = sigma;
@@ -263,16 +263,16 @@ static void write_innovation(const int m, const imm_t *imm, const real z, const 
    distance of the state from its mean x after the measurement. W is w / R, and p is W (z - h x). w is 1 or, if outliers
    are rejected, the probability that the measurement is none. g makes the mean of the whole over the mode's prediction
    equal to the likelihood in the filter (9). */
-INLINE void note(const int n, const int m, const imm_t *imm, const real z, const mode_likelihoods_t *look, const pairs_t *now,
+INLINE void note(const int n, const int m, const imm_t *imm, const real z, const mode_likelihoods_t *likelihood, const pairs_t *now,
                  real *noted) {
     for (int j = 0; j < m; j++, noted += NOTED) {
-        const real t = imm->tail[j], R = imm->R[j], s = look->S[j] - R, nu = z - look->y[j];
-        const real W = (imm->rejects ? 1 - look->wild[j] : 1) / R;
+        const real t = imm->tail[j], R = imm->R[j], s = likelihood->S[j] - R, nu = z - likelihood->y[j];
+        const real W = (imm->rejects ? 1 - likelihood->wild[j] : 1) / R;
         real y = z;
         for (int a = 0; a < n; a++) y -= imm->h[a] * numbers_of(now->x, n, j)[2 * a];
-        const real weight = look->weight[j] > 1 / FARTHEST /* otherwise it has lost its digits */
-                                ? logarithm(look->weight[j])
-                                : (real)0.5 * (look->square - nu * nu / look->S[j]) + logarithm((1 - t) / sqrt(look->S[j]));
+        const real weight = likelihood->weight[j] > 1 / FARTHEST /* otherwise it has lost its digits */
+                                ? logarithm(likelihood->weight[j])
+                                : (real)0.5 * (likelihood->square - nu * nu / likelihood->S[j]) + logarithm((1 - t) / sqrt(likelihood->S[j]));
         noted[0] = W * y, noted[1] = W;
         noted[2] = weight + (real)0.5 * (logarithm(1 + W * s) + W * nu * nu / (1 + W * s) - W * y * y);
     }
@@ -280,20 +280,20 @@ INLINE void note(const int n, const int m, const imm_t *imm, const real z, const
 
 /* Update all modes with a measurement; return its density without the common factor. */
 INLINE real update(const int n, const int m, const imm_t *imm, const step_t *step, const real z, pairs_t *now, pair_t *Ph,
-                   mode_likelihoods_t *look) {
+                   mode_likelihoods_t *likelihood) {
     for (int q = 0; 2 * q < m; q++)
-        expect(n, imm->h, step->R[q], now->x + q * n, now->P + q * n * n, Ph + q * n, at(look->y + 2 * q),
-               at(look->S + 2 * q));
-    for (int j = 0; j < m; j++) look->prior[j] = now->mu[j];
-    judge_modes(m, imm, step, z, look);
+        expect(n, imm->h, step->R[q], now->x + q * n, now->P + q * n * n, Ph + q * n, at(likelihood->y + 2 * q),
+               at(likelihood->S + 2 * q));
+    for (int j = 0; j < m; j++) likelihood->prior[j] = now->mu[j];
+    judge_modes(m, imm, step, z, likelihood);
     for (int q = 0; 2 * q < m; q++) {
-        const pair_t nu = z - *at(look->y + 2 * q);
-        pair_t believed = both(1);
-        if (imm->rejects) believed -= *at(look->wild + 2 * q);
-        correct_pair(n, imm->h, imm->rejects != 0, step->R[q], *at(look->S + 2 * q), nu, believed, Ph + q * n,
+        const pair_t nu = z - *at(likelihood->y + 2 * q);
+        pair_t tame = both(1);
+        if (imm->rejects) tame -= *at(likelihood->wild + 2 * q);
+        correct_pair(n, imm->h, imm->rejects != 0, step->R[q], *at(likelihood->S + 2 * q), nu, tame, Ph + q * n,
                      now->x + q * n, now->P + q * n * n);
     }
-    return weigh(m, look, now->mu);
+    return weigh(m, likelihood, now->mu);
 }
 
 /* Arrange the matrices of a step in pairs of modes. */
@@ -325,37 +325,37 @@ INLINE void filter_rows(const int n, const imm_t *imm, real *beliefs, const real
         const real z = block->z[row] - level;
         const int arrived = fabs(block->z[row]) <= imm->largest;
         int judged = 0;
-        mode_likelihoods_t look;
+        mode_likelihoods_t likelihood;
         if (passed->before && row % IMM_BLOCK == 0) save(n, m, &now, passed->before + row / IMM_BLOCK * size);
         if (now.mu[0] > 0) {
             if (block->step[row] != laid_out) laid_out = block->step[row], lay_out(n, m, imm, laid_out, &step);
             for (int q = 0; q < pairs; q++) {
                 pair_t w[MODES_MAX + 1];
-                const pair_t c = come_from(m, now.mu, step.T + q * m, w);
+                const pair_t c = mixing_weights(m, now.mu, step.T + q * m, w);
                 for (int j = 2 * q; j < m && j < 2 * q + 2; j++) next.mu[j] = c[j % 2];
                 step_pair(n, m, w, &now, step.F + q * nn, step.Q + q * nn, next.x + q * n, next.P + q * nn, rest);
             }
             const pairs_t last = now;
             now = next, next = last;
             if (arrived) {
-                const real density = update(n, m, imm, &step, z, &now, Ph, &look);
+                const real density = update(n, m, imm, &step, z, &now, Ph, &likelihood);
                 judged = 1;
-                score->squares += look.square, score->used++;
+                score->squares += likelihood.square, score->used++;
                 score->product = near_one(score->product * near_one(density, &score->exponent), &score->exponent);
             }
         } else if (arrived)
             begin(n, m, imm, z, &now);
         if (now.mu[0] > 0) write_pairs(n, m, imm->c, level, &now, row, estimate);
-        if (judged && estimate->innovation) write_innovation(m, imm, z, &look, row, estimate);
+        if (judged && estimate->innovation) write_innovation(m, imm, z, &likelihood, row, estimate);
         if (judged && estimate->wild) {
             estimate->wild[row] = 0;
-            for (int j = 0; j < m; j++) estimate->wild[row] += now.mu[j] * look.wild[j];
+            for (int j = 0; j < m; j++) estimate->wild[row] += now.mu[j] * likelihood.wild[j];
         }
         if (passed->notes) {
             real *noted_row = passed->notes + row * noted;
             save(n, m, &now, noted_row);
             if (judged)
-                note(n, m, imm, z, &look, &now, noted_row + size);
+                note(n, m, imm, z, &likelihood, &now, noted_row + size);
             else
                 memset(noted_row + size, 0, sizeof(real) * (size_t)(noted - size));
         }

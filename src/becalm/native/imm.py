@@ -1,6 +1,6 @@
-"""Call the C filter and smoothers of interacting multiple models (`imm.h`): several modes, one in force at a time.
+"""Call the C filter and smoothers of interacting multiple models (IMM); see `imm.h`.
 
-The functions work on the caller's arrays and keep nothing.
+The functions work on the caller's arrays; only a `Stepper` has arrays of its own.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ State = NDArray[np.void]
 MOST_STATES, MOST_MODES, BLOCK = (CONSTANTS[name] for name in ("N_MAX", "MODES_MAX", "IMM_BLOCK"))
 
 _SCORE = layout_of("score")
-_PLACE, _COUNT, _REAL = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+_POINTER, _COUNT, _REAL = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
 for _name in ("beliefs_size", "note_size", "later_size", "filter_room", "smooth_room"):
     _size = getattr(kernel, f"imm_{_name}")
     _size.argtypes, _size.restype = [_COUNT] * 2, _COUNT
-kernel.imm_is_sound.argtypes, kernel.imm_is_sound.restype = [_PLACE] * 2, ctypes.c_int
-kernel.imm_filter.argtypes, kernel.imm_filter.restype = [_PLACE] * 7, None
-kernel.imm_smooth.argtypes, kernel.imm_smooth.restype = [_PLACE, _REAL, *[_PLACE] * 5], None
-kernel.imm_smooth_late.argtypes = [_PLACE, _REAL, *[_PLACE] * 2, *[_COUNT] * 4, *[_PLACE] * 2]
+kernel.imm_is_sound.argtypes, kernel.imm_is_sound.restype = [_POINTER] * 2, ctypes.c_int
+kernel.imm_filter.argtypes, kernel.imm_filter.restype = [_POINTER] * 7, None
+kernel.imm_smooth.argtypes, kernel.imm_smooth.restype = [_POINTER, _REAL, *[_POINTER] * 5], None
+kernel.imm_smooth_late.argtypes = [_POINTER, _REAL, *[_POINTER] * 2, *[_COUNT] * 4, *[_POINTER] * 2]
 kernel.imm_smooth_late.restype = None
 
 
-class Bank(NamedTuple):
-    """The modes over steps of u lengths, and their sensor; outliers (`wild`) have a noise of larger variance."""
+class ModeMatrices(NamedTuple):
+    """The matrices of M modes for steps of u lengths; outliers (`wild`) have noise of a larger variance."""
 
     F: Floats  # (u M, n, n) transitions; the M modes of one length follow each other
     Q: Floats  # (u M, n, n) process noise
@@ -40,35 +40,35 @@ class Bank(NamedTuple):
     H: Floats  # (1, n) measurement matrix
     C: Floats  # (1, n) output of the signal
     R: Floats  # (M,) measurement variance, in unit^2
-    tail: Floats  # (M,) share of outliers
-    wild: Floats  # (2,) extra variance of outliers, in unit^2; and 1 if they are rejected, else 0
-    start: Floats  # (M, 1 + n) each mode at the first measurement: its probability, and variances of its states
-    largest: Floats  # (2,) largest magnitude of a measurement, and of a level, in unit
+    tail: Floats  # (M,) share of outliers among the measurements
+    wild: Floats  # (2,) extra variance of outliers, in unit^2; 1 if outliers are rejected, else 0
+    start: Floats  # (M, 1 + n) for each mode, its probability and its states' variances at the first measurement
+    largest: Floats  # (2,) largest magnitude of a measurement, and largest magnitude of a level, in unit
 
 
-class Trace(NamedTuple):
-    """Output arrays for each row from the first measurement on; an array without columns is not written."""
+class ImmBuffers(NamedTuple):
+    """Output arrays, written for each row from the first measurement on; an array without columns is not written."""
 
     signal: Floats  # (N,) in unit
     sigma: Floats  # (N,) in unit
-    innovation: Floats  # (N,) of the mixture: the normal score of the measurement times innovation_sigma, in unit
-    innovation_sigma: Floats  # (N,) in unit
+    innovation: Floats  # (N,) normal score of the measurement under the mixture, times innovation_sigma, in unit
+    innovation_sigma: Floats  # (N,) standard deviation of the predicted mixture, in unit
     probability: Floats  # (M, N) probability of each mode
     wild: Floats  # (N,) probability that the measurement is an outlier
-    mean: Floats  # (n, N) mean of the mixture, without the level
+    mean: Floats  # (n, N) mean state of the mixture, without the level
 
 
-_WRITTEN = {*Trace._fields, "before", "notes", "later"}  # arrays that C writes
+_WRITTEN = {*ImmBuffers._fields, "before", "notes", "later"}  # arrays that C writes
 _NONE: Floats = np.empty(0)
-NOTHING_WANTED = Trace(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
-"""Output arrays of which none is written."""
+NO_BUFFERS = ImmBuffers(_NONE, _NONE, _NONE, _NONE, np.empty((0, 0)), _NONE, np.empty((0, 0)))
+"""Output arrays without columns, so that nothing is written."""
 
 
-class _Bank(ctypes.Structure):
+class _Matrices(ctypes.Structure):
     _fields_ = (
         ("states", _COUNT),
         ("modes", _COUNT),
-        *((name, _PLACE) for name in ("F", "Q", "T", "h", "c", "R", "tail", "start")),
+        *((name, _POINTER) for name in ("F", "Q", "T", "h", "c", "R", "tail", "start")),
         ("V", _REAL),
         ("rejects", _COUNT),
         ("largest", _REAL),
@@ -77,64 +77,64 @@ class _Bank(ctypes.Structure):
 
 
 class _Block(ctypes.Structure):
-    _fields_ = (("z", _PLACE), ("step", _PLACE), ("rows", _COUNT))
+    _fields_ = (("z", _POINTER), ("step", _POINTER), ("rows", _COUNT))
 
 
 class _Estimate(ctypes.Structure):
-    _fields_ = (*((name, _PLACE) for name in Trace._fields), ("rows", _COUNT))
+    _fields_ = (*((name, _POINTER) for name in ImmBuffers._fields), ("rows", _COUNT))
 
 
 class _Passed(ctypes.Structure):
-    _fields_ = (("before", _PLACE), ("notes", _PLACE))
+    _fields_ = (("before", _POINTER), ("notes", _POINTER))
 
 
-def new_state(bank: Bank, *, keeps_level: bool) -> State:
-    """Return the state before the first row, () with mu (M,), x (M, n) and P (M, n, n) of the modes among its fields.
+def new_state(matrices: ModeMatrices, *, keeps_level: bool) -> State:
+    """Return the state before the first row; it has the fields mu (M,), x (M, n) and P (M, n, n) of the modes.
 
     Parameters
     ----------
-    bank : Bank
-        The modes.
+    matrices : ModeMatrices
+        The matrices of the modes.
     keeps_level : bool
-        Whether to subtract the first measurement from all; possible if a constant added to the measurements is added to
-        the signal.
+        Whether to subtract the first measurement from all measurements. This is possible if a constant in the
+        measurements is a constant in the signal.
     """
-    state = np.zeros((), _layout(bank))
-    state["layout"], state["states"], state["modes"] = CONSTANTS["IMM_LAYOUT"], *_sizes(bank)
+    state = np.zeros((), _layout(matrices))
+    state["layout"], state["states"], state["modes"] = CONSTANTS["IMM_LAYOUT"], *_sizes(matrices)
     state["has_level"] = not keeps_level
     return state
 
 
-def restored(bank: Bank, kept: NDArray[np.int8]) -> State | None:
+def restored(matrices: ModeMatrices, kept: NDArray[np.int8]) -> State | None:
     """Return a state from its bytes (B,); None if they are not a valid state of these modes."""
-    layout = _layout(bank)
+    layout = _layout(matrices)
     if kept.dtype != np.int8 or kept.shape != (layout.itemsize,):
         return None
     state = np.frombuffer(bytearray(kept.tobytes()), layout).reshape(())
-    return state if kernel.imm_is_sound(ctypes.byref(_pointed(bank)), state.ctypes.data) else None
+    return state if kernel.imm_is_sound(ctypes.byref(_pointed(matrices)), state.ctypes.data) else None
 
 
 def note_size(states: int, modes: int) -> int:
-    """Return the number of floats in the note on a row: the states after it, and the likelihoods of its measurement."""
+    """Return the number of floats in the note on a row: states after the row, and likelihoods of its measurement."""
     return int(kernel.imm_note_size(states, modes))
 
 
-def blocks_before(bank: Bank, rows: int) -> Floats:
-    """Return an array for the K numbers of the states before each block of rows, (blocks, K)."""
-    return np.empty((-(-rows // BLOCK), kernel.imm_beliefs_size(*_sizes(bank))))
+def blocks_before(matrices: ModeMatrices, rows: int) -> Floats:
+    """Return an output array (blocks, K) for the states before each block of rows, of K floats each."""
+    return np.empty((-(-rows // BLOCK), kernel.imm_beliefs_size(*_sizes(matrices))))
 
 
-def nothing_later(bank: Bank) -> Floats:
-    """Return the information of later rows, (K,), at the end of a record: none."""
-    return np.zeros(kernel.imm_later_size(*_sizes(bank)))
+def nothing_later(matrices: ModeMatrices) -> Floats:
+    """Return the information of later rows (K,) at the end of a record, where there are no later rows."""
+    return np.zeros(kernel.imm_later_size(*_sizes(matrices)))
 
 
 def filter_rows(  # noqa: PLR0913  (rows, modes and outputs)
-    bank: Bank,
+    matrices: ModeMatrices,
     state: State,
     z: Floats,
     steps: Steps,
-    trace: Trace = NOTHING_WANTED,
+    buffers: ImmBuffers = NO_BUFFERS,
     *,
     before: Floats | None = None,
     notes: Floats | None = None,
@@ -143,15 +143,15 @@ def filter_rows(  # noqa: PLR0913  (rows, modes and outputs)
 
     Parameters
     ----------
-    bank : Bank
-        The modes.
+    matrices : ModeMatrices
+        The matrices of the modes.
     state : () structured array
         The state of the modes, from `new_state`.
     z : (N,) float array
         Measurements, in unit; NaN where missing.
     steps : (N,) int32 array
         Index of the step before each row.
-    trace : Trace
+    buffers : ImmBuffers
         Output arrays.
     before : (blocks, K) float array, optional
         Output array for the states before each block of rows, see `blocks_before`.
@@ -161,43 +161,45 @@ def filter_rows(  # noqa: PLR0913  (rows, modes and outputs)
     Returns
     -------
     float
-        The log-likelihood of all measurements, except the very first.
+        The log-likelihood of all measurements; the very first measurement of a stream does not count.
 
     Raises
     ------
     ValueError
-        If the arrays do not fit each other; otherwise C would read beyond their ends.
+        If the arrays do not fit each other: C would read beyond their ends.
     """
-    if state.dtype != _layout(bank):
-        raise ValueError(f"The state of {state.dtype.itemsize} bytes is not one of {_sizes(bank)} states and modes.")
-    block, estimate = _pointed_rows(bank, z, steps), _pointed_trace(bank, trace, len(z))
+    if state.dtype != _layout(matrices):
+        raise ValueError(
+            f"The state of {state.dtype.itemsize} bytes is not one of {_sizes(matrices)} states and modes."
+        )
+    block, estimate = _pointed_rows(matrices, z, steps), _pointed_buffers(matrices, buffers, len(z))
     if before is not None:
-        _check(before=(before, "f8", (-(-len(z) // BLOCK), kernel.imm_beliefs_size(*_sizes(bank)))))
+        _check(before=(before, "f8", (-(-len(z) // BLOCK), kernel.imm_beliefs_size(*_sizes(matrices)))))
     if notes is not None:
-        _check(notes=(notes, "f8", (len(z), note_size(*_sizes(bank)))))
+        _check(notes=(notes, "f8", (len(z), note_size(*_sizes(matrices)))))
     passed = _Passed(*(None if array is None else array.ctypes.data for array in (before, notes)))
-    room, score = np.empty(kernel.imm_filter_room(*_sizes(bank))), np.zeros((), _SCORE)
+    room, score = np.empty(kernel.imm_filter_room(*_sizes(matrices))), np.zeros((), _SCORE)
     score["product"] = 1.0
     places = *map(ctypes.byref, (block, estimate, passed)), room.ctypes.data, score.ctypes.data
-    kernel.imm_filter(ctypes.byref(_pointed(bank)), state.ctypes.data, *places)
+    kernel.imm_filter(ctypes.byref(_pointed(matrices)), state.ctypes.data, *places)
     log_density = np.log(score["product"]) + score["exponent"] * np.log(2.0) - 0.5 * score["squares"]
     return float(log_density - 0.5 * np.log(2 * np.pi) * score["used"])
 
 
 def smooth_rows(  # noqa: PLR0913  (rows, modes and outputs)
-    bank: Bank, state: State, z: Floats, steps: Steps, before: Floats, later: Floats, trace: Trace
+    matrices: ModeMatrices, state: State, z: Floats, steps: Steps, before: Floats, later: Floats, buffers: ImmBuffers
 ) -> None:
     """Smooth filtered rows with the rows after them.
 
     Parameters
     ----------
-    bank, z, steps, before
-        The arguments of `filter_rows`; `before` holds its output.
+    matrices, z, steps, before
+        The arguments of `filter_rows`; `before` is an output of `filter_rows`.
     state : () structured array
         The state after these rows, or after later ones.
     later : (K,) float array
-        The information of all rows after these, see `nothing_later`; afterwards it includes these rows.
-    trace : Trace
+        The information of all rows after these rows, see `nothing_later`; afterwards it includes these rows.
+    buffers : ImmBuffers
         Output arrays; innovations are not written.
 
     Raises
@@ -205,29 +207,37 @@ def smooth_rows(  # noqa: PLR0913  (rows, modes and outputs)
     ValueError
         If the arrays do not fit each other.
     """
-    block, estimate = _pointed_rows(bank, z, steps), _pointed_trace(bank, trace, len(z))
-    sizes = _sizes(bank)
+    block, estimate = _pointed_rows(matrices, z, steps), _pointed_buffers(matrices, buffers, len(z))
+    sizes = _sizes(matrices)
     _check(
         before=(before, "f8", (-(-len(z) // BLOCK), kernel.imm_beliefs_size(*sizes))),
         later=(later, "f8", (kernel.imm_later_size(*sizes),)),
     )
     room = np.empty(kernel.imm_smooth_room(*sizes))
     places = ctypes.byref(block), before.ctypes.data, ctypes.byref(estimate), later.ctypes.data, room.ctypes.data
-    kernel.imm_smooth(ctypes.byref(_pointed(bank)), float(state["level"]), *places)
+    kernel.imm_smooth(ctypes.byref(_pointed(matrices)), float(state["level"]), *places)
 
 
 def smooth_late(  # noqa: PLR0913  (rows, modes and outputs)
-    bank: Bank, state: State, steps: Steps, notes: Floats, trace: Trace, *, turn: int, every: int, lag: int
+    matrices: ModeMatrices,
+    state: State,
+    steps: Steps,
+    notes: Floats,
+    buffers: ImmBuffers,
+    *,
+    turn: int,
+    every: int,
+    lag: int,
 ) -> None:
-    """Smooth filtered rows with a fixed lag: pass back from row `turn` - 1, and then after each `every` more rows.
+    """Smooth filtered rows with a fixed lag: pass back from row `turn` - 1, then from every `every`-th row after it.
 
     Parameters
     ----------
-    bank, steps, notes
-        The arguments of `filter_rows`; `notes` holds its output.
+    matrices, steps, notes
+        The arguments of `filter_rows`; `notes` is an output of `filter_rows`.
     state : () structured array
         The state after these rows.
-    trace : Trace
+    buffers : ImmBuffers
         Output arrays; innovations are not written. A row may be written more than once; its last estimate uses at most
         `lag` and at least `lag` - `every` + 1 rows after it.
     turn, every, lag : int
@@ -240,13 +250,13 @@ def smooth_late(  # noqa: PLR0913  (rows, modes and outputs)
     """
     if not (turn > 0 and every > 0 and lag > 0):
         raise ValueError(f"turn = {turn}, every = {every} and lag = {lag} came; all must be 1 or more.")
-    sizes, estimate = _sizes(bank), _pointed_trace(bank, trace, len(notes))
+    sizes, estimate = _sizes(matrices), _pointed_buffers(matrices, buffers, len(notes))
     _check(notes=(notes, "f8", (len(notes), note_size(*sizes))))
-    _check_steps(bank, steps, len(notes))
+    _check_steps(matrices, steps, len(notes))
     room = np.empty(kernel.imm_smooth_room(*sizes))
     rows = steps.ctypes.data, notes.ctypes.data, len(notes), turn, every, lag
     level = float(state["level"])
-    kernel.imm_smooth_late(ctypes.byref(_pointed(bank)), level, *rows, ctypes.byref(estimate), room.ctypes.data)
+    kernel.imm_smooth_late(ctypes.byref(_pointed(matrices)), level, *rows, ctypes.byref(estimate), room.ctypes.data)
 
 
 class Stepper:
@@ -254,20 +264,29 @@ class Stepper:
 
     Parameters
     ----------
-    bank : Bank
-        The modes, over one step.
+    matrices : ModeMatrices
+        The matrices of the modes, for one step.
     state : () structured array
         The state of the modes; it changes in place.
     """
 
-    def __init__(self, bank: Bank, state: State) -> None:
+    def __init__(self, matrices: ModeMatrices, state: State) -> None:
         self._row, self._estimate = np.empty(1), np.array([np.nan, np.inf])  # C writes from the first measurement on
-        step, score, room = np.zeros(1, np.int32), np.zeros((), _SCORE), np.empty(kernel.imm_filter_room(*_sizes(bank)))
-        trace = NOTHING_WANTED._replace(signal=self._estimate[:1], sigma=self._estimate[1:])
-        self._kept_alive = bank, state, step, score, room  # C has pointers to them
-        self._structs = _pointed(bank), _pointed_rows(bank, self._row, step), _pointed_trace(bank, trace, 1), _Passed()
-        bank_at, *rest = map(ctypes.addressof, self._structs)
-        self._places = bank_at, state.ctypes.data, *rest, room.ctypes.data, score.ctypes.data
+        step, score, room = (
+            np.zeros(1, np.int32),
+            np.zeros((), _SCORE),
+            np.empty(kernel.imm_filter_room(*_sizes(matrices))),
+        )
+        buffers = NO_BUFFERS._replace(signal=self._estimate[:1], sigma=self._estimate[1:])
+        self._kept_alive = matrices, state, step, score, room  # the structs have pointers to these arrays
+        self._structs = (
+            _pointed(matrices),
+            _pointed_rows(matrices, self._row, step),
+            _pointed_buffers(matrices, buffers, 1),
+            _Passed(),
+        )
+        matrices_at, *others = map(ctypes.addressof, self._structs)
+        self._places = matrices_at, state.ctypes.data, *others, room.ctypes.data, score.ctypes.data
 
     def step(self, z: float) -> tuple[float, float]:
         """Take a measurement, in unit; return signal and sigma, or NaN and inf before the first measurement."""
@@ -277,56 +296,56 @@ class Stepper:
         return signal, sigma
 
 
-def _sizes(bank: Bank) -> tuple[int, int]:
-    return bank.H.shape[-1], len(bank.R)
+def _sizes(matrices: ModeMatrices) -> tuple[int, int]:
+    return matrices.H.shape[-1], len(matrices.R)
 
 
-def _layout(bank: Bank) -> np.dtype[np.void]:
+def _layout(matrices: ModeMatrices) -> np.dtype[np.void]:
     """Return the NumPy dtype of `imm_state_t`."""
-    n, modes = _sizes(bank)
+    n, modes = _sizes(matrices)
     fields: Any = [(name, "i8") for name in ("layout", "states", "modes", "has_level")]
     fields += [("level", "f8"), ("mu", "f8", (modes,)), ("x", "f8", (modes, n)), ("P", "f8", (modes, n, n))]
     layout: np.dtype[np.void] = np.dtype(fields)
     return layout
 
 
-def _pointed(bank: Bank) -> _Bank:
-    """Return C's struct of a bank; it points to the bank's arrays, so the bank must live as long."""
-    (n, modes), steps = _sizes(bank), len(bank.T)
+def _pointed(matrices: ModeMatrices) -> _Matrices:
+    """Return C's struct; it points to the arrays of `matrices`, which must live as long as the struct."""
+    (n, modes), steps = _sizes(matrices), len(matrices.T)
     if not (1 <= n <= MOST_STATES and 1 <= modes <= MOST_MODES):
         raise ValueError(f"{modes} modes of {n} states came; 1 to {MOST_MODES} of 1 to {MOST_STATES} are needed.")
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("F", "Q"), (steps * modes, n, n))
     shapes |= dict.fromkeys(("H", "C"), (1, n))
     shapes |= dict.fromkeys(("R", "tail"), (modes,)) | dict.fromkeys(("wild", "largest"), (2,))
     shapes |= {"T": (steps, modes, modes), "start": (modes, 1 + n)}
-    _check(**{name: (getattr(bank, name), "f8", shape) for name, shape in shapes.items()})
-    (V, rejects), (largest, largest_level) = bank.wild.tolist(), bank.largest.tolist()
-    arrays = bank.F, bank.Q, bank.T, bank.H, bank.C, bank.R, bank.tail, bank.start
+    _check(**{name: (getattr(matrices, name), "f8", shape) for name, shape in shapes.items()})
+    (V, rejects), (largest, largest_level) = matrices.wild.tolist(), matrices.largest.tolist()
+    arrays = matrices.F, matrices.Q, matrices.T, matrices.H, matrices.C, matrices.R, matrices.tail, matrices.start
     places = (array.ctypes.data for array in arrays)
-    return _Bank(n, modes, *places, V, int(rejects), largest, largest_level)
+    return _Matrices(n, modes, *places, V, int(rejects), largest, largest_level)
 
 
-def _pointed_rows(bank: Bank, z: Floats, steps: Steps) -> _Block:
+def _pointed_rows(matrices: ModeMatrices, z: Floats, steps: Steps) -> _Block:
     _check(z=(z, "f8", (len(z),)))
-    _check_steps(bank, steps, len(z))
+    _check_steps(matrices, steps, len(z))
     return _Block(z.ctypes.data, steps.ctypes.data, len(z))
 
 
-def _pointed_trace(bank: Bank, trace: Trace, rows: int) -> _Estimate:
-    n, modes = _sizes(bank)
+def _pointed_buffers(matrices: ModeMatrices, buffers: ImmBuffers, rows: int) -> _Estimate:
+    n, modes = _sizes(matrices)
     leading = {"probability": (modes,), "mean": (n,)}
-    wanted = {name: array for name, array in trace._asdict().items() if array.size}
+    wanted = {name: array for name, array in buffers._asdict().items() if array.size}
     _check(**{name: (array, "f8", (*leading.get(name, ()), rows)) for name, array in wanted.items()})
     for one, other in (("signal", "sigma"), ("innovation", "innovation_sigma")):
         if (one in wanted) != (other in wanted):
             raise ValueError(f"{one} and {other} are written together; give arrays for both, or for neither.")
-    return _Estimate(*(wanted[name].ctypes.data if name in wanted else None for name in Trace._fields), rows)
+    return _Estimate(*(wanted[name].ctypes.data if name in wanted else None for name in ImmBuffers._fields), rows)
 
 
-def _check_steps(bank: Bank, steps: Steps, rows: int) -> None:
+def _check_steps(matrices: ModeMatrices, steps: Steps, rows: int) -> None:
     _check(steps=(steps, "i4", (rows,)))
-    if rows and not (steps.min() >= 0 and steps.max() < len(bank.T)):
-        raise ValueError(f"steps go from {steps.min()} to {steps.max()}; there are {len(bank.T)} steps.")
+    if rows and not (steps.min() >= 0 and steps.max() < len(matrices.T)):
+        raise ValueError(f"steps go from {steps.min()} to {steps.max()}; there are {len(matrices.T)} steps.")
 
 
 def _check(**arrays: tuple[NDArray[Any], str, tuple[int, ...]]) -> None:

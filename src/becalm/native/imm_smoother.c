@@ -120,7 +120,7 @@ INLINE pair_t determinant_roots(const int n, const pair_t *D, pair_t *powers) {
 }
 
 /* Factor I + G' (Y G) = L D L' with L unit lower triangular; only rounding can make a pivot less than 1. */
-INLINE void factor_beside_one(const int n, const pair_t *G, const pair_t *YG, pair_t *L, pair_t *D) {
+INLINE void factor_identity_plus(const int n, const pair_t *G, const pair_t *YG, pair_t *L, pair_t *D) {
     UNROLL
     for (int a = 0; a < n; a++) {
         UNROLL
@@ -198,33 +198,33 @@ typedef struct {
 
 /* Start the backward pass over a step, and write the information on the state before it (10): F' (A' Y A + W' W) F with
    W = (I + B' Y B)^-1 B' Y, A = I - B W. */
-INLINE void begin_way(const int n, const int i, const later_t *later, const rooms_t *rooms, backward_step_t *way, pair_t *before) {
+INLINE void begin_backward_step(const int n, const int i, const later_t *later, const rooms_t *rooms, backward_step_t *step, pair_t *before) {
     const int nn = n * n;
     pair_t powers, *room = rooms->step, *W = room + 4 * nn, *A = room + 5 * nn, *AF = room + 6 * nn, *WF = room + 7 * nn;
-    way->B = rooms->B + i * nn;
-    way->F = room, way->Y = room + nn, way->YB = room + 2 * nn, way->L = room + 3 * nn;
-    for (int k = 0; k < nn; k++) way->F[k] = both(later->F[i * nn + k]), way->Y[k] = both(later->Y[i * nn + k]);
-    for (int a = 0; a < n; a++) way->c[a] = both(later->c[i * n + a]), way->r[a] = both(later->r[i * n + a]);
-    product_of(n, way->Y, way->B, way->YB);
-    factor_beside_one(n, way->B, way->YB, way->L, way->D);
-    const pair_t root = determinant_roots(n, way->D, &powers);
-    way->g = later->g[i] - (logarithms(root) + powers * LN_2);
+    step->B = rooms->B + i * nn;
+    step->F = room, step->Y = room + nn, step->YB = room + 2 * nn, step->L = room + 3 * nn;
+    for (int k = 0; k < nn; k++) step->F[k] = both(later->F[i * nn + k]), step->Y[k] = both(later->Y[i * nn + k]);
+    for (int a = 0; a < n; a++) step->c[a] = both(later->c[i * n + a]), step->r[a] = both(later->r[i * n + a]);
+    product_of(n, step->Y, step->B, step->YB);
+    factor_identity_plus(n, step->B, step->YB, step->L, step->D);
+    const pair_t root = determinant_roots(n, step->D, &powers);
+    step->g = later->g[i] - (logarithms(root) + powers * LN_2);
     UNROLL
     for (int b = 0; b < n; b++) {
         pair_t w[N_MAX];
         UNROLL
-        for (int a = 0; a < n; a++) w[a] = way->YB[b * n + a];
-        solve_lower(n, way->L, w);
+        for (int a = 0; a < n; a++) w[a] = step->YB[b * n + a];
+        solve_lower(n, step->L, w);
         UNROLL
-        for (int a = 0; a < n; a++) w[a] /= way->D[a];
-        solve_upper(n, way->L, w);
+        for (int a = 0; a < n; a++) w[a] /= step->D[a];
+        solve_upper(n, step->L, w);
         UNROLL
         for (int a = 0; a < n; a++)
-            W[a * n + b] = w[a], A[a * n + b] = both(a == b) - sum_of(n, way->B + a * n, w);
+            W[a * n + b] = w[a], A[a * n + b] = both(a == b) - sum_of(n, step->B + a * n, w);
     }
-    product_of(n, A, way->F, AF);
-    product_of(n, W, way->F, WF);
-    product_of(n, way->Y, AF, A);
+    product_of(n, A, step->F, AF);
+    product_of(n, W, step->F, WF);
+    product_of(n, step->Y, AF, A);
     UNROLL
     for (int a = 0; a < n; a++) {
         UNROLL
@@ -238,33 +238,33 @@ INLINE void begin_way(const int n, const int i, const later_t *later, const room
 }
 
 /* Write r for the states before the step, about their means x; return g (11). */
-INLINE pair_t go_back(const int n, const backward_step_t *way, const pair_t *x, pair_t *r) {
-    pair_t d[N_MAX], q[N_MAX], u[N_MAX], y[N_MAX], g = way->g;
+INLINE pair_t likelihood_before_step(const int n, const backward_step_t *step, const pair_t *x, pair_t *r) {
+    pair_t d[N_MAX], q[N_MAX], u[N_MAX], y[N_MAX], g = step->g;
     UNROLL
-    for (int a = 0; a < n; a++) d[a] = sum_of(n, way->F + a * n, x) - way->c[a];
+    for (int a = 0; a < n; a++) d[a] = sum_of(n, step->F + a * n, x) - step->c[a];
     UNROLL
     for (int a = 0; a < n; a++) {
-        const pair_t Yd = sum_of(n, way->Y + a * n, d);
-        g += (way->r[a] - (real)0.5 * Yd) * d[a], q[a] = way->r[a] - Yd;
+        const pair_t Yd = sum_of(n, step->Y + a * n, d);
+        g += (step->r[a] - (real)0.5 * Yd) * d[a], q[a] = step->r[a] - Yd;
     }
-    times_transposed(n, way->B, q, u);
-    solve_lower(n, way->L, u);
+    times_transposed(n, step->B, q, u);
+    solve_lower(n, step->L, u);
     UNROLL
-    for (int a = 0; a < n; a++) y[a] = u[a] / way->D[a], g += (real)0.5 * u[a] * y[a];
-    solve_upper(n, way->L, y);
+    for (int a = 0; a < n; a++) y[a] = u[a] / step->D[a], g += (real)0.5 * u[a] * y[a];
+    solve_upper(n, step->L, y);
     UNROLL
-    for (int a = 0; a < n; a++) q[a] -= sum_of(n, way->YB + a * n, y);
-    times_transposed(n, way->F, q, r);
+    for (int a = 0; a < n; a++) q[a] -= sum_of(n, step->YB + a * n, y);
+    times_transposed(n, step->F, q, r);
     return g;
 }
 
 /* Return the log-likelihoods of states with covariance P = G G', given r and Y about their means, plus log shares (12).
    Write the factors of I + G' Y G, and v = (I + G' Y G)^-1 G' r. */
-INLINE pair_t agree(const int n, const pair_t *G, const pair_t *Y, const pair_t *r, const pair_t share, pair_t *YG,
+INLINE pair_t log_evidence(const int n, const pair_t *G, const pair_t *Y, const pair_t *r, const pair_t share, pair_t *YG,
                     pair_t *L, pair_t *D, pair_t *v) {
     pair_t powers, fit = both(0);
     product_of(n, Y, G, YG);
-    factor_beside_one(n, G, YG, L, D);
+    factor_identity_plus(n, G, YG, L, D);
     times_transposed(n, G, r, v);
     solve_lower(n, L, v);
     UNROLL
@@ -279,7 +279,7 @@ INLINE pair_t agree(const int n, const pair_t *G, const pair_t *Y, const pair_t 
 
 /* Combine all modes before a step with all modes after it: write to `fit` (M, M) the logarithm of the probability of
    each pair, without a common factor (10) to (12). */
-INLINE void meet(const int n, const int m, const mode_states_t now, const later_t *later, rooms_t *rooms, real *fit) {
+INLINE void combine_modes(const int n, const int m, const mode_states_t now, const later_t *later, rooms_t *rooms, real *fit) {
     const int nn = n * n;
     if (rooms->Q != later->Q)
         for (int i = 0; i < m; i++) {
@@ -292,15 +292,15 @@ INLINE void meet(const int n, const int m, const mode_states_t now, const later_
     put(n, m, now.x, rooms->x);
     for (int i = 0; i < m; i++) {
         pair_t *Y = rooms->Y + i * nn;
-        backward_step_t way;
-        begin_way(n, i, later, rooms, &way, Y);
+        backward_step_t step;
+        begin_backward_step(n, i, later, rooms, &step, Y);
         for (int q = 0; 2 * q < m; q++) {
             const int first = 2 * q, second = first + 1 < m ? first + 1 : first, at = q * m + i;
             const real least = UNLIKELY * UNLIKELY, one = now.mu[first] * later->T[first * m + i];
             const real other = now.mu[second] * later->T[second * m + i];
             const pair_t share = {one > least ? one : least, other > least ? other : least};
-            const pair_t g = go_back(n, &way, rooms->x + q * n, rooms->r + at * n);
-            const pair_t fitted = g + agree(n, rooms->G + q * nn, Y, rooms->r + at * n, share, rooms->step + 8 * nn,
+            const pair_t g = likelihood_before_step(n, &step, rooms->x + q * n, rooms->r + at * n);
+            const pair_t fitted = g + log_evidence(n, rooms->G + q * nn, Y, rooms->r + at * n, share, rooms->step + 8 * nn,
                                             rooms->L + at * nn, rooms->D + at * n, rooms->v + at * n);
             if (second > first) fit[second * m + i] = fitted[1] > LEAST && fitted[1] < -LEAST ? fitted[1] : LEAST;
             fit[first * m + i] = fitted[0] > LEAST && fitted[0] < -LEAST ? fitted[0] : LEAST;
@@ -356,7 +356,7 @@ INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, c
         Y[k] = both(0);
         for (int i = 0; i < m; i++) Y[k] += share[i] * rooms->Y[i * nn + k];
     }
-    return agree(n, rooms->G + q * nn, Y, r, both(1), YG, L, D, v);
+    return log_evidence(n, rooms->G + q * nn, Y, r, both(1), YG, L, D, v);
 }
 
 /* Pass back over the step after a row: write its smoothed states, if `wanted`, and the likelihood of the later rows as
@@ -366,7 +366,7 @@ INLINE void smooth_row(const int n, const int m, const mode_states_t now, const 
     const mode_states_t own = beliefs_in(n, m, rooms->beliefs);
     real fit[MODES_MAX * MODES_MAX], highest[MODES_MAX], best = LEAST, every = 0;
     pair_t share[MODES_MAX / 2 * MODES_MAX], sum[MODES_MAX / 2], top[MODES_MAX / 2];
-    meet(n, m, now, later, rooms, fit);
+    combine_modes(n, m, now, later, rooms, fit);
     for (int j = 0; j < m; j++) {
         highest[j] = LEAST;
         for (int i = 0; i < m; i++) highest[j] = fit[j * m + i] > highest[j] ? fit[j * m + i] : highest[j];
@@ -409,7 +409,7 @@ INLINE void smooth_row(const int n, const int m, const mode_states_t now, const 
 }
 
 /* Add the likelihood of a row's measurement to that of later ones, all about the filtered mean (9). */
-INLINE void take_back(const int n, const int m, const real *h, const mode_states_t now, const real *noted, later_t *later) {
+INLINE void add_measurement(const int n, const int m, const real *h, const mode_states_t now, const real *noted, later_t *later) {
     real best = LEAST;
     for (int j = 0; j < m; j++, noted += NOTED) {
         real *r = later->r + j * n, *Y = later->Y + j * n * n;
@@ -440,12 +440,12 @@ INLINE void smooth_rows(const int n, const imm_t *imm, const real level, const i
         else /* no row follows: the filtered estimate is the smoothed one */
             for (int k = 0; k < m * nn; k++) later->g[k / nn] = later->r[k / n] = later->Y[k] = 0;
         write_estimate(n, m, imm->c, level, later->known ? beliefs_in(n, m, rooms->beliefs) : now, first + row, estimate);
-        take_back(n, m, imm->h, now, now.mu + size, later);
+        add_measurement(n, m, imm->h, now, now.mu + size, later);
         later->F = imm->F + at * nn, later->Q = imm->Q + at * nn, later->T = imm->T + at * m;
     }
 }
 
-static void come_back(const imm_t *imm, const real level, const int32_t *step, real *notes, const int64_t rows,
+static void smooth_rows_of(const imm_t *imm, const real level, const int32_t *step, real *notes, const int64_t rows,
                       const int64_t first, later_t *later, rooms_t *rooms, const imm_estimate_t *estimate) {
     FOR_FEW_STATES(imm->states, smooth_rows, imm, level, step, notes, rows, first, later, rooms, estimate)
 }
@@ -464,7 +464,7 @@ void imm_smooth(const imm_t *imm, const real level, const imm_block_t *block, co
         score_t score = {0, 1, 0, 0};
         memcpy(beliefs, before + k * size, sizeof(real) * (size_t)size);
         filter_modes(imm, beliefs, level, &some, &nothing, &passed, rest, &score);
-        come_back(imm, level, some.step, notes, some.rows, from, &known, &rooms, estimate);
+        smooth_rows_of(imm, level, some.step, notes, some.rows, from, &known, &rooms, estimate);
     }
     keep_later(n, m, &known, later);
 }
@@ -478,6 +478,6 @@ void imm_smooth_late(const imm_t *imm, const real level, const int32_t *step, re
     for (int64_t stop = turn; stop <= rows; stop += every) {
         const int64_t from = stop - 1 > lag ? stop - 1 - lag : 0;
         later.known = 0;
-        come_back(imm, level, step + from, notes + from * noted, stop - from, from, &later, &rooms, estimate);
+        smooth_rows_of(imm, level, step + from, notes + from * noted, stop - from, from, &later, &rooms, estimate);
     }
 }

@@ -37,7 +37,7 @@ kernel = _loaded()
 
 
 def layout_of(struct: str) -> np.dtype[np.void]:
-    """Return the NumPy dtype of a struct of C, with the fields that Python reads or writes; `layout.c` lists them."""
+    """Return the NumPy dtype of a C struct, with the fields that Python reads or writes, listed in `layout.c`."""
     *fields, end = _fields_of(f"channel_{struct}_fields")
     counts = [field.size // 8 for field in fields]
     layout: Any = {
@@ -54,7 +54,7 @@ def layout_of(struct: str) -> np.dtype[np.void]:
 
 
 def _fields_of(function: str) -> list[Any]:
-    """Return the fields that a C function lists; the last one has no name, and its offset is the struct's size."""
+    """Return the fields that a C function lists; the last entry has no name, and its offset is the struct's size."""
     list_fields = getattr(kernel, function)
     list_fields.restype = ctypes.POINTER(_Field)
     fields = list[Any]()
@@ -66,7 +66,7 @@ def _fields_of(function: str) -> list[Any]:
 
 
 CONSTANTS: dict[str, int] = {value.name.decode(): value.size for value in _fields_of("channel_constants")[:-1]}
-"""Whole numbers that C and Python share, by their names in C."""
+"""Whole numbers that C and Python both use, by their names in C."""
 
 
 # Check the arrays of a block of rows and return C's structs; C would read or write beyond the ends of wrong arrays.
@@ -95,7 +95,7 @@ def checked(settings: NDArray[np.void], rows: dict[str, Any], *, writes: bool = 
     Parameters
     ----------
     settings : () structured array
-        Those of the channel.
+        The settings of the channel.
     rows : dict of str to array
         The arrays of `process`.
     writes : bool

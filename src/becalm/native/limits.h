@@ -73,7 +73,7 @@ static inline int fills_in(const settings_t *settings, const real z, const real 
 
 /* Return whether a 0 marks a missing measurement: at least three neighbours are not 0, and all of these are far from
    0. */
-static inline int stands_for_none(const settings_t *settings, const real z, const real *neighbours, const int count) {
+static inline int marks_missing(const settings_t *settings, const real z, const real *neighbours, const int count) {
     if (z != 0 || settings->far_from_0 == 0) return 0;
     int others = 0;
     for (int k = 0; k < count; k++) {
@@ -100,7 +100,7 @@ static inline int is_long_0(const settings_t *settings, const real z, const int6
 
 /* Return whether a 0 at an end of the range so far means that the signal rests. */
 static inline int is_rest(const settings_t *settings, const limits_t *state) {
-    return (state->least == 0 || state->most == 0) && !stands_for_none(settings, 0, state->past, NEIGHBOURS);
+    return (state->least == 0 || state->most == 0) && !marks_missing(settings, 0, state->past, NEIGHBOURS);
 }
 
 /* Return the verdict on a value that is not a measurement of the sensor, 0 if it may be one. */
@@ -146,7 +146,7 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     if (state->since > LATE) forget_past(state);
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
-        if (stands_for_none(settings, z, state->past, NEIGHBOURS))
+        if (marks_missing(settings, z, state->past, NEIGHBOURS))
             state->outlier = z != state->last_value || state->run + 1 < LONGEST_0 ? 1 : ends_at_0(settings) ? 0 : 2;
         else if (!(settings->repeats_are_one && z == state->last_value)) {
             state->outlier = is_far_from_past(settings, state, z);

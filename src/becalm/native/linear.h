@@ -89,7 +89,7 @@ INLINE void joseph(const int n, const real *h, const real R, const real *K, cons
 }
 
 /* g = H F (m, n): the output as a function of the state one step before */
-INLINE void see_through(const int n, const int m, const real *H, const real *F, real *g) {
+INLINE void multiply_HF(const int n, const int m, const real *H, const real *F, real *g) {
     for (int c = 0; c < m; c++)
         for (int j = 0; j < n; j++) {
             real s = 0;

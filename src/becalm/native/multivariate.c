@@ -212,7 +212,7 @@ INLINE void notice_row(const int n, const int m, const multivariate_t *model, mu
     state->next_check = state->steady + (state->steady / 8 > FIRST_CHECK ? state->steady / 8 : FIRST_CHECK);
 }
 
-INLINE void write_belief(const int n, const int m, const multivariate_t *model, const real *x, const real *P,
+INLINE void write_estimates(const int n, const int m, const multivariate_t *model, const real *x, const real *P,
                          const estimates_t *estimates, const int64_t row) {
     for (int c = 0; c < m && estimates->signal; c++) estimates->signal[row * m + c] = dot(n, model->H + c * n, x);
     if (estimates->sigma) spread_of(n, m, model, P, estimates->sigma + row * m);
@@ -409,7 +409,7 @@ static int64_t filter_settled(const int n, const int m, const multivariate_t *mo
                               const int64_t to, const estimates_t *estimates) {
     int64_t taken = 0;
     if (!state->closed) {
-        see_through(n, m, model->H, F, p->g);
+        multiply_HF(n, m, model->H, F, p->g);
         close_loop(n, m, F, p->K, p->g, p->A);
         state->closed = 1;
     }
@@ -419,7 +419,7 @@ static int64_t filter_settled(const int n, const int m, const multivariate_t *mo
 
 /* Add the information of the channels that arrived: with R = C C', C lower triangular, the equations are
    C^-1 (z - H x) = e. */
-static void learn(const int n, const int m, const multivariate_t *model, const real *z, real *U, real *b) {
+static void add_measurements(const int n, const int m, const multivariate_t *model, const real *z, real *U, real *b) {
     real C[M_MAX * M_MAX], a[M_MAX * N_MAX], right[M_MAX];
     int seen[M_MAX], count = 0;
     for (int c = 0; c < m; c++)
@@ -451,7 +451,7 @@ static void weigh(const int n, const real *h, const real *U, real *w) {
 }
 
 /* Predict a row from information that determines the state: (3), (4), (8). */
-static void foretell(const int n, const int m, const multivariate_t *model, const real *z, const parts_t *p,
+static void predict_from_information(const int n, const int m, const multivariate_t *model, const real *z, const parts_t *p,
                      score_t *score) {
     real S[M_MAX * M_MAX], w[M_MAX * N_MAX];
     for (int a = 0; a < m; a++) {
@@ -483,7 +483,7 @@ static void write_opening(const int n, const int m, const multivariate_t *model,
                           const parts_t *p, const estimates_t *estimates, const int64_t row) {
     for (int c = 0; c < m; c++) {
         real signal = NOT_A_NUMBER, sigma = INFINITE;
-        if (model->foretells && state->phase != LOST) {
+        if (model->proper_prior && state->phase != LOST) {
             real w[N_MAX];
             weigh(n, model->H + c * n, p->P, w);
             signal = dot(n, w, p->x), sigma = sqrt(dot(n, w, w));
@@ -509,24 +509,24 @@ static void open_row(const int n, const int m, const multivariate_t *model, mult
     }
     if (state->phase == GATHERING && F)
         carry_information(n, F, Q, model->prior, p->P, p->x);
-    else if (state->phase == UNKNOWN && (count || model->foretells)) {
+    else if (state->phase == UNKNOWN && (count || model->proper_prior)) {
         state->phase = GATHERING;
         copy(n * n, model->prior, p->P), copy(n, model->right, p->x);
     }
     state->opened++;
     if (state->phase == GATHERING) {
-        if (model->foretells) foretell(n, m, model, z, p, &state->score);
-        learn(n, m, model, z, p->P, p->x);
+        if (model->proper_prior) predict_from_information(n, m, model, z, p, &state->score);
+        add_measurements(n, m, model, z, p->P, p->x);
     }
     write_opening(n, m, model, state, p, estimates, row);
     if (state->phase == GATHERING) {
         const int inverted = invert_root(n, p->P, V), determined = inverted && is_determined(n, p->P, V);
-        if (inverted && (determined || model->foretells)) {
+        if (inverted && (determined || model->proper_prior)) {
             copy(n * n, p->P, P), copy(n, p->x, x);
             determine(n, V, P, x);
             if (estimates->x) copy(n, x, estimates->x + row * n);
             if (estimates->P) copy(n * n, P, estimates->P + row * n * n);
-            if (determined && (!model->foretells || is_narrow(n, m, model, F ? F : record->F, F ? Q : record->Q, P))) {
+            if (determined && (!model->proper_prior || is_narrow(n, m, model, F ? F : record->F, F ? Q : record->Q, P))) {
                 copy(n * n, P, p->P), copy(n, x, p->x);
                 state->phase = DETERMINED;
             }
@@ -568,7 +568,7 @@ INLINE void filter_rows(const int n, const int m, const multivariate_t *model, m
             if (state->phase == LOST)
                 write_opening(n, m, model, state, &p, estimates, row);
             else
-                write_belief(n, m, model, p.x, p.P, estimates, row);
+                write_estimates(n, m, model, p.x, p.P, estimates, row);
         } else
             open_row(n, m, model, state, &p, record, F, Q, row, estimates);
         state->rows++, row++;
@@ -596,7 +596,7 @@ void multivariate_end(const multivariate_t *model, future_t *future) {
 }
 
 /* Carry r back through a block with the steady-state gain (11), and add it to each row (9). */
-INLINE void return_settled(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
+INLINE void pass_back_settled(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
                            const real *G_, const int64_t from, const int64_t to, const estimates_t *estimates, real *r_) {
     real B[NN_MAX], back[NN_MAX], P[NN_MAX], G[N_MAX * M_MAX], HP[M_MAX * N_MAX], seen[M_MAX * N_MAX], r[N_MAX];
     for (int i = 0; i < n; i++)
@@ -626,9 +626,9 @@ INLINE void return_settled(const int n, const int m, const multivariate_t *model
     copy(n, r, r_);
 }
 
-static void return_block(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
+static void pass_back_block(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
                          const real *G, const int64_t from, const int64_t to, const estimates_t *estimates, real *r) {
-    FOR_SMALL(n, m, return_settled, model, p, A, G, from, to, estimates, r)
+    FOR_SMALL(n, m, pass_back_settled, model, p, A, G, from, to, estimates, r)
 }
 
 /* Smooth a block with the steady-state gain. */
@@ -637,13 +637,13 @@ INLINE void smooth_settled(const int n, const int m, const multivariate_t *model
     const parts_t p = parts_of(n, m, state);
     const int spread = estimates->sigma || estimates->P;
     real A[NN_MAX], g[M_MAX * N_MAX], G[N_MAX * M_MAX], sigma[M_MAX] = {0};
-    see_through(n, m, model->H, F, g);
+    multiply_HF(n, m, model->H, F, g);
     close_loop(n, m, F, p.K, g, A);
     for (int i = 0; i < n; i++) {
         for (int c = 0; c < m; c++) G[i * m + c] = g[c * n + i];
         divide(m, p.L, p.D, G + i * m);
     }
-    return_block(n, m, model, &p, A, G, from, to, estimates, future->r);
+    pass_back_block(n, m, model, &p, A, G, from, to, estimates, future->r);
     future->later = NOTHING_LATER;
     for (int64_t row = to - 1; spread && row >= from; row--) {
         if (!future->settled || row == to - 1) {
@@ -677,7 +677,7 @@ INLINE void smooth_row(const int n, const int m, const multivariate_t *model, co
             future->later = from_later(n, U, b, future) ? STATE_TOO : NOTHING_LATER;
         else {
             real V[NN_MAX];
-            future->later = model->foretells && invert_root(n, U, V) ? STATE_TOO : NOTHING_LATER;
+            future->later = model->proper_prior && invert_root(n, U, V) ? STATE_TOO : NOTHING_LATER;
             if (future->later) {
                 copy(n * n, U, future->P), copy(n, b, future->x);
                 determine(n, V, future->P, future->x);
@@ -708,7 +708,7 @@ INLINE void smooth_row(const int n, const int m, const multivariate_t *model, co
 INLINE void step_back(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *F,
                       const int spread, future_t *future) {
     real A[NN_MAX], g[M_MAX * N_MAX], G[N_MAX * M_MAX];
-    see_through(n, m, model->H, F, g);
+    multiply_HF(n, m, model->H, F, g);
     close_loop(n, m, F, p->K, g, A);
     for (int i = 0; i < n; i++) {
         for (int c = 0; c < m; c++) G[i * m + c] = isnan(p->deviation[c]) ? 0 : g[c * n + i];

@@ -13,7 +13,7 @@ enum { GAIN = 1, COVARIANCE = 2 }; /* what has settled: the gain, or also the co
 typedef struct {
     int64_t states, channels; /* n, m */
     int64_t enough;           /* what must settle before a gain is reused: GAIN, or COVARIANCE */
-    int64_t foretells;        /* whether `prior` determines the state, so that it predicts the first rows */
+    int64_t proper_prior;        /* whether `prior` determines the state, so that it predicts the first rows */
     const real *H, *R;        /* (m, n), (m, m) */
     const real *prior, *right; /* U (n, n) and b (n) of the information U x = b + e before the first measurement */
 } multivariate_t;

@@ -1,4 +1,4 @@
-"""The C filter and smoother for a model of several channels. `multivariate.h` describes the structs."""
+"""Call the C filter and smoother for a model of several channels; `multivariate.h` describes the structs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Whole = NDArray[np.int64]
 
 MOST_STATES, MOST_CHANNELS = CONSTANTS["N_MAX"], CONSTANTS["M_MAX"]
 GAIN, COVARIANCE = CONSTANTS["GAIN"], CONSTANTS["COVARIANCE"]
-"""What must reach its steady state before the filter reuses a gain: the gain alone, or the covariance, too."""
+"""What must reach its steady state before the filter reuses a gain: only the gain, or also the covariance."""
 
 _HEAD, _FUTURE = layout_of("knowledge"), layout_of("future")
 
 
 class _Model(ctypes.Structure):
     _fields_ = (
-        *((name, ctypes.c_int64) for name in ("states", "channels", "enough", "foretells")),
+        *((name, ctypes.c_int64) for name in ("states", "channels", "enough", "proper_prior")),
         *((name, ctypes.c_void_p) for name in ("H", "R", "prior", "right")),
     )
 
@@ -35,7 +35,7 @@ class _Record(ctypes.Structure):
     )
 
 
-class _Beliefs(ctypes.Structure):
+class _Estimates(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_void_p) for name in ("signal", "sigma", "innovation", "deviation", "x", "P"))
 
 
@@ -52,14 +52,14 @@ kernel.multivariate_end.argtypes, kernel.multivariate_end.restype = [ctypes.c_vo
 
 
 class MeasurementRows(NamedTuple):
-    """Measurements and the steps before them: step[s] comes before each of the rows first[s] to first[s + 1] - 1."""
+    """Measurements and the steps before them: step number step[s] precedes the rows first[s] to first[s + 1] - 1."""
 
     z: Floats  # (N, m) measurements, NaN where missing
     first: Whole  # (runs + 1,) first row of each run
     step: Whole  # (runs,) index of the step; -1: none
     F: Floats  # (u, n, n) transitions of the steps
-    Q: Floats  # (u, n, n) their process noise
-    lengths: Floats  # (u,) their lengths; equal ones are the same step
+    Q: Floats  # (u, n, n) process noise of the steps
+    lengths: Floats  # (u,) lengths of the steps; equal lengths mean equal matrices
 
 
 class EstimateBuffers(NamedTuple):
@@ -81,9 +81,10 @@ class Multivariate:
     H, R : (m, n), (m, m) float array
         The measurement matrix, and the covariance of the channels' noise.
     prior, right : (n, n), (n,) float array
-        The prior before the first measurement, U x = b + e with e ~ N(0, I): U, upper triangular, and b.
-    foretells : bool
-        Whether the prior determines the state, so that it predicts the first measurements.
+        The prior before the first measurement as information, U x = b + e with e ~ N(0, I): the upper triangular U,
+        and b.
+    proper_prior : bool
+        Whether the prior information determines the state, so that it predicts the first measurements.
     enough : int
         What must reach its steady state before a gain is reused: GAIN or COVARIANCE.
 
@@ -95,13 +96,13 @@ class Multivariate:
     Attributes
     ----------
     state : (S,) uint8 array
-        Everything that later rows depend on; its bytes are a checkpoint.
+        The complete state; its bytes are a checkpoint.
     channels : int
         Number of channels, m.
     """
 
     def __init__(  # noqa: PLR0913  (the matrices of a model)
-        self, H: Floats, R: Floats, prior: Floats, right: Floats, *, foretells: bool = False, enough: int = GAIN
+        self, H: Floats, R: Floats, prior: Floats, right: Floats, *, proper_prior: bool = False, enough: int = GAIN
     ) -> None:
         m, n = self._size = H.shape
         self.channels = m
@@ -116,7 +117,7 @@ class Multivariate:
                 ("right", right, (n,)),
             )
         }
-        self._model = _Model(n, m, enough, foretells, *(array.ctypes.data for array in self._arrays.values()))
+        self._model = _Model(n, m, enough, proper_prior, *(array.ctypes.data for array in self._arrays.values()))
         self.state = np.zeros(kernel.multivariate_size(n, m) // 8).view(np.uint8)
         kernel.multivariate_start(ctypes.byref(self._model), None, None, self.state.ctypes.data)
 
@@ -133,11 +134,11 @@ class Multivariate:
 
     @property
     def covariance(self) -> Floats:
-        """Return the covariance (n, n) of the state after the last row, once it is determined."""
+        """Return the covariance (n, n) of the state after the last row; valid once the state is determined."""
         n = self._size[1]
         return self.state[_HEAD.itemsize :].view(np.float64)[n : n + n * n].reshape(n, n)
 
-    def filter(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> None:
+    def filter(self, rows: MeasurementRows, buffers: EstimateBuffers) -> None:
         """Filter rows.
 
         Raises
@@ -145,23 +146,23 @@ class Multivariate:
         ValueError
             If the arrays do not fit each other: C would read beyond their ends.
         """
-        record, output = self._pointers(rows, beliefs)
+        record, output = self._structs(rows, buffers)
         model = ctypes.byref(self._model)
         kernel.multivariate_filter(model, self.state.ctypes.data, ctypes.byref(record), ctypes.byref(output))
 
-    def smooth(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> None:
+    def smooth(self, rows: MeasurementRows, buffers: EstimateBuffers) -> None:
         """Filter and smooth the last rows of a record.
 
-        `beliefs` needs an array for innovations; they stay those of the filter.
+        `buffers` needs an array for innovations; it gets those of the filter.
 
         Raises
         ------
         ValueError
             If the arrays do not fit each other.
         """
-        if beliefs.innovation is None:
-            raise ValueError("Smoothing needs an array for innovations; beliefs.innovation is None.")
-        record, output = self._pointers(rows, beliefs)
+        if buffers.innovation is None:
+            raise ValueError("Smoothing needs an array for innovations; buffers.innovation is None.")
+        record, output = self._structs(rows, buffers)
         future = np.zeros((), _FUTURE)
         room = np.empty(kernel.multivariate_room(self._model.states, self._model.channels, record.rows) // 8)
         model = ctypes.byref(self._model)
@@ -172,7 +173,7 @@ class Multivariate:
     def smooth_late(self, rows: MeasurementRows, lag: int, ready: int) -> tuple[Floats, Floats]:
         """Smooth the first `ready` rows with the rows up to a lag after each; return signal and sigma, (ready, m) each.
 
-        The state moves from before these rows to after them. All rows have the same step before them, except the very
+        Afterwards the state is that after these rows. All rows must have the same step before them, except the very
         first row, which has none.
 
         Raises
@@ -180,7 +181,7 @@ class Multivariate:
         ValueError
             If the arrays do not fit each other, or the numbers do not fit the rows.
         """
-        record, _ = self._pointers(rows, EstimateBuffers())
+        record, _ = self._structs(rows, EstimateBuffers())
         if not (lag >= 0 and 0 <= ready <= record.rows):
             raise ValueError(f"lag = {lag} and ready = {ready} came; 0 or more, and 0 to {record.rows} are needed.")
         signal, sigma = np.empty((2, ready, self.channels))
@@ -192,7 +193,7 @@ class Multivariate:
         return signal, sigma
 
     def saved(self) -> NDArray[np.uint8]:
-        """Return the bytes of the state, without the matrices A and g of the closed loop, which can be recomputed."""
+        """Return the bytes of the state, without the matrices A and g of the closed loop, which are computed again."""
         m, n = self._size
         kept = self.state[: -8 * n * (n + m)].copy()
         kept[: _HEAD.itemsize].view(_HEAD)["closed"] = 0
@@ -216,7 +217,7 @@ class Multivariate:
             raise ModelError("The state of a snapshot has impossible values; pass what snapshot() returned.")
         self.state = state
 
-    def _pointers(self, rows: MeasurementRows, beliefs: EstimateBuffers) -> tuple[_Record, _Beliefs]:
+    def _structs(self, rows: MeasurementRows, buffers: EstimateBuffers) -> tuple[_Record, _Estimates]:
         (m, n), count, runs, steps = self._size, len(rows.z), len(rows.step), len(rows.F)
         shapes: dict[str, tuple[int, ...]] = {"z": (count, m), "F": (steps, n, n), "Q": (steps, n, n)}
         shapes |= {"lengths": (steps,), "first": (runs + 1,), "step": (runs,)}
@@ -230,13 +231,13 @@ class Multivariate:
         if runs and not (step.min() >= -1 and step.max() < steps):
             raise ValueError(f"step goes from {step.min()} to {step.max()}; there are {steps} steps.")
         wanted: dict[str, tuple[int, ...]] = {"x": (count, n), "P": (count, n, n)}
-        for name, array in beliefs._asdict().items():
+        for name, array in buffers._asdict().items():
             if array is not None:
                 _checked(name, array, wanted.get(name, (count, m)))
                 if not array.flags.writeable:
                     raise ValueError(f"{name} cannot be written; pass a writeable array.")
         record = _Record(*(array.ctypes.data for array in rows), count)
-        return record, _Beliefs(*(None if array is None else array.ctypes.data for array in beliefs))
+        return record, _Estimates(*(None if array is None else array.ctypes.data for array in buffers))
 
 
 def _checked(name: str, array: Any, shape: tuple[int, ...], kind: Any = np.float64) -> NDArray[Any]:

@@ -101,7 +101,7 @@ static inline real usual_variance(const int n, const real R, const real *Q) {
 }
 
 /* Write V = U^-1; return whether the information determines the state, and leaves some digits of R or Q. */
-static inline int tells_state(const int n, const real R, const real *Q, const real *U, real *V) {
+static inline int determines_state(const int n, const real R, const real *Q, const real *U, real *V) {
     const real usual = usual_variance(n, R, Q);
     if (!invert_root(n, U, V) || !is_determined(n, U, V)) return 0;
     for (int i = 0; i < n; i++)
@@ -130,7 +130,7 @@ static inline void determine(const int n, const real *V, real *P, real *x) {
 /* Return the variance of the prediction of h x after a step from a state of covariance V V'. */
 static inline real predicted_variance(const int n, const real *h, const real *F, const real *Q, const real *V) {
     real hF[N_MAX], variance = 0;
-    see_through(n, 1, h, F, hF);
+    multiply_HF(n, 1, h, F, hF);
     for (int j = 0; j < n; j++) {
         real s = 0;
         for (int i = 0; i < n; i++) s += hF[i] * V[i * n + j], variance += h[i] * Q[i * n + j] * h[j];
@@ -144,7 +144,7 @@ static inline real predicted_variance(const int n, const real *h, const real *F,
 static inline int try_to_determine(const int n, const coefficients_t *model, const real *F, const real *Q, real *P,
                                    real *x) {
     real V[NN_MAX];
-    if (!tells_state(n, model->R, Q, P, V)) return 0;
+    if (!determines_state(n, model->R, Q, P, V)) return 0;
     if (!(predicted_variance(n, model->h, F, Q, V) <= model->widest * model->R)) return 0;
     determine(n, V, P, x);
     return 1;

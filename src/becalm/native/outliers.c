@@ -29,8 +29,8 @@ static int64_t find_runs(const settings_t *settings, const real *z, const int64_
     for (int64_t row = 0; row < rows; row++) {
         if (isnan(z[row])) continue;
         const int are_one = settings->repeats_are_one || (z[row] == 0 && settings->far_from_0 > 0);
-        const int goes_on = are_one && runs && z[row] == values[runs - 1] && row - ends[2 * (runs - 1) + 1] <= REACH;
-        if (goes_on)
+        const int same_run = are_one && runs && z[row] == values[runs - 1] && row - ends[2 * (runs - 1) + 1] <= REACH;
+        if (same_run)
             ends[2 * (runs - 1) + 1] = row;
         else
             values[runs] = z[row], ends[2 * runs] = ends[2 * runs + 1] = row, runs++;
@@ -46,7 +46,7 @@ static int64_t count_measured(const real *z, const int64_t first, const int64_t 
 
 /* Return whether a single measurement is so near to each of three on either side, in the rows from `from` to `until`,
    that it is not an outlier. Most measurements are, and need no median. */
-static int is_amid(const settings_t *settings, const real distance, const real *values, const int64_t *ends,
+static int is_near_neighbours(const settings_t *settings, const real distance, const real *values, const int64_t *ends,
                    const int64_t run, const int64_t runs, const int64_t from, const int64_t until) {
     if (run < SIDE || run + SIDE >= runs || ends[2 * run] != ends[2 * run + 1]) return 0;
     const real z = values[run];
@@ -80,7 +80,7 @@ static int keep_supporting(const settings_t *settings, const real value, real *n
 
 /* Leave out neighbours that are 0 and mark missing measurements; return how many stay. */
 static int keep_measured(const settings_t *settings, real *neighbours, const int count) {
-    if (!stands_for_none(settings, 0, neighbours, count)) return count;
+    if (!marks_missing(settings, 0, neighbours, count)) return count;
     int kept = 0;
     for (int k = 0; k < count; k++)
         if (neighbours[k] != 0) neighbours[kept++] = neighbours[k];
@@ -93,7 +93,7 @@ static int judge_run(const settings_t *settings, const real distance, const int6
                      real *neighbours, int count) {
     const real value = values[run];
     const int holds = stuck > 0 && rows >= stuck; /* long enough to be stuck */
-    if (stands_for_none(settings, value, neighbours, count)) return holds && rows >= LONGEST_0 ? STUCK : OUTLIER;
+    if (marks_missing(settings, value, neighbours, count)) return holds && rows >= LONGEST_0 ? STUCK : OUTLIER;
     count = keep_measured(settings, neighbours, count);
     int away = value < settings->plausible_low || value > settings->plausible_high;
     if (away && rows == 1 && is_alone(ends, run, runs)) /* in a sparse stretch outliers would hide each other */
@@ -108,7 +108,7 @@ static int judge_run(const settings_t *settings, const real distance, const int6
 }
 
 int64_t scan_outliers(const settings_t *settings, const real distance, const int64_t stuck, const real *z,
-                      const int64_t rows, const int64_t begun, const int whole, real *values, int64_t *ends,
+                      const int64_t rows, const int64_t judged_rows, const int whole, real *values, int64_t *ends,
                       int8_t *verdict) {
     const int64_t runs = find_runs(settings, z, rows, values, ends);
     const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* a run that is too long to stand in */
@@ -116,7 +116,7 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
     for (int64_t run = 0; run < runs; run++) {
         const int64_t first = ends[2 * run], last = ends[2 * run + 1];
         int found = verdict[first];
-        if (first >= begun && (stuck == 1 || !is_amid(settings, distance, values, ends, run, runs, first - REACH, first + REACH))) {
+        if (first >= judged_rows && (stuck == 1 || !is_near_neighbours(settings, distance, values, ends, run, runs, first - REACH, first + REACH))) {
             real neighbours[NEIGHBOURS];
             int after, missing;
             const int count = gather(values, ends, run, runs, first - REACH, first + REACH, neighbours, &after, &missing);
@@ -127,19 +127,19 @@ int64_t scan_outliers(const settings_t *settings, const real distance, const int
             if (!is_long_0(settings, values[run], last - first + 1))
                 found = judge_run(settings, distance, stuck, values, ends, run, runs, measured, neighbours, count);
         }
-        for (int64_t row = first > begun ? first : begun; found && row <= last; row++)
+        for (int64_t row = first > judged_rows ? first : judged_rows; found && row <= last; row++)
             verdict[row] = (int8_t)(isnan(z[row]) ? USED : found);
     }
     return rows;
 }
 
 int64_t scan_outliers_soon(const settings_t *settings, const real distance, const int64_t stuck, const real *z,
-                           const int64_t rows, const int64_t begun, const int64_t ahead, const int whole, real *values,
+                           const int64_t rows, const int64_t judged_rows, const int64_t ahead, const int whole, real *values,
                            int64_t *ends, int8_t *verdict) {
     const int64_t runs = find_runs(settings, z, rows, values, ends);
     const int64_t end = whole ? rows : rows - ahead;
     int64_t run = 0;
-    for (int64_t row = begun; row < end; row++) {
+    for (int64_t row = judged_rows; row < end; row++) {
         if (isnan(z[row])) continue;
         while (ends[2 * run + 1] < row) run++;
         const int64_t from = row - REACH, until = row + ahead; /* the rows that decide, wherever a block ends */
@@ -147,7 +147,7 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
         int64_t last = ends[2 * run + 1] < until ? ends[2 * run + 1] : until;
         while (isnan(z[first])) first++;
         while (isnan(z[last])) last--;
-        if (is_amid(settings, distance, values, ends, run, runs, from, until)) continue;
+        if (is_near_neighbours(settings, distance, values, ends, run, runs, from, until)) continue;
         real neighbours[NEIGHBOURS];
         int after, missing;
         const int count = gather(values, ends, run, runs, from, until, neighbours, &after, &missing);
@@ -156,7 +156,7 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
         const real far = after < FEWEST_AFTER ? settings->outlier_distance : distance;
         verdict[row] = (int8_t)judge_run(settings, far, stuck, values, ends, run, runs, measured, neighbours, count);
     }
-    return end > begun ? end : begun;
+    return end > judged_rows ? end : judged_rows;
 }
 
 void measure_distances(const real *z, const int64_t rows, int64_t *ends, real *distances, real *spreads) {

@@ -1,4 +1,4 @@
-"""Call the C passes that need no filter: they detect faults of measurements, stamps and innovations."""
+"""Call the C functions that need no filter: they detect faults of measurements, stamps and innovations."""
 
 from __future__ import annotations
 
@@ -28,8 +28,17 @@ kernel.scan_faults.restype = ctypes.c_int64
 kernel.scan_reduce.argtypes, kernel.scan_reduce.restype = [ctypes.c_void_p] * 2, None
 kernel.scan_innovations.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int64, *[ctypes.c_void_p] * 2]
 kernel.scan_innovations.restype = ctypes.c_int64
-_PLACE, _COUNT = ctypes.c_void_p, ctypes.c_int64
-kernel.scan_outliers.argtypes = [_PLACE, ctypes.c_double, _COUNT, _PLACE, _COUNT, _COUNT, ctypes.c_int, *[_PLACE] * 3]
+_POINTER, _COUNT = ctypes.c_void_p, ctypes.c_int64
+kernel.scan_outliers.argtypes = [
+    _POINTER,
+    ctypes.c_double,
+    _COUNT,
+    _POINTER,
+    _COUNT,
+    _COUNT,
+    ctypes.c_int,
+    *[_POINTER] * 3,
+]
 kernel.scan_outliers.restype = ctypes.c_int64
 kernel.scan_outliers_soon.argtypes = [
     *kernel.scan_outliers.argtypes[:6],
@@ -57,11 +66,11 @@ class Hops(NamedTuple):
     totals: Whole  # (H,) sums, in parts of a sigma
     squares: Whole  # (H,) sums of squares, in parts^2
     powers: Floats  # (H,) sums of squares, in sigma^2
-    steps: Floats  # (H,) from the very first row to the hop's first innovation
+    steps: Floats  # (H,) time of the hop's first innovation, in steps from the very first row
 
 
 def restored(kept: NDArray[np.int8], struct: np.dtype[np.void]) -> NDArray[np.void] | None:
-    """Return a state of the limits (LIMITS) or the monitor (WATCHED) from its bytes; None if they are not valid."""
+    """Return a state of the limits (LIMITS) or of the monitor (WATCHED) from its bytes; None if they are invalid."""
     if kept.dtype != np.int8 or kept.shape != (struct.itemsize,):
         return None
     state = np.frombuffer(bytearray(kept.tobytes()), struct).reshape(())
@@ -86,7 +95,7 @@ def _started() -> tuple[NDArray[np.void], NDArray[np.void]]:
 
 
 def scan_faults(settings: NDArray[np.void], limits: NDArray[np.void], z: Floats, elapsed: Floats, codes: Codes) -> int:
-    """Write the verdicts on faulty measurements over the codes (B,); return how many codes are then not 0.
+    """Write verdicts on faulty measurements into the codes (B,); return how many codes are not 0 afterwards.
 
     `z` (B,) holds the measurements, in unit, and `elapsed` (B,) the steps before them. The state `limits` changes.
     """
@@ -96,7 +105,7 @@ def scan_faults(settings: NDArray[np.void], limits: NDArray[np.void], z: Floats,
 
 
 def reduced_limits(settings: NDArray[np.void], limits: NDArray[np.void]) -> bytes:
-    """Return the bytes of the state with only what later verdicts depend on."""
+    """Return the bytes of a copy of the state, reduced to what later verdicts depend on."""
     own = bytearray(limits.tobytes())
     kernel.scan_reduce(settings.ctypes.data, ctypes.addressof(ctypes.c_char.from_buffer(own)))
     return bytes(own)
@@ -105,10 +114,10 @@ def reduced_limits(settings: NDArray[np.void], limits: NDArray[np.void]) -> byte
 def scan_innovations(
     settings: NDArray[np.void], watched: NDArray[np.void], normalised: Floats, elapsed: Floats, codes: Codes
 ) -> Hops:
-    """Write alarms to the codes (B,), and return the complete hops, of innovations over their standard deviations.
+    """Write the alarms of a monitor of innovations into the codes (B,); return the complete hops.
 
-    `normalised` (B,) is NaN without an innovation; `elapsed` (B,) holds the steps before rows. The state `watched`
-    changes.
+    `normalised` (B,) holds innovations over their standard deviations, NaN where there is none; `elapsed` (B,) holds
+    the steps before the rows. The state `watched` changes.
     """
     _check(normalised, (normalised, elapsed), (codes,))
     most = len(normalised) // HOP + 1
@@ -126,50 +135,50 @@ def scan_outliers(  # noqa: PLR0913  (keyword arguments)
     *,
     distance: float,
     stuck: int,
-    begun: int,
+    judged_rows: int,
     whole: bool,
     ahead: int = REACH,
 ) -> int:
-    """Write verdicts on measurements from their neighbours on both sides to the codes (N,).
+    """Write into the codes (N,) the verdicts on measurements that follow from their neighbours on both sides.
 
     Parameters
     ----------
     settings : () structured array
-        They hold the plausible range, whether repeats count as one, and the distance from the measurements before.
+        Settings with the plausible range, the distance from earlier measurements, and whether repeats count as one.
     z : (N,) float array
         Measurements, in unit, NaN where missing.
     codes : (N,) int8 array
-        The codes of rows before `begun` are final; the others must be 0.
+        The codes of rows before `judged_rows` are final; the other codes must be 0.
     distance : float
         Distance of an outlier from the median of its neighbours, in unit; inf: no outliers.
     stuck : int
-        This many equal measurements in a row are stuck, from the first of them on; 0: any number may be equal.
-    begun : int
-        Number of rows that already have their code.
+        This many equal measurements in a row are stuck, including the first; 0 if any number may be equal.
+    judged_rows : int
+        Number of rows whose codes are final.
     whole : bool
         Whether the record ends here.
     ahead : int
-        Largest number of rows that a row waits for. If fewer than two measurements come within them, the measurements
-        before decide.
+        Largest number of later rows that a row waits for. If these have fewer than two measurements, only the earlier
+        measurements are compared.
 
     Returns
     -------
     int
-        The first row that has to wait for later ones; N if there is none.
+        The first row that has to wait for later rows; N if no row has to wait.
     """
     _check(z, (z,), (codes,))
     values, ends = np.empty(len(z)), np.empty((len(z), 2), np.int64)
     room = values.ctypes.data, ends.ctypes.data, codes.ctypes.data
-    rule, rows = (settings.ctypes.data, distance, stuck), (z.ctypes.data, len(z), begun)
+    rule, rows = (settings.ctypes.data, distance, stuck), (z.ctypes.data, len(z), judged_rows)
     if ahead < REACH:
         return int(kernel.scan_outliers_soon(*rule, *rows, ahead, whole, *room))
     return int(kernel.scan_outliers(*rule, *rows, whole, *room))
 
 
 def measure_distances(z: Floats) -> tuple[Floats, Floats]:
-    """Return the distance of measurements from the median of six neighbours, and the spread of these, (N,) each.
+    """Return the distance of measurements from the median of six neighbours, and the neighbours' spread, (N,) each.
 
-    Both are 0 for N <= 6.
+    Both are 0 if N <= 6.
     """
     _check(z, (z,), ())
     if len(z) <= NEIGHBOURS:
@@ -181,7 +190,7 @@ def measure_distances(z: Floats) -> tuple[Floats, Floats]:
 
 
 def measure_jumps(z: Floats) -> Floats:
-    """Return the distance of measurements (N,), from the seventh on, from the median of the six before each."""
+    """Return the distance of each measurement, from the seventh of N on, from the median of the six before it."""
     _check(z, (z,), ())
     jumps = np.empty(max(len(z) - NEIGHBOURS, 0))
     kernel.measure_jumps(z.ctypes.data, len(z), jumps.ctypes.data)
@@ -189,9 +198,9 @@ def measure_jumps(z: Floats) -> Floats:
 
 
 def walk_stamps(clock: NDArray[np.void], stamps: Floats, doubled: Codes, elapsed: Floats, codes: Codes) -> None:
-    """Write the steps before each row of a stream to `elapsed` (B,), and codes for its stamps, in s, to `codes` (B,).
+    """Write the steps before each row of a stream into `elapsed` (B,), and codes of its stamps (s) into `codes` (B,).
 
-    `doubled` (B,) is not 0 for rows that repeat the measurements of the row before. The state `clock` changes.
+    `doubled` (B,) is not 0 for rows that repeat the measurements of the previous row. The state `clock` changes.
     """
     _check(stamps, (stamps, elapsed), (doubled, codes))
     if not elapsed.flags.writeable:

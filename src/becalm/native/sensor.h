@@ -18,7 +18,7 @@ static inline void start_sensor(sensor_t *state) {
 }
 
 /* Count a fault in the current row. */
-static inline void meet(faults_t *faults, const int verdict) {
+static inline void count_fault(faults_t *faults, const int verdict) {
     if (!faults->met[verdict]++) faults->first_row[verdict] = faults->rows, faults->first_step[verdict] = faults->steps;
 }
 
@@ -31,7 +31,7 @@ static inline void judge_rows(const settings_t *settings, sensor_t *state, const
         const int verdict = judge(settings, &state->limits, z, elapsed);
         faults->steps += faults->rows ? elapsed : 0;
         if (verdict) verdicts[row] = (int8_t)verdict;
-        if (verdicts[row]) meet(faults, verdicts[row] & (VERDICTS - 1));
+        if (verdicts[row]) count_fault(faults, verdicts[row] & (VERDICTS - 1));
         faults->rows++;
         pass->usable[row] = verdict ? NOT_A_NUMBER : z;
         pass->starts[row] = (int8_t)check_gap(settings, &state->limits, elapsed, verdict == USED);
@@ -70,12 +70,12 @@ static inline void watch_rows(const settings_t *settings, const real R, sensor_t
         int verdict = estimate->verdict[row];
         if (alarm && verdict == USED) verdict = alarm;
         real signal = estimate->signal[row], sigma = estimate->sigma[row];
-        const int missed = isnan(pass->usable[row]), goes_on = missed && state->missed;
+        const int missed = isnan(pass->usable[row]), in_hole = missed && state->missed;
         if (!missed && verdict != SPIKE) state->entered = pass->usable[row];
         state->missed = missed;
         if ((signal < low || signal > high) && fabs(signal - state->entered) > high - low)
             signal = sigma = NOT_A_NUMBER, verdict = RUNAWAY;
-        else if (goes_on && sigma >= settings->unknown_from && !isnan(signal))
+        else if (in_hole && sigma >= settings->unknown_from && !isnan(signal))
             signal = sigma = NOT_A_NUMBER, verdict = HOLE;
         state->counts[verdict & (VERDICTS - 1)]++;
         estimate->verdict[row] = (int8_t)verdict;

@@ -1,4 +1,4 @@
-/* Detect when the gain has reached its steady state; then it is reused, and no covariance is computed. */
+/* Detect when the gain has reached its steady state; from then on it is reused, and no covariance is computed. */
 #ifndef BECALM_SETTLING_H
 #define BECALM_SETTLING_H
 
@@ -6,10 +6,10 @@
 #include "linear.h"
 
 #define STEADY ((real)1e-9)    /* largest relative change of a steady variance */
-#define FORGOTTEN ((real)0.9)  /* largest share of a spread that is left after an eighth of a stretch */
+#define FORGOTTEN ((real)0.9)  /* largest remaining share of the initial uncertainty after an eighth of the rows */
 
-/* Compare gain and sigma with those of the last check, and store them for the next; return whether they have
-   settled. */
+/* Compare gain and sigma with those of the last check, and store them for the next check; return whether they are
+   unchanged. */
 static inline int check_gain(const int n, filter_t *state) {
     int settled = near(state->S, state->S_then, state->S) & near(state->sigma, state->sigma_then, state->sigma);
     for (int i = 0; i < n; i++) {
@@ -23,11 +23,12 @@ static inline int check_gain(const int n, filter_t *state) {
     return settled;
 }
 
-/* Return whether some rows reduce the spread before them by a tenth or more; otherwise the gain is slow, and may still
-   change. */
-static inline int forgets(const int n, const int m, const real *H, const real *F, const real *K, const real *P, real rows) {
+/* Return whether the filter reduces the influence of its initial state by a tenth or more within some rows; otherwise
+   the gain is slow, and may still change. */
+static inline int forgets(const int n, const int m, const real *H, const real *F, const real *K, const real *P,
+                          real rows) {
     real A[NN_MAX], squared[NN_MAX], g[M_MAX * N_MAX];
-    see_through(n, m, H, F, g);
+    multiply_HF(n, m, H, F, g);
     close_loop(n, m, F, K, g, A);
     for (; rows >= 2; rows *= (real)0.5) {
         multiply(n, A, A, squared);
@@ -47,22 +48,24 @@ static inline int forgets(const int n, const int m, const real *H, const real *F
     return 1;
 }
 
+/* Discard the steady-state gain and the checks so far. */
 static inline void unsettle(filter_t *state) {
     state->settled = state->agreed = state->predicted = 0;
     state->steady = -1, state->next_check = FIRST_CHECK;
     state->last_step = -1, state->S_then = -1;
 }
 
-/* Check after a row whether the gain has settled. It must stay so for n more rows, because an oscillating gain may have
-   the same value at two checks. */
-INLINE void notice(const int n, const real *h, const real *F, filter_t *state, const real elapsed, const int complete) {
+/* Check after a row whether the gain has settled. It must be unchanged for n more rows, because an oscillating gain may
+   have the same value at two checks. */
+INLINE void check_settling(const int n, const real *h, const real *F, filter_t *state, const real elapsed, const int complete) {
     if (!complete || elapsed != state->last_step) {
         unsettle(state);
         if (complete) state->last_step = elapsed;
     }
     state->predicted = 0;
     if (++state->steady < state->next_check) return;
-    const int settled = check_gain(n, state) && forgets(n, 1, h, F, state->K, state->P, (real)0.125 * (real)state->steady);
+    const real rows = (real)0.125 * (real)state->steady;
+    const int settled = check_gain(n, state) && forgets(n, 1, h, F, state->K, state->P, rows);
     state->agreed = settled ? state->agreed + 1 : 0;
     if (0 < state->agreed && state->agreed <= n) {
         state->next_check = state->steady + 1;

@@ -113,7 +113,7 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
     real A[NN_MAX], B[NN_MAX], BB[NN_MAX], hF[N_MAX], BhF[N_MAX], G[N_MAX], Pc[N_MAX], r[N_MAX]; /* B = A' */
     real sigma = 0;
     const real weight = state->S > 0 ? 1 / state->S : 0;
-    see_through(n, 1, model->h, F, hF);
+    multiply_HF(n, 1, model->h, F, hF);
     close_loop(n, 1, F, state->K, hF, A);
     for (int i = 0; i < n; i++) {
         G[i] = weight * hF[i];
@@ -172,7 +172,7 @@ INLINE void smooth_again(const int n, const settings_t *settings, const coeffici
             future->later = NOTHING_LATER;
         if (state->phase == DETERMINED)
             step_back(n, model->h, state->S, state->K, F, estimate->innovation[row], future);
-        leave_row(n, F, Q, estimate->verdict[row], starts[row], future);
+        prepare_row_before(n, F, Q, estimate->verdict[row], starts[row], future);
     }
 }
 

@@ -1,4 +1,4 @@
-"""The C smoothers of one channel: with all later rows, or with the rows up to a lag after each."""
+"""Call the C smoothers of one channel: each row uses all later rows, or those up to a lag after it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _Forward:
     Parameters
     ----------
     settings, coefficients : () structured array
-        Those of the channel.
+        The structs of the channel.
 
     Attributes
     ----------
@@ -63,8 +63,8 @@ class ForwardPass(NamedTuple):
     """The results of a forward pass that the backward pass needs."""
 
     taken: int  # number of filtered rows
-    room: NDArray[np.float64]  # states of the filter before each block of 64 rows, and memory
-    starts: NDArray[np.int8]  # rows at which the filter restarts or jumps, see `filter.h`
+    room: NDArray[np.float64]  # states of the filter before each block of 64 rows, and working memory
+    starts: NDArray[np.int8]  # for each row, whether the filter restarts or the signal jumps there, see `filter.h`
     rows: dict[str, Any]  # the arrays of the block
 
 
@@ -72,15 +72,15 @@ class Smoother(_Forward):
     """A smoother that filters blocks of rows and passes back over them with later rows; parameters as in `_Forward`."""
 
     def forward(self, *, ends: bool, **rows: Any) -> ForwardPass:
-        """Filter the next block up to the last row whose gating is decided; pass the other rows again.
+        """Filter the next block up to the last row on which the gate has decided; pass the other rows again.
 
         Parameters
         ----------
         ends : bool
-            Whether the record ends with this block. If not, its number of rows must be a multiple of 64, and so is the
-            number of filtered rows.
+            Whether the record ends with this block. If it does not, the number of rows must be a multiple of 64; the
+            number of filtered rows is then also a multiple of 64.
         **rows : array
-            The arrays of `process`; z holds NaN where no measurement may enter, and verdict is 0.
+            The arrays of `process`; z is NaN where no measurement may enter the filter, and verdict is 0.
 
         Raises
         ------
@@ -96,8 +96,8 @@ class Smoother(_Forward):
         )
         return ForwardPass(taken, room, starts, rows)
 
-    def nothing(self) -> NDArray[np.void]:
-        """Return the information of later rows at the end of a record: none."""
+    def no_later_rows(self) -> NDArray[np.void]:
+        """Return the information of later rows at the end of a record, where there are no later rows."""
         return np.frombuffer(bytearray(self._nothing.tobytes()), _FUTURE).reshape(())
 
     def backward(self, passed: ForwardPass, future: NDArray[np.void]) -> None:
@@ -112,8 +112,8 @@ class Smoother(_Forward):
         """
         self._pass_back(passed, future, passed.taken, only_future=False)
 
-    def look_back(self, passed: ForwardPass, future: NDArray[np.void], count: int) -> None:
-        """Add to `future` the information of the first `count` rows of a block, a multiple of 64 or all of them."""
+    def add_information(self, passed: ForwardPass, future: NDArray[np.void], count: int) -> None:
+        """Add to `future` the information of the first `count` rows of a block; give all rows or a multiple of 64."""
         self._pass_back(passed, future, count, only_future=True)
 
     def _pass_back(self, passed: ForwardPass, future: NDArray[np.void], count: int, *, only_future: bool) -> None:
@@ -127,18 +127,18 @@ class Smoother(_Forward):
         )
 
 
-class LateSmoother(_Forward):
-    """A fixed-lag smoother: each row uses the rows up to a lag after it; parameters as in `_Forward`."""
+class LagSmoother(_Forward):
+    """A fixed-lag smoother: each row uses the rows up to a lag after it. Its parameters are those of `_Forward`."""
 
     def smooth(self, lag: int, ready: int, **rows: Any) -> int | None:
-        """Filter the waiting rows and the new ones; smooth the first `ready` of them, and do not pass these again.
+        """Filter the waiting and the new rows; smooth the first `ready` of them, and do not pass these rows again.
 
         Parameters
         ----------
         lag : int
             Number of later rows that each row uses, 1 or more.
         ready : int
-            Number of rows to smooth: those that have a lag of rows after them, or all.
+            Number of rows to smooth: the rows that have `lag` rows after them, or all rows.
         **rows : array
             The arrays of `Smoother.forward`.
 
@@ -164,9 +164,9 @@ class LateSmoother(_Forward):
         return None if row < 0 else int(row)
 
     def caller(self, lag: int, **rows: Any) -> Callable[[], None]:
-        """Return a fast function that filters the same arrays again and smooths the first row, like `smooth`.
+        """Return a fast function that filters the rows in these arrays and smooths the first row, as `smooth` does.
 
-        It checks nothing. Only the contents of the arrays may change between calls.
+        The function checks nothing. Between calls only the contents of the arrays may change.
         """
         block, estimate = checked(self._settings, rows)
         room = np.empty(kernel.lag_room(int(self._settings["states"]), block.rows, lag))

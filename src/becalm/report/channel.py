@@ -1,4 +1,4 @@
-"""Draw all figures of one channel, in the order in which a reader needs them."""
+"""Draw all figures of each channel, in the order of the report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from becalm.report.description import Figure
 from becalm.report.gathering import Gathering
 from becalm.report.innovation_figures import innovation_figures
 from becalm.report.pictures import Title, closeup_figures, signal_figures, slug_of, spectrum_figure
-from becalm.report.response_figures import Behaviour, behaviour_of, front_figure, front_of, step_figure
+from becalm.report.response_figures import Behaviour, behaviour_of, compute_trade_off, step_figure, trade_off_figure
 
 
 class Pictured(NamedTuple):
@@ -20,8 +20,8 @@ class Pictured(NamedTuple):
 
     report: ChannelReport
     words: str  # a sentence that describes its filter; empty if the channel passes unchanged
-    wide: tuple[Figure, ...]  # over time
-    narrow: tuple[Figure, ...]  # all others, two in a row
+    wide: tuple[Figure, ...]  # figures over time
+    narrow: tuple[Figure, ...]  # all other figures, which are placed side by side
 
 
 class CleanedChannels(NamedTuple):
@@ -38,7 +38,7 @@ class CleanedChannels(NamedTuple):
     step_s : float
         Time between two rows, in seconds.
     group : str
-        Name that the file gives this time axis; "" if the file has only one.
+        Name of this time axis in the file; "" if the file has only one.
     """
 
     recipe: Recipe
@@ -49,24 +49,24 @@ class CleanedChannels(NamedTuple):
 
     @property
     def lasts_s(self) -> float:
-        """Return the duration from the first row to a step after the last one, in seconds, gaps included."""
+        """Return the duration from the first row to one step after the last row, in seconds, with gaps."""
         times = self.gathering.times
         return float(times.high[-1] - times.low[0]) + self.step_s
 
 
 class Pictures:
-    """Draws the figures of a cleaned recording, channel by channel.
+    """The figures of a cleaned recording, which are drawn channel by channel.
 
     Parameters
     ----------
     *times : CleanedChannels
-        Channels of each time axis; they are drawn one after the other.
+        Channels of each time axis, in the order of the report.
     """
 
     def __init__(self, *times: CleanedChannels) -> None:
         self.times = times
-        self._fronts: dict[float, TradeOffCurve] = {
-            step_s: front_of(step_s) for step_s in {time.step_s for time in times}
+        self._trade_off_curves: dict[float, TradeOffCurve] = {
+            step_s: compute_trade_off(step_s) for step_s in {time.step_s for time in times}
         }
         self._places = [(time, number) for time in times for number in range(len(time.reports))]
 
@@ -80,7 +80,7 @@ class Pictures:
         return tuple(time.reports[number] for time, number in self._places)
 
     def channel(self, number: int) -> Pictured:
-        """Draw one channel; the first has number 0."""
+        """Draw one channel; the first channel has number 0."""
         (recipe, reports, gathering, step_s, _), own = self._places[number]
         report, gathered = reports[own], gathering.channels[own]
         title = Title(slug_of(number, report.name), report.name, report.unit)
@@ -88,7 +88,7 @@ class Pictures:
         close = closeup_figures(title, gathered) if gathering.rows_each > 1 else ()
         narrow = (
             spectrum_figure(title, gathered),
-            front_figure(title, behaviour, self._fronts[step_s], recipe.mode),
+            trade_off_figure(title, behaviour, self._trade_off_curves[step_s], recipe.mode),
             step_figure(title, behaviour, recipe, step_s),
             *innovation_figures(title, gathering.nis_times, report.lagged, gathered.nis, 1 / step_s),
         )
@@ -103,7 +103,7 @@ class Pictures:
 def _words(behaviour: Behaviour, mode: str) -> str:
     """Return a sentence that describes the filter.
 
-    It is empty if the filter passes everything unchanged, has no steady state or is unknown.
+    The text is empty if the filter passes all readings unchanged, has no steady state, or is unknown.
     """
     delay_s, noise_std = behaviour.report.delay_s, behaviour.report.noise_std
     if mode == "lagged" and delay_s is not None:

@@ -1,4 +1,4 @@
-"""Show a comparison of classic filters with becalm: a table and up to two figures for each channel."""
+"""Make the tables and figures of a comparison of becalm with classic filters, for each channel."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from becalm.report.description import Axis, Curve, Figure, Layer, Role
 from becalm.report.page import Addition, Cells
 from becalm.report.pictures import TIME, Title, slug_of
 
-_ROWS = 600  # rows of the outputs that are drawn
-_RIVALS = 2  # classic filters that are drawn with becalm
+_ROWS = 600  # number of rows that are drawn
+_RIVALS = 2  # number of classic filters that are drawn with becalm
 
 
 def comparison_figures(found: Comparison, recording: Recording, truth: Recording | None = None) -> tuple[Addition, ...]:
-    """Return the tables and figures of a comparison, one set for each channel.
+    """Return the table and up to two figures of a comparison for each channel.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def _outputs(
 
 
 def _rivals(contenders: tuple[Contender, ...], with_truth: bool) -> list[Contender]:
-    """Choose the classic filters to draw: those with the least rms error, or the first ones if there is no truth."""
+    """Choose the classic filters to draw: those with the smallest rms error, or without a truth the first ones."""
     classics = [one for one in contenders if one.rule]
     if with_truth:
         errors = [np.inf if one.rms_error is None else one.rms_error for one in classics]

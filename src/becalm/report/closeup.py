@@ -14,12 +14,12 @@ _ROWS = 600  # rows of a close-up
 
 
 class Closeup(Protocol):
-    """A selection of rows, made while a recording is cleaned.
+    """A selection of rows for a close-up figure, made while a recording is cleaned.
 
     Attributes
     ----------
     title : str
-        Title of the figure; it says which rows these are.
+        Title of the figure, which says which rows it shows.
     kept : (4, k) float array
         Times in seconds, readings, signal and sigma.
     """
@@ -28,12 +28,12 @@ class Closeup(Protocol):
     kept: Floats
 
     def add(self, times_s: Floats, z: Floats, estimates: EstimatedRows) -> None:
-        """Add the next rows: times (B,) in seconds, readings (B,), and their estimates."""
+        """Take the next rows: times (B,) in seconds, readings (B,), and their estimates."""
         ...
 
 
 class Middle:
-    """Keeps the rows at the middle of a recording."""
+    """A close-up of the rows in the middle of a recording."""
 
     title = "Close up, from the middle of the recording"
 
@@ -43,7 +43,7 @@ class Middle:
         self._at = 0
 
     def add(self, times_s: Floats, z: Floats, estimates: EstimatedRows) -> None:
-        """Add the next rows."""
+        """Take the next rows, and keep those in the middle of the recording."""
         start, stop = max(0, self._from - self._at), self._from + _ROWS - self._at
         self._at += len(z)
         if start < len(z) and stop > 0:
@@ -51,7 +51,7 @@ class Middle:
 
 
 class Farthest:
-    """Keeps the rows around the reading that is the most sigma away from the signal."""
+    """A close-up of the rows around the reading that is the most sigma away from the signal."""
 
     title = "Close up, around the reading that is the most sigma away from the signal"
 
@@ -60,7 +60,7 @@ class Farthest:
         self._farthest = -1.0
 
     def add(self, times_s: Floats, z: Floats, estimates: EstimatedRows) -> None:
-        """Add the next rows; the kept rows all come from one block."""
+        """Take the next rows; if they contain the farthest reading so far, keep the rows of this block around it."""
         for first in range(0, len(z), PIECE):  # pieces that fit into the cache
             part = slice(first, first + PIECE)
             with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Describe a figure once, for the interactive page and for print."""
+"""Describe figures, independently of whether they are drawn on an interactive page or for print."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 from becalm.core.arrays import Floats
 
 Role = Literal["readings", "clean", "truth", "limit", "other"]
-"""Meaning of a layer. It determines the colour; each "other" layer gets a colour of its own."""
+"""Meaning of a layer, which determines its colour; each "other" layer has another colour."""
 
 Look = Literal["line", "dashed", "dotted", "points"]
 
@@ -39,13 +39,13 @@ class Band(NamedTuple):
     name: str
     x: Floats  # (k,)
     low: Floats  # (k,) NaN where there is no value
-    high: Floats  # (k,) likewise
+    high: Floats  # (k,) NaN where there is no value
     role: Role = "other"
-    faint: bool = False  # whether layers behind it are visible
+    faint: bool = False  # whether the area is translucent
 
 
 class Lane(NamedTuple):
-    """Intervals on the x axis, drawn as bars on a line of their own."""
+    """Intervals on the x axis, drawn as bars on a separate line of the figure."""
 
     name: str
     starts: Floats  # (k,)
@@ -56,7 +56,7 @@ class Rule(NamedTuple):
     """A vertical line at one position on the x axis."""
 
     name: str
-    at: float
+    at: float  # position on the x axis
     role: Role = "other"
 
 
@@ -67,7 +67,7 @@ class DrawnSurface(NamedTuple):
     x: Floats  # (k,)
     y: Floats  # (l,)
     height: Floats  # (k, l)
-    by_point: bool = False  # coloured cells, for a rough surface with too many contours
+    by_point: bool = False  # coloured cells instead of contours, for a rough surface that would have too many contours
 
 
 Layer = Curve | Band | Lane | Rule | DrawnSurface
@@ -80,13 +80,13 @@ class Figure:
     Attributes
     ----------
     name : str
-        Name of its file and of its element on a page: letters, digits and hyphens.
+        Name of the figure's file and of its element on a page: letters, digits and hyphens.
     title : str
         Title above the figure.
     x, y : Axis
         Axes.
     layers : tuple of Curve, Band, Lane, Rule or DrawnSurface
-        Layers, the rearmost first.
+        Layers, in the order of drawing.
     says : str
         Caption below the figure: one or two sentences on what it shows.
     """

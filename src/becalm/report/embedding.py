@@ -14,13 +14,13 @@ def asset(name: str) -> str:
 
 
 def script(*names: str) -> str:
-    """Join JavaScript modules into one script, because a page opened from a disk cannot import modules.
+    """Join JavaScript modules into one script, because a page that is opened from a disk cannot import modules.
 
-    The names must be in an order in which each module comes after the modules that it imports.
+    Each module must come after all modules that it imports.
     """
     return "".join(re.sub(r'^import .* from "\.\.?/.*";\n', "", asset(name), flags=re.MULTILINE) for name in names)
 
 
 def packed(data: bytes) -> str:
-    """Return data as base64 of gzip, which the page unpacks."""
+    """Return data compressed with gzip and encoded as base64; the page unpacks them."""
     return base64.b64encode(gzip.compress(data, mtime=0)).decode("ascii")

@@ -1,4 +1,4 @@
-"""Reduce millions of samples to a few thousand stretches, with the minimum and maximum of each, so that spikes stay."""
+"""Reduce millions of samples to the minimum and maximum of each of a few thousand stretches, which keeps spikes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from becalm.core.arrays import Codes, Floats
 
 Cut = tuple[slice, NDArray[np.intp]]
-"""How a block of rows is divided: the stretches that it touches, and the row of the block at which each begins."""
+"""The division of a block of rows: its stretches, and the block's row at which each of them begins."""
 
 
 class Stretches:
@@ -19,12 +19,12 @@ class Stretches:
     rows : int
         Total number of rows.
     most : int
-        Maximum number of stretches; a *small* number puts more rows into each.
+        Largest number of stretches; with a *small* number, each stretch has more rows.
 
     Attributes
     ----------
     rows_each : int
-        Rows in each stretch; the last may have fewer.
+        Rows in each stretch; the last stretch may have fewer.
     count : int
         Number of stretches.
     """
@@ -32,10 +32,10 @@ class Stretches:
     def __init__(self, rows: int, most: int) -> None:
         self.rows_each = max(1, -(-rows // most))
         self.count = max(1, -(-rows // self.rows_each))
-        self._at = 0  # rows so far
+        self._at = 0  # number of rows of all earlier blocks
 
     def next(self, rows: int) -> Cut:
-        """Divide the next block: return the stretches that it touches, and the row of the block at which each begins.
+        """Divide the next block; return its stretches, and the block's row at which each of them begins.
 
         Parameters
         ----------
@@ -69,33 +69,33 @@ class Envelope:
         return envelope
 
     def add(self, touched: slice, begins: NDArray[np.intp], low: Floats, high: Floats) -> None:
-        """Add the lower and upper edges (B,) of a block that `Stretches.next` has divided."""
+        """Add a block of lower and upper values (B,), which `Stretches.next` has divided."""
         if len(low):
             self.low[touched] = np.fmin(self.low[touched], np.fmin.reduceat(low, begins))
             self.high[touched] = np.fmax(self.high[touched], np.fmax.reduceat(high, begins))
 
 
 class VerdictsByStretch:
-    """The codes, from 0 to 15, that occur in each stretch of a sequence.
+    """The verdict codes, from 0 to 15, that occur in each stretch of a sequence.
 
     Attributes
     ----------
-    met : (count,) uint16 array
-        One bit for each code except 0.
+    bits : (count,) uint16 array
+        For each stretch, one bit for each code that occurs, except code 0.
     """
 
     def __init__(self, count: int) -> None:
-        self.met = np.zeros(count, np.uint16)
+        self.bits = np.zeros(count, np.uint16)
 
     def add(self, touched: slice, begins: NDArray[np.intp], codes: Codes) -> None:
-        """Add a block (B,) of codes that `Stretches.next` has divided."""
+        """Add a block of codes (B,), which `Stretches.next` has divided."""
         if codes.any():
             bits = np.left_shift(np.uint16(1), codes.astype(np.uint16)) & np.uint16(0xFFFE)
-            self.met[touched] |= np.bitwise_or.reduceat(bits, begins)
+            self.bits[touched] |= np.bitwise_or.reduceat(bits, begins)
 
     def runs(self, code: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the first stretch of each run of stretches in which a code occurs, and the stretch after the run."""
-        inside = np.append(np.append(False, self.met & (1 << code) != 0), False)
+        inside = np.append(np.append(False, self.bits & (1 << code) != 0), False)
         edges = np.flatnonzero(inside[1:] != inside[:-1])
         return edges[::2], edges[1::2]
 
@@ -106,14 +106,14 @@ class Means:
     Attributes
     ----------
     seen : (count,) float array
-        Number of values in each stretch.
+        Number of values in each stretch, without NaN.
     """
 
     def __init__(self, count: int) -> None:
         self.seen, self._total = np.zeros(count), np.zeros(count)
 
     def add(self, touched: slice, begins: NDArray[np.intp], values: Floats) -> None:
-        """Add a block of values (B,) that `Stretches.next` has divided."""
+        """Add a block of values (B,), which `Stretches.next` has divided."""
         if not len(values):
             return
         sizes = np.diff(np.append(begins, len(values)))

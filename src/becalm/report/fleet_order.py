@@ -12,9 +12,9 @@ from typing import NamedTuple
 from becalm.report.fleet_rows import FleetRow, counted, spaced
 
 DOUBTFUL = 2.0
-"""Factor by which a mean NIS may differ from 1. Beyond it, sigma is wrong by a factor of more than 1.4."""
+"""Largest factor by which a mean NIS may differ from 1; beyond it, sigma is wrong by a factor of more than 1.4."""
 
-_LOST = re.compile(r"\b(?:clipped|stuck|dead|drifting)\b")  # words of `faults_text` for `LOSSES`
+_LOST = re.compile(r"\b(?:clipped|stuck|dead|drifting)\b")  # the words that `faults_text` writes for `LOSSES`
 _DIGITS = re.compile(r"([0-9]+)")
 
 
@@ -24,11 +24,11 @@ class Trait(NamedTuple):
     Attributes
     ----------
     name, says : str
-        Name of one or two words, and a sentence that explains it.
+        The name, one or two words, and a sentence that explains the property.
     holds : callable
         Returns whether a row has the property.
     size : callable
-        Returns how bad such a row is, given the row and its channel's usual noise: larger is worse, NaN is unknown.
+        Returns how bad such a row is, from the row and its channel's usual noise. Larger is worse; NaN means unknown.
     """
 
     name: str
@@ -43,18 +43,18 @@ def _number(value: float | None) -> float:
 
 
 def _wrong(row: FleetRow, usual: float = math.nan) -> float:
-    """Return the magnitude of the logarithm of the mean NIS, which is 0 if sigma is right."""
+    """Return the absolute logarithm of the mean NIS, which is 0 if sigma is right; NaN if it is unknown."""
     nis = _number(row.health)
     return math.inf if nis == 0 else abs(math.log(nis)) if nis > 0 else math.nan
 
 
 def _lost(row: FleetRow, usual: float = math.nan) -> float:
-    """Return the share of readings that do not show the signal."""
+    """Return the share of readings that do not show the signal; NaN if it is unknown."""
     return 1 - _number(row.usable_share)
 
 
 def _noisy(row: FleetRow, usual: float) -> float:
-    """Return the logarithm of a channel's noise over the usual noise; NaN if one of them is unknown."""
+    """Return the logarithm of the ratio of a channel's noise to the usual noise; NaN if either is unknown."""
     noise_std = _number(row.noise_std)
     return math.log(noise_std) - math.log(usual) if 0 < noise_std < math.inf and usual > 0 else math.nan
 
@@ -90,7 +90,7 @@ TRAITS = (
     Trait("fits", "The model describes the signal.", lambda row: row.verdict == "fits", _noisy),
     Trait("kept", "Finished before, and unchanged since.", lambda row: row.state == "kept", lambda row, usual: 0.0),
 )
-"""All properties, the worst first. Every row has at least one; a row that is "kept" always has another one too."""
+"""All properties, the worst first. Every row has at least one; a row with "kept" has at least one other."""
 
 
 def badness(row: FleetRow, usual_noise_std: float = math.nan) -> tuple[int, float]:
@@ -103,16 +103,16 @@ def badness(row: FleetRow, usual_noise_std: float = math.nan) -> tuple[int, floa
     Parameters
     ----------
     row : FleetRow
-        Row to judge; a number that is None or NaN is unknown.
+        Row to judge; None or NaN means an unknown number.
     usual_noise_std : float, optional
-        Usual noise of such channels, from `usual_noise`, in unit.
+        Usual noise of channels with this name and unit, from `usual_noise`, in that unit.
 
     Returns
     -------
     place : int
-        Index in `TRAITS` of the worst property that the row has.
+        Index in `TRAITS` of the row's worst property.
     goodness : float
-        Order among rows of the same place; unknown values come last. It is never NaN, so that all rows can be sorted.
+        Order among rows with the same `place`: minus the `size` of the property, or inf if it is unknown; never NaN.
     """
     place, trait = next((place, trait) for place, trait in enumerate(TRAITS) if trait.holds(row))
     size = trait.size(row, usual_noise_std)
@@ -120,7 +120,7 @@ def badness(row: FleetRow, usual_noise_std: float = math.nan) -> tuple[int, floa
 
 
 def usual_noise(rows: Sequence[FleetRow]) -> Mapping[tuple[str, str], float]:
-    """Return the median noise of the channels that share a name and a unit, by (name, unit)."""
+    """Return, by (name, unit), the median noise of all channels with this name and unit."""
     noises: dict[tuple[str, str], list[float]] = defaultdict(list)
     for row in rows:
         if 0 < _number(row.noise_std) < math.inf:
@@ -129,7 +129,7 @@ def usual_noise(rows: Sequence[FleetRow]) -> Mapping[tuple[str, str], float]:
 
 
 def worst_first(rows: Sequence[FleetRow]) -> list[FleetRow]:
-    """Return the rows sorted, the most urgent first; equally urgent rows go by name, with sensor 2 before sensor 10."""
+    """Return the rows sorted, the most urgent first; equally urgent rows by name, with sensor 2 before sensor 10."""
     usual = usual_noise(rows)
     return sorted(rows, key=lambda row: (badness(row, usual.get((row.channel, row.unit), math.nan)), *_name_key(row)))
 
@@ -142,17 +142,17 @@ def _name_key(row: FleetRow) -> tuple[list[tuple[int, str]], str, str]:
 
 
 def summary(rows: Sequence[FleetRow], done: str = "cleaned") -> str:
-    """Return a sentence that counts the sensors of a fleet that are done, and those that need attention.
+    """Return a sentence with the number of finished sensors, and of those that need attention.
 
-    A sensor is done if none of its channels was refused. It does not fit, is faulty or is outlying if at least one of
-    its channels is.
+    A sensor is finished if none of its channels was refused. It counts as not fitting, faulty or outlying if at least
+    one of its channels has this property.
 
     Parameters
     ----------
     rows : sequence of FleetRow
-        Rows of every channel of every sensor.
+        A row for each channel of each sensor.
     done : str
-        Participle that says what was done to the sensors.
+        What was done to the sensors, as a participle: "cleaned" or "tuned".
     """
     if not rows:
         return "There is no sensor."
@@ -179,6 +179,6 @@ _REMARKS = (
 
 
 def _remark(sensors: Sequence[set[str]], trait: str, one: str, several: str) -> str:
-    """Return the count of sensors with a property, in words; empty if there are none."""
+    """Return the number of sensors with a property, and its words; empty if there are no such sensors."""
     count = sum(trait in traits for traits in sensors)
     return counted(count, one, several) if count else ""

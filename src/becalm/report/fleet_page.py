@@ -1,4 +1,4 @@
-"""Write the report on a fleet: one self-contained page of all its sensors, the worst first."""
+"""Make the report on a fleet: one self-contained HTML page with a row for each channel, the worst first."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.report.embedding import asset, packed, script
 from becalm.report.fleet_order import TRAITS, summary, worst_first
 from becalm.report.fleet_rows import FleetRow, spaced
 
-_TONES = {  # styles of the properties in `TRAITS`; the others have none
+_TONES = {  # CSS classes of properties in `TRAITS`; other properties have none
     "refused": "not",
     "does not fit": "not",
     "faulty": "not",
@@ -30,7 +30,7 @@ _TEXTS = ("sensor", "channel", "unit", "reason", "faults", "says", "recipe", "ou
 _NUMBERS = ("health", "noise_std", "rate_hz")
 _STYLES = ("figures.css", "page.css", "fleet/fleet.css")
 _SCRIPTS = ("colours.js", "numbers.js", *(f"fleet/{name}.js" for name in ("rows", "table", "strip", "main")))
-_MOST_NAMED = 6  # recipes that the page lists by name
+_MOST_NAMED = 6  # largest number of recipes that the page lists by name
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class FleetFacts:
     recipes : tuple of str
         Names of the recipes that were used.
     done : str
-        Participle that says what was done to the sensors.
+        What was done to the sensors, as a participle: "cleaned" or "tuned".
     """
 
     lake: str
@@ -69,7 +69,7 @@ class _Filter(NamedTuple):
     says: str
     tone: str
     rows: str  # number of such rows, as text
-    bit: int  # place of the property in `TRAITS`
+    bit: int  # index of the property in `TRAITS`
 
 
 def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
@@ -78,7 +78,7 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
     Parameters
     ----------
     rows : sequence of FleetRow
-        Rows of every channel of every sensor, in any order.
+        A row for each channel of each sensor, in any order.
     facts : FleetFacts
         Facts about the fleet.
     """
@@ -87,12 +87,12 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
         Environment(autoescape=True)
         .from_string(asset("fleet/fleet.html"))
         .render(
-            name=_unbroken(facts.lake),
+            name=_page_text(facts.lake),
             version=version(),
-            lead=_unbroken(summary(rows, facts.done)),
+            lead=_page_text(summary(rows, facts.done)),
             fact_lines=_fact_lines(facts),
             filters=_filters(sorted_rows),
-            total=_unbroken(spaced(len(sorted_rows))),
+            total=_page_text(spaced(len(sorted_rows))),
             rows=packed(_columns(sorted_rows).encode()),
             css="".join(asset(name) for name in _STYLES),
             js=script(*_SCRIPTS),
@@ -100,8 +100,8 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
     )
 
 
-def _unbroken(text: str) -> str:
-    """Return text that UTF-8 can encode, even if a folder's name cannot be, and whose numbers do not break."""
+def _page_text(text: str) -> str:
+    """Return a text that UTF-8 can encode, and with no-break spaces in numbers such as 10 000."""
     encodable = text.encode("utf-8", "replace").decode()
     return re.sub(r"(?<=\d) (?=\d{3}\b)", "\u202f", encodable)
 
@@ -111,23 +111,23 @@ def _fact_lines(facts: FleetFacts) -> list[tuple[str, str]]:
     more = len(facts.recipes) - _MOST_NAMED
     lines = [
         ("written to", facts.output),
-        ("began", _moment(facts.began)),
-        ("took", _lasting(facts.took_s)),
+        ("began", _time_text(facts.began)),
+        ("took", _duration_text(facts.took_s)),
         ("rows", spaced(facts.rows_total)),
         ("recipes" if len(facts.recipes) > 1 else "recipe", f"{recipes} and {more} more" if more > 0 else recipes),
     ]
-    return [(term, _unbroken(one)) for term, one in lines if one]
+    return [(term, _page_text(one)) for term, one in lines if one]
 
 
-def _moment(began: str) -> str:
-    """Return a time to the minute, or the text unchanged if it is not a time."""
+def _time_text(began: str) -> str:
+    """Return a time in ISO 8601 as a text with minutes, or the text unchanged if it is not a time."""
     try:
         return f"{datetime.fromisoformat(began):%Y-%m-%d %H:%M %Z}".strip()
     except ValueError:
         return began
 
 
-def _lasting(took_s: float | None) -> str:
+def _duration_text(took_s: float | None) -> str:
     """Return a duration in words."""
     if took_s is None:
         return ""
@@ -141,7 +141,7 @@ def _filters(rows: Sequence[FleetRow]) -> list[_Filter]:
     """Return a button for each property that at least one row has, with the number of such rows."""
     counts = [sum(trait.holds(row) for row in rows) for trait in TRAITS]
     return [
-        _Filter(trait.name, trait.says, _TONES.get(trait.name, ""), _unbroken(spaced(count)), bit)
+        _Filter(trait.name, trait.says, _TONES.get(trait.name, ""), _page_text(spaced(count)), bit)
         for bit, (trait, count) in enumerate(zip(TRAITS, counts, strict=True))
         if count
     ]

@@ -1,4 +1,4 @@
-"""Summarise each channel of a fleet in one row, so that a person finds the sensors that need attention."""
+"""Summarise each channel of a fleet in one row of the report."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ State = Literal["cleaned", "kept", "refused"]
 """What happened to a sensor; see `FleetRow.state`."""
 
 LOSSES = ("clipped", "stuck", "dead", "drift")
-"""Faults during which the readings do not show the signal; they are listed first."""
+"""Faults during which the readings do not show the signal; a list of faults begins with these."""
 
-_USABLE = ("used", "step", "late", "repeated", "gap")  # verdicts on readings that show the signal
+_USABLE = ("used", "step", "late", "repeated", "gap")  # verdicts of readings that show the signal
 _WORDS = {  # names of faults: singular and plural
     "spike": ("spike", "spikes"),
     "step": ("step", "steps"),
@@ -39,17 +39,17 @@ class FleetRow:
     sensor : str
         Path of the sensor within the lake, such as "plant=3/sensor=17".
     channel, unit : str
-        Name and unit in the recording; empty if the sensor was refused before they were known.
+        Name and unit of the channel; empty if the sensor was refused before they were read.
     state : {"cleaned", "kept", "refused"}
         "kept": finished in an earlier run, and unchanged since. "refused": no output was written.
     reason : str
-        A sentence that says why it was refused; empty if it was not.
+        A sentence that says why the sensor was refused; empty if it was not.
     verdict : Decision or ""
         Decision of `becalm.cleaning.judging.Judgement` on whether the model describes the channel; empty if not judged.
     health : float or None
         Mean square of the normalised innovations (NIS); 1 is right.
     noise_std : float or None
-        Standard deviation of one reading's white noise, in unit.
+        Standard deviation of one reading's white noise, in the channel's unit.
     usable_share : float or None
         Share of the readings, 0 to 1, that show the signal.
     faults : str
@@ -63,7 +63,7 @@ class FleetRow:
     rate_hz : float or None
         Rows per second.
     outlying : str
-        A sentence that says how it differs from the other sensors of its class; empty if it does not.
+        A sentence that says how the sensor differs from the others of its class; empty if it does not.
     """
 
     sensor: str
@@ -84,9 +84,7 @@ class FleetRow:
 
 
 def row_of(sensor: str, report: ChannelReport, *, recipe: str, rate_hz: float | None) -> FleetRow:
-    """Return the row of a cleaned channel.
-
-    `outlying`, the comparison with sensors of the same class, is empty; `dataclasses.replace` can add it.
+    """Return the row of a cleaned channel; its `outlying` is empty.
 
     Parameters
     ----------
@@ -123,7 +121,7 @@ def usable_share(verdicts: Mapping[str, int]) -> float | None:
 
 
 def faults_text(faults: Sequence[Fault]) -> str:
-    """Return a short list of faults, those of `LOSSES` first: "1 203 clipped, 2 gaps"."""
+    """Return faults as text, those in `LOSSES` first: "1 203 clipped, 2 gaps"."""
     ordered = sorted(faults, key=lambda fault: fault.what not in LOSSES)
     return ", ".join(counted(fault.readings, *_WORDS.get(fault.what, (fault.what, fault.what))) for fault in ordered)
 

@@ -1,4 +1,4 @@
-"""Gather the data for a recording's figures during cleaning, in memory that does not grow with the number of rows."""
+"""Gather the data for a recording's figures during cleaning, in memory independent of the number of rows."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from becalm.report.closeup import Closeup, Farthest, Middle
 from becalm.report.envelope import Cut, Envelope, Means, Stretches, VerdictsByStretch
 from becalm.report.spectra import RunningSpectrum
 
-_STRETCHES = 18_000  # of all channels together
-_FEWEST, _MOST = 300, 3000  # stretches of one channel
-_NIS_STRETCHES = 200  # most stretches over which the NIS is averaged
+_STRETCHES = 18_000  # approximate number of stretches of all channels together
+_FEWEST, _MOST = 300, 3000  # smallest and largest number of stretches of one channel
+_NIS_STRETCHES = 200  # largest number of stretches over which the NIS is averaged
 
 WIDTH = 2.0
-"""Half-width of the uncertainty band, in sigma."""
+"""Half-width of the uncertainty band, in multiples of sigma."""
 
 
 class FilteredRows(NamedTuple):
@@ -50,7 +50,7 @@ class Gathering:
     rows_each : int
         Rows in each stretch.
     times, nis_times : Envelope
-        Begin and end of each stretch, in seconds since the first row; `nis_times` has the longer stretches of the NIS.
+        Start and end of each stretch, in seconds since the first row; `nis_times` has the longer stretches of the NIS.
     channels : tuple of ChannelGathering
         Data of each channel, in order.
     """
@@ -66,8 +66,8 @@ class Gathering:
 
     @property
     def looks(self) -> Sequence[Judge]:
-        """Return, for each channel, the function that takes its innovations."""
-        return [channel.look for channel in self.channels]
+        """Return, for each channel, the function that receives its innovations."""
+        return [channel.add_innovations for channel in self.channels]
 
     def add(self, columns: Sequence[Floats], elapsed: Floats, estimates: Sequence[EstimatedRows]) -> None:
         """Add the next rows of all channels.
@@ -75,7 +75,7 @@ class Gathering:
         Parameters
         ----------
         columns : sequence of (B,) float arrays
-            Unfiltered readings, one array for each channel.
+            Readings, one array for each channel.
         elapsed : (B,) float array
             Steps since the previous row.
         estimates : sequence of EstimatedRows
@@ -104,16 +104,16 @@ class ChannelGathering:
     step_s : float
         Length of one step in seconds.
     stretches : int
-        Number of stretches that the rows are divided into.
+        Number of stretches into which the rows are divided.
 
     Attributes
     ----------
     readings, clean, band : Envelope
-        Envelopes of the readings, of the signal, and of the band of ± `WIDTH` sigma around it, in unit.
+        Envelopes, in the channel's unit, of the readings, of the signal, and of the signal ± `WIDTH` sigma.
     kinds : VerdictsByStretch
         Verdicts on the readings.
     before : RunningSpectrum
-        Spectrum of the readings; the signal replaces missing ones.
+        Spectrum of the readings; the signal replaces missing readings.
     after : RunningSpectrum
         Spectrum of the signal.
     closeups : tuple of Closeup
@@ -131,7 +131,7 @@ class ChannelGathering:
         self.nis = Means(self._nis_stretches.count)
 
     def add(self, rows: FilteredRows, cuts: Sequence[tuple[slice, Cut]]) -> None:
-        """Add the next rows, in parts; each part comes with its division into stretches."""
+        """Add the next rows; `cuts` has parts of the rows, each with its division into stretches."""
         times_s, z, estimates = rows
         for part, cut in cuts:
             self._enclose(z[part], estimates.rows(part), cut)
@@ -147,7 +147,7 @@ class ChannelGathering:
         self.band.add(*cut, estimates.signal - half, estimates.signal + half)
         self.kinds.add(*cut, estimates.verdicts)
 
-    def look(self, innovations: Floats, innovation_sigma: Floats) -> None:
+    def add_innovations(self, innovations: Floats, innovation_sigma: Floats) -> None:
         """Add the next innovations (B,) and their standard deviations, NaN where there is no innovation."""
         for part in _parts(len(innovations)):
             normalised = innovations[part] / innovation_sigma[part]
@@ -155,12 +155,12 @@ class ChannelGathering:
 
 
 def _parts(rows: int) -> list[slice]:
-    """Divide rows into parts that fit into the cache."""
+    """Divide rows into parts that fit into the processor's cache."""
     return [slice(start, min(start + PIECE, rows)) for start in range(0, rows, PIECE)]
 
 
 def _plausible(z: Floats, estimates: EstimatedRows) -> Floats:
-    """Replace infinite and overrange readings by NaN: they would stretch the axis until all others look flat."""
+    """Replace infinite and overrange readings by NaN, because they would extend the axis until others look flat."""
     if not estimates.verdicts.any():
         return z
     impossible = np.isin(estimates.verdicts, (Verdict.NONFINITE, Verdict.OVERRANGE))

@@ -8,11 +8,11 @@ from becalm.core.arrays import Floats
 from becalm.metrics.whiteness import MOST_LAGS, LaggedSums, judge_whiteness, smoothed_power
 from becalm.report.description import Axis, Curve, Figure, Layer, Rule
 from becalm.report.envelope import Envelope, Means
-from becalm.report.pictures import TIME, Title, parted
+from becalm.report.pictures import TIME, Title, break_at_pauses
 
-_WITHIN = 1.96  # half-width of a 95 % limit, in standard deviations
-_SHARE = 0.025  # probability outside a 95 % limit, on each side
-_READINGS_A_LAG = 8  # innovations for each lag: the autocorrelation of few innovations has few lags
+_WITHIN = 1.96  # half-width of a 95 % interval, in standard deviations
+_SHARE = 0.025  # probability outside a 95 % interval, on each side
+_READINGS_A_LAG = 8  # smallest number of innovations for each lag of the autocorrelation
 
 
 def innovation_figures(
@@ -49,7 +49,7 @@ def innovation_figures(
 
 
 def _correlations(sums: LaggedSums) -> Floats:
-    """Return the autocorrelation (k,) of the innovations at lags 1 to 32, or to fewer if there are few innovations."""
+    """Return the autocorrelation (k,) of innovations at lags 1 to 32, or to a smaller lag if there are few of them."""
     covariance = sums.about_mean(min(MOST_LAGS, sums.seen // _READINGS_A_LAG))
     return covariance[1:] / covariance[0] if covariance[0] > 0 else np.zeros(0)
 
@@ -93,7 +93,7 @@ def _nis(title: Title, times: Envelope, nis: Means) -> Figure:
     seen, mean = nis.seen, nis.result()
     degrees = np.maximum(seen, 1)
     upper, lower = (np.where(seen > 0, chdtri(degrees, share) / degrees, np.nan) for share in (_SHARE, 1 - _SHARE))
-    x, mean, upper, lower = parted(times.low, mean, upper, lower)
+    x, mean, upper, lower = break_at_pauses(times.low, mean, upper, lower)
     layers = (
         Curve("normalised innovation squared", x, mean, "clean"),
         Curve("95 % where sigma is right", x, upper, "limit", "dashed"),

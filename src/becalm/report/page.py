@@ -1,4 +1,4 @@
-"""Write the report on a recording: one self-contained page that needs no network."""
+"""Make the report on a recording: one self-contained HTML page that needs no network."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from becalm.report.printing import can_print, printed
 from becalm.report.vendor import uplot
 
 MOST_PICTURED = 8
-"""Maximum number of channels with figures, which keeps a page small; the table lists all channels."""
+"""Largest number of channels with figures, so that a page stays small; the table lists all channels."""
 
 _HEADINGS = ("model", "noise", "bandwidth", "lag", "described by its model")
 _TONES = {"fits": "fits", "fits except": "except", "does not fit": "not"}
@@ -35,7 +35,7 @@ class Facts:
     Attributes
     ----------
     name : str
-        Name of the file, or another name of the recording.
+        Name of the file, or of the recording if it is not a file.
     sha256 : str
         Hash of the file; empty if the recording is not a file.
     """
@@ -63,31 +63,31 @@ class Addition(NamedTuple):
 class _Line(NamedTuple):
     """A row of the table of channels."""
 
-    anchor: str
+    anchor: str  # id of the channel's section; "" if it has none
     name: str
     cells: tuple[str, ...]
-    tone: str
+    tone: str  # CSS class of the verdict; "" for none
 
 
 class _Section(NamedTuple):
-    """The part of the page about one channel."""
+    """The section of the page about one channel."""
 
-    anchor: str
+    anchor: str  # id of its element
     name: str
-    tone: str
-    says: str
-    words: str
+    tone: str  # CSS class of the verdict; "" for none
+    says: str  # the judgement
+    words: str  # a sentence that describes the filter
     tables: tuple[Cells, ...]
-    numbers: tuple[tuple[str, str], ...]
+    numbers: tuple[tuple[str, str], ...]  # names and values
     figures: tuple[tuple[Figure, str, str], ...]  # each with "wide" or "narrow", and its zoom group
-    printed: tuple[str, ...]
+    printed: tuple[str, ...]  # SVG figures for print, packed
 
 
 def page_of(
     facts: Facts,
     recipe: Recipe,
     pictures: Pictures,
-    beside: Sequence[Addition] = (),
+    additions: Sequence[Addition] = (),
 ) -> str:
     """Return the report on a cleaned recording, as HTML.
 
@@ -99,8 +99,8 @@ def page_of(
         Recipe that the recording was cleaned with.
     pictures : Pictures
         Figures of the channels.
-    beside : sequence of Addition
-        Additional tables and figures, one entry for each channel; none by default.
+    additions : sequence of Addition
+        Additional tables and figures, one item for each channel; none by default.
 
     Raises
     ------
@@ -108,9 +108,9 @@ def page_of(
         If uPlot is absent, because becalm was never installed.
     """
     reports = pictures.reports
-    numbers = _pictured(reports)
+    numbers = _channels_to_draw(reports)
     drawn = {number: pictures.channel(number) for number in numbers}
-    sections = [_section(drawn[number], number, beside[number] if beside else Addition()) for number in numbers]
+    sections = [_section(drawn[number], number, additions[number] if additions else Addition()) for number in numbers]
     uplot_js, uplot_css = uplot()
     template = Environment(autoescape=True).from_string(asset("page.html"))
     return template.render(
@@ -132,8 +132,8 @@ def page_of(
     )
 
 
-def _pictured(reports: Sequence[ChannelReport]) -> list[int]:
-    """Return the channels to draw, in order; those that their models do not describe are preferred."""
+def _channels_to_draw(reports: Sequence[ChannelReport]) -> list[int]:
+    """Return the indices of the channels to draw, in order; prefer channels that their models do not describe."""
     first = sorted(range(len(reports)), key=lambda number: reports[number].describes)
     return sorted(first[:MOST_PICTURED])
 
@@ -209,17 +209,17 @@ def _section(drawn: Pictured, number: int, extra: Addition) -> _Section:
         extra.tables,
         _numbers(report),
         tuple(placed),
-        _printed(drawn, extra),
+        _draw_for_print(drawn, extra),
     )
 
 
 def _at_once(figure: Figure) -> bool:
-    """Return whether a figure shows the whole record; such figures of a channel zoom together."""
+    """Return whether a figure shows the whole record over time; such figures of a channel zoom together."""
     return figure.name.endswith(("-signal", "-verdicts"))
 
 
 def _numbers(report: ChannelReport) -> tuple[tuple[str, str], ...]:
-    """Return the numbers of a channel's report that are known, each with its name."""
+    """Return the known numbers of a channel's report as text, each with its name."""
     values: list[tuple[str, float | None, str]] = [
         ("noise of a reading", report.noise_std, report.unit),
         ("bandwidth", report.bandwidth_hz, "Hz"),
@@ -242,7 +242,7 @@ def _percent(share: float | None) -> float | None:
     return None if share is None else 100 * share
 
 
-def _printed(drawn: Pictured, extra: Addition) -> tuple[str, ...]:
+def _draw_for_print(drawn: Pictured, extra: Addition) -> tuple[str, ...]:
     """Draw the same figures for print, if matplotlib is installed."""
     if not can_print():
         return ()

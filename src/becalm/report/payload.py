@@ -1,4 +1,4 @@
-"""Encode figures as JSON for the page: each array once, in base64; x values as float64, y values as float32."""
+"""Encode figures as JSON for the page, with each array once, as base64: x as float64, y as float32."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from becalm.core.arrays import Floats
 from becalm.report.description import Axis, Band, DrawnSurface, Figure, Lane, Layer, Rule
 
 _LEAST, _MOST = 1e-30, 1e30  # magnitudes that float32 can hold with full precision
-_NEAR = 0.1  # values whose range is below this share of the first one would lose digits: the first is subtracted
+_NEAR = 0.1  # values with a smaller range, relative to the first value, are stored as differences from it
 
 
 class _Arrays:
@@ -21,7 +21,7 @@ class _Arrays:
 
     def __init__(self) -> None:
         self.encoded: list[dict[str, object]] = []
-        self._places: dict[tuple[int, bool], tuple[int, Floats]] = {}  # keeps each array alive: its id stays unique
+        self._places: dict[tuple[int, bool], tuple[int, Floats]] = {}  # a reference keeps each id unique
 
     def place(self, values: Floats, *, exact: bool) -> int:
         """Return the index of an array; exact arrays are stored as float64, others as float32 if possible."""
@@ -33,7 +33,7 @@ class _Arrays:
 
 
 def _encoded(values: Floats, exact: bool) -> dict[str, object]:
-    """Return an array as text; an offset that would cost digits in float32 is stored separately."""
+    """Return an array as base64; in float32, a large offset is stored separately, so that no digits are lost."""
     finite = values[np.isfinite(values)]
     largest = float(np.abs(finite).max(initial=0.0))
     if exact or (largest and not _LEAST < largest < _MOST):

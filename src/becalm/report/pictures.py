@@ -19,12 +19,12 @@ from becalm.report.gathering import WIDTH, ChannelGathering
 TIME = Axis("time since the first row (s)")
 
 _LONGEST_SLUG, _LONGEST_NAME = 40, 40  # characters
-_PAUSE = 4.0  # longest step in time that is not a pause, in median steps
+_PAUSE = 4.0  # a longer step in time is a pause; in median steps
 _POINTS = 240  # points of a spectrum, evenly spaced in the logarithm of frequency
 
 
 class Title(NamedTuple):
-    """The names of a channel that is drawn."""
+    """The names of a channel in its figures."""
 
     slug: str  # prefix of the names of its figures
     name: str
@@ -32,7 +32,7 @@ class Title(NamedTuple):
 
     @property
     def short(self) -> str:
-        """Return the channel's name, cut to fit next to an axis."""
+        """Return the channel's name, shortened to fit next to an axis."""
         return self.name if len(self.name) <= _LONGEST_NAME else f"{self.name[: _LONGEST_NAME - 1]}…"
 
     @property
@@ -44,12 +44,12 @@ class Title(NamedTuple):
 
 
 def _normalised(unit: str) -> str:
-    """Return a unit in one spelling of powers and of micro, for comparison."""
+    """Return a unit with a uniform spelling of powers and of micro, for comparison."""
     return unicodedata.normalize("NFKC", unit).replace("^", "").replace("μ", "u").strip()
 
 
 def slug_of(number: int, name: str) -> str:
-    """Return the prefix of the names of a channel's figures, unique by the channel's number, from 0 on."""
+    """Return the prefix of the names of a channel's figures; `number`, from 0, makes it unique."""
     return f"{number + 1}-{re.sub('[^a-z0-9]+', '-', name.lower()).strip('-')[:_LONGEST_SLUG]}".strip("-")
 
 
@@ -68,10 +68,10 @@ def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) ->
     Returns
     -------
     tuple of Figure
-        One figure, or two if any reading was not used.
+        The signal, and the verdicts if any occurred other than "used".
     """
     edges = [edge for of in (gathered.readings, gathered.band, gathered.clean) for edge in (of.low, of.high)]
-    x, *y = parted(times.low, *edges)
+    x, *y = break_at_pauses(times.low, *edges)
     bands = (
         Band("readings", x, y[0], y[1], "readings"),
         Band(f"± {WIDTH:g} sigma", x, y[2], y[3], "clean", faint=True),
@@ -86,7 +86,7 @@ def signal_figures(title: Title, times: Envelope, gathered: ChannelGathering) ->
     return drawn, Figure(f"{title.slug}-verdicts", f"{title.short}: verdicts", whole, Axis(""), lanes, caption)
 
 
-def parted(times_s: Floats, *heights: Floats) -> tuple[Floats, ...]:
+def break_at_pauses(times_s: Floats, *heights: Floats) -> tuple[Floats, ...]:
     """Insert NaN into each pause, so that no line is drawn where there are no rows.
 
     Parameters
@@ -101,22 +101,22 @@ def parted(times_s: Floats, *heights: Floats) -> tuple[Floats, ...]:
     tuple of float array
         The times and the heights; the same arrays if there is no pause.
     """
-    usual = _usual(times_s)
+    usual = _median_step(times_s)
     before = np.flatnonzero(np.diff(times_s) > _PAUSE * usual)
     if not len(before):
         return times_s, *heights
     return np.insert(times_s, before + 1, times_s[before] + usual), *(np.insert(y, before + 1, np.nan) for y in heights)
 
 
-def _usual(times_s: Floats) -> float:
+def _median_step(times_s: Floats) -> float:
     """Return the median step in time, in seconds; inf if there is none."""
     steps = np.diff(times_s)
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
 
 
 def _lanes(times: Envelope, gathered: ChannelGathering) -> list[Lane]:
-    ends = np.append(times.low[1:], times.high[-1])  # a stretch lasts until the next one, but not across a pause
-    ends = np.minimum(ends, times.high + _usual(times.low))
+    ends = np.append(times.low[1:], times.high[-1])  # a stretch lasts until the next one begins, but not across a pause
+    ends = np.minimum(ends, times.high + _median_step(times.low))
     lanes = []
     for verdict in Verdict:
         first, after = gathered.kinds.runs(verdict)
@@ -126,7 +126,7 @@ def _lanes(times: Envelope, gathered: ChannelGathering) -> list[Lane]:
 
 
 def closeup_figures(title: Title, gathered: ChannelGathering) -> tuple[Figure, ...]:
-    """Draw the close-ups, in which each reading is visible."""
+    """Draw the close-ups, in which every single reading is visible."""
     return tuple(
         _closeup(title, number, rows) for number, rows in enumerate(gathered.closeups, start=1) if rows.kept.size
     )
@@ -135,7 +135,7 @@ def closeup_figures(title: Title, gathered: ChannelGathering) -> tuple[Figure, .
 def _closeup(title: Title, number: int, rows: Closeup) -> Figure:
     times_s, z, signal, sigma = rows.kept
     half = WIDTH * np.where(np.isfinite(sigma), sigma, np.nan)
-    times_s, z, signal, half = parted(times_s, z, signal, half)
+    times_s, z, signal, half = break_at_pauses(times_s, z, signal, half)
     layers: tuple[Layer, ...] = (
         Curve("readings", times_s, z, "readings"),
         Band(f"± {WIDTH:g} sigma", times_s, signal - half, signal + half, "clean", faint=True),
@@ -145,19 +145,19 @@ def _closeup(title: Title, number: int, rows: Closeup) -> Figure:
 
 
 def spectrum_figure(title: Title, gathered: ChannelGathering) -> Figure | None:
-    """Draw the spectra of readings and signal; None if no segment was complete or the readings never change."""
+    """Draw the spectra of readings and signal; None if no segment was complete, or all readings are equal."""
     before, after = gathered.before.result(), gathered.after.result()
     if before is None or after is None or not before.density.any():
         return None
     unit = f"density (({title.unit})²/Hz)" if title.unit else "density (1/Hz)"
-    layers = (_drawn("readings", before, "readings"), _drawn("signal", after, "clean"))
+    layers = (_spectrum_curve("readings", before, "readings"), _spectrum_curve("signal", after, "clean"))
     caption = "Where the lines agree, the filter keeps the readings as signal; where they differ, it removes noise."
     axis = Axis(unit, log=True)
     return Figure(f"{title.slug}-spectrum", "Spectra", Axis("frequency (Hz)", log=True), axis, layers, caption)
 
 
-def _drawn(name: str, spectrum: Spectrum, role: Role) -> Curve:
-    """Return a spectrum as a curve, averaged in bins of equal width in the logarithm of frequency."""
+def _spectrum_curve(name: str, spectrum: Spectrum, role: Role) -> Curve:
+    """Return a spectrum as a curve, averaged in bins that have equal widths in the logarithm of frequency."""
     f, density = spectrum
     edges = np.geomspace(f[0], f[-1] * (1 + 1e-9), _POINTS + 1)
     first = np.unique(np.searchsorted(f, edges[:-1]))

@@ -29,21 +29,21 @@ Kind = Literal["png", "svg", "pdf"]
 
 COLOURS: dict[Role, str] = {"readings": "#9aa5b1", "clean": "#0f62c4", "truth": "#101820", "limit": "#101820"}
 OTHERS = ("#d55e00", "#117733", "#aa4499", "#8a6d00", "#2a9d9d", "#5b4a9c")
-"""Colours that colour-blind people can distinguish too."""
+"""Colours of "other" layers, which colour-blind people can distinguish."""
 
-_NUMBERS = 6  # numbers along an axis, at most: each takes time to draw
+_NUMBERS = 6  # largest number of tick labels of an axis; each takes time to draw
 _LOOKS = {"line": "-", "dashed": "--", "dotted": ":", "points": "none"}
 _MARKERS = "osD^"  # different shapes, so that points at the same place can be distinguished
 _WIDTH, _HEIGHT, _SQUARE, _LANE = 7.5, 1.85, 2.6, 0.16  # inches: sheet width; height of axes, of a surface, of a lane
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.8, 0.15, 0.3, 0.45  # margins around the axes of a figure, in inches
-_SCALE = 0.55  # room for the colour bar of a surface, in inches
+_SCALE = 0.55  # width of the colour bar of a surface, in inches
 _ENTRY, _MARK, _LETTER = 0.16, 0.42, 0.062  # inches in a legend: height of an entry, width of its mark, of a letter
-_NARROW = 100.0  # ratio of the limits below which a logarithmic axis shows more than powers of ten
-_EDGE = 0.15  # share of the axes' width that counts as near an edge
-_ABOVE = 1.05  # height of the axis, relative to that of the highest value
-_STRETCHES = 400  # stretches of a band; print cannot show more
+_NARROW = 100.0  # ratio of limits below which a logarithmic axis has labels between powers of ten
+_EDGE = 0.15  # share of the axes' width, on each side, that counts as near an edge
+_ABOVE = 1.05  # height of an axis, relative to the highest value on it
+_STRETCHES = 400  # largest number of stretches of a band, because print cannot show more
 _TAG = re.compile(rb"<[^<>]*>")
-_TOO_FINE = re.compile(rb"(\d\.\d\d)\d+")  # digits below a hundredth of a point
+_TOO_FINE = re.compile(rb"(\d\.\d\d)\d+")  # digits beyond hundredths of a point
 _SETTINGS: Any = {
     "svg.hashsalt": "becalm",  # the same figure gives the same bytes
     "svg.fonttype": "none",
@@ -70,7 +70,7 @@ def can_print() -> bool:
 
 
 def load_meanwhile() -> None:
-    """Load matplotlib in a thread, if it is installed; loading takes a second, and other work goes on meanwhile."""
+    """Import matplotlib in a thread, if it is installed; the import takes a second, in which other work continues."""
     if can_print():
         Thread(target=import_module, args=["matplotlib.figure"], daemon=True).start()
 
@@ -82,7 +82,7 @@ def refuse_unprintable() -> None:
 
 
 def printed(figures: Sequence[Figure], kind: Kind = "svg", columns: int = 1) -> bytes:
-    """Draw figures onto one sheet and return the file's bytes.
+    """Draw figures on one sheet, and return the bytes of its file.
 
     Parameters
     ----------
@@ -109,26 +109,26 @@ def printed(figures: Sequence[Figure], kind: Kind = "svg", columns: int = 1) -> 
     downs = [max(room.down for room in row) for row in rooms]
     heights = _TOP + np.add(ups, downs)
     total = float(heights.sum())
-    with rc_context(_SETTINGS), _nothing_collected():
+    with rc_context(_SETTINGS), _without_garbage_collection():
         sheet = Sheet(figsize=(_WIDTH, total))
         feet = total - np.cumsum(heights)
         for row, row_rooms, up, down, foot in zip(rows, rooms, ups, downs, feet, strict=True):
             for column, (figure, room) in enumerate(zip(row, row_rooms, strict=True)):
-                # positions are in inches: matplotlib's automatic layout takes as long as drawing
+                # positions are computed here, because matplotlib's automatic layout takes as long as drawing
                 left = column * width + _LEFT
                 place = left / _WIDTH, (foot + down) / total, room.across / _WIDTH, up / total
                 _draw(axes := sheet.add_axes(place), figure)
                 _annotate(axes, figure, -_BOTTOM / up, room.entries)
         file = io.BytesIO()
         with catch_warnings():
-            filterwarnings("ignore", message="Glyph")  # the font lacks letters of a name; SVG keeps them as text
+            filterwarnings("ignore", message="Glyph")  # the font may lack letters of a name; SVG stores them as text
             sheet.savefig(file, format=kind, dpi=150, metadata=_UNDATED[kind])
-    return _TAG.sub(_rounded, file.getvalue()) if kind == "svg" else file.getvalue()
+    return _TAG.sub(_round_numbers, file.getvalue()) if kind == "svg" else file.getvalue()
 
 
 @contextmanager
-def _nothing_collected() -> Iterator[None]:
-    """Switch off garbage collection, which takes a seventh of the time: a sheet has many small objects."""
+def _without_garbage_collection() -> Iterator[None]:
+    """Disable garbage collection in a `with`; a sheet has so many objects that it takes a seventh of the time."""
     was = gc.isenabled()
     gc.disable()
     try:
@@ -138,13 +138,13 @@ def _nothing_collected() -> Iterator[None]:
             gc.enable()
 
 
-def _rounded(tag: re.Match[bytes]) -> bytes:
+def _round_numbers(tag: re.Match[bytes]) -> bytes:
     """Round coordinates within a tag; the text between tags is not changed."""
     return _TOO_FINE.sub(rb"\1", tag[0])
 
 
 class _Room(NamedTuple):
-    """The room that a figure takes on a sheet."""
+    """The size of a figure on a sheet."""
 
     across: float  # width of its axes in inches
     up: float  # height of its axes in inches
@@ -153,7 +153,7 @@ class _Room(NamedTuple):
 
     @classmethod
     def of(cls, figure: Figure, width: float) -> _Room:
-        kinds, names = [type(layer) for layer in figure.layers], _named(figure)
+        kinds, names = [type(layer) for layer in figure.layers], _legend_names(figure)
         lanes = kinds.count(Lane)
         across, up = width - _LEFT - _RIGHT, _LANE * lanes if lanes else _HEIGHT
         if DrawnSurface in kinds:
@@ -164,8 +164,8 @@ class _Room(NamedTuple):
         return cls(across, up, _BOTTOM + _ENTRY * -(-len(names) // entries), entries)
 
 
-def _named(figure: Figure) -> list[str]:
-    """Return the names for the legend."""
+def _legend_names(figure: Figure) -> list[str]:
+    """Return the names of layers in the legend; none for a figure with one layer."""
     if len(figure.layers) < 2:
         return []
     return [layer.name for layer in figure.layers if isinstance(layer, Curve | Band | Rule) and layer.name]
@@ -189,7 +189,7 @@ def _draw(axes: Axes, figure: Figure) -> None:
 
 
 def _annotate(axes: Axes, figure: Figure, legend_height: float, entries: int) -> None:
-    """Set titles, scales, limits and numbers of the axes, and draw the legend.
+    """Set titles, scales, limits and tick labels of the axes, and draw the legend.
 
     Parameters
     ----------
@@ -200,14 +200,14 @@ def _annotate(axes: Axes, figure: Figure, legend_height: float, entries: int) ->
     legend_height : float
         Top of the legend, as a share of the axes' height; negative below them.
     entries : int
-        Entries in a line of the legend; 0 for no legend.
+        Number of entries in a line of the legend; 0 for no legend.
     """
     from matplotlib.ticker import MaxNLocator
 
     if not any(isinstance(layer, Curve) and layer.look == "points" for layer in figure.layers):
-        axes.margins(x=0)  # figures with the same time axis are aligned
+        axes.margins(x=0)  # no margins, so that figures with the same time axis are aligned
     axes.set(title=figure.title, xlabel=figure.x.label, ylabel=figure.y.label)
-    x_log, y_log = (figure.x.log, figure.y.log) & np.isfinite(axes.dataLim.minpos)  # only with a positive value
+    x_log, y_log = (figure.x.log, figure.y.log) & np.isfinite(axes.dataLim.minpos)  # only if there is a positive value
     axes.set(xscale="log" if x_log else "linear", yscale="log" if y_log else "linear")
     axes.set(xlim=(figure.x.low, figure.x.high), ylim=(figure.y.low, figure.y.high))
     _leave_room_above(axes, figure.y.low, figure.y.high)
@@ -229,20 +229,20 @@ def _annotate(axes: Axes, figure: Figure, legend_height: float, entries: int) ->
 
 
 def _leave_room_above(axes: Axes, low: float | None, high: float | None) -> None:
-    """Leave room above the highest value if the axis has a lower limit but no upper one."""
+    """Leave room above the highest value, if the axis has a lower limit but no upper limit."""
     highest = axes.dataLim.y1
     if low is not None and high is None and np.isfinite(highest) and highest > low:
         axes.set_ylim(top=low + _ABOVE * (highest - low))
 
 
 def _number(axis: Axis) -> None:
-    """Choose the numbers along a logarithmic axis."""
+    """Choose the tick labels of a logarithmic axis."""
     from matplotlib.ticker import LogLocator
 
     axis.set_major_formatter("{x:g}")  # mathematical typesetting of powers takes a third of the time
     low, high = axis.get_view_interval()
     if high < _NARROW * low:
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))  # falls back to even steps if these are too few
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))  # matplotlib uses even steps if these are too few
 
 
 def _colour(layer: Curve | Band | Rule, others: Iterator[str]) -> str:
@@ -251,7 +251,7 @@ def _colour(layer: Curve | Band | Rule, others: Iterator[str]) -> str:
 
 def _draw_band(axes: Axes, layer: Band, colour: str) -> None:
     edge: dict[str, Any] = {"alpha": 0.25, "linewidth": 0} if layer.faint else {"linewidth": 0.6}
-    axes.fill_between(*_thinned(layer), color=colour, label=layer.name or None, **edge)
+    axes.fill_between(*_thin_band(layer), color=colour, label=layer.name or None, **edge)
 
 
 def _draw_curve(axes: Axes, layer: Curve, colour: str, markers: Iterator[str]) -> None:
@@ -266,7 +266,7 @@ def _draw_curve(axes: Axes, layer: Curve, colour: str, markers: Iterator[str]) -
 
 
 def _label(axes: Axes, layer: Curve) -> None:
-    """Write the names of points above them; near an edge, shift the text so that it stays inside."""
+    """Write the labels of points above the points; near an edge of the axes, shift a label so that it stays inside."""
     for text, *place in zip(layer.labels, layer.x, layer.y, strict=False):
         if np.isfinite(place).all():
             share = axes.transAxes.inverted().transform(axes.transData.transform(place))[0]
@@ -274,7 +274,7 @@ def _label(axes: Axes, layer: Curve) -> None:
             axes.annotate(text, tuple(place), xytext=(0, 5), textcoords="offset points", ha=side, fontsize=8)
 
 
-def _thinned(band: Band) -> tuple[Floats, Floats, Floats]:
+def _thin_band(band: Band) -> tuple[Floats, Floats, Floats]:
     """Return a band reduced to at most `_STRETCHES` stretches."""
     each = [Envelope.of(values, _STRETCHES) for values in (band.x, band.low, band.high)]
     return (each[0].low + each[0].high) / 2, each[1].low, each[2].high
@@ -282,7 +282,7 @@ def _thinned(band: Band) -> tuple[Floats, Floats, Floats]:
 
 def _draw_surface(axes: Axes, layer: DrawnSurface) -> None:
     place = (layer.x, layer.y, layer.height.T)
-    grey = "Greys"  # other layers, drawn on top, have colours
+    grey = "Greys"  # grey, because the layers on top have colours
     filled: Any
     if layer.by_point:
         filled = axes.pcolormesh(*place, cmap=grey, shading="nearest", rasterized=True)

@@ -32,8 +32,8 @@ def pictures_of(recording: Recording, recipe: Recipe) -> Pictures:
     chosen, time = recording.select(names), recording.timebase
     columns = [np.ascontiguousarray(chosen.channel(name)) for name in names]
     gathering = Gathering(len(chosen), time.step_s, len(names))
-    looks = [channel.look for channel in gathering.channels]
-    with Cleaner(recipe, time.step_s, looks=looks) as cleaner:
+    looks = [channel.add_innovations for channel in gathering.channels]
+    with Cleaner(recipe, time.step_s, innovation_callbacks=looks) as cleaner:
         for estimates in (*cleaner.push(columns, time.elapsed_steps), *cleaner.finish()):
             gathering.add(columns, time.elapsed_steps, estimates)
         return Pictures(CleanedChannels(recipe, cleaner.reports(), gathering, time.step_s))

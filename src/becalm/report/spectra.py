@@ -9,14 +9,14 @@ from becalm.core.arrays import Floats
 from becalm.metrics.spectrum import Spectrum
 
 _LONGEST, _SHORTEST = 4096, 16  # samples in a segment
-_FEWEST = 8  # segments of a short record
-_MOST = 256  # segments of a long record
+_FEWEST = 8  # number of segments, without overlap, of a short record
+_MOST = 256  # approximate number of segments of a long record
 
 
 class RunningSpectrum:
     """Welch's estimate of the spectrum of a sequence that arrives in blocks.
 
-    A long sequence contributes about 256 segments at equal distances, or one for each block if it has more blocks.
+    Of a long sequence, about 256 segments at equal distances are used, or one of each block if there are more blocks.
     Segments with a missing value, and segments across the border of two blocks, are left out.
 
     Parameters
@@ -42,7 +42,7 @@ class RunningSpectrum:
         self._segments = 0
 
     def add(self, values: Floats, instead: Floats | None = None) -> None:
-        """Add a block of values (B,), NaN where missing; values of `instead` (B,) replace missing ones."""
+        """Add a block of values (B,), NaN where missing; values of `instead` (B,) replace the missing values."""
         if len(values) < self._segment:
             return
         segments = self._spread(values)

@@ -1,4 +1,4 @@
-"""Load uPlot, which draws the figures of a report. `hatch_build.py` copies its files into this package."""
+"""Load the files of uPlot, which draws the figures of a report. `hatch_build.py` copies them into this package."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from becalm.sensors.checks import finite_array, positive
 CLIPPED = 0.999
 """Fraction of full scale at and above which a reading counts as clipped."""
 
-_MOST_BITS = 64  # of a converter
-_SINGULAR = 1e-6  # smallest over largest singular value; below it the axes do not span the space
+_MOST_BITS = 64  # highest resolution of a converter
+_SINGULAR = 1e-6  # smallest over largest singular value, below which the axes do not span the space
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +93,8 @@ def sensitivity_matrix(sensitivities: ArrayLike, cross_axis_percent: ArrayLike |
 
     Notes
     -----
-    Many data sheets give one transverse percentage t without a direction. That is not a matrix but an uncertainty:
-    t / sqrt(2) of the acceleration across the axis.
+    Many data sheets give one transverse percentage t without a direction. Such a figure does not give a
+    matrix but an uncertainty: t / sqrt(2) of the acceleration across the axis.
     """
     size = len(np.atleast_1d(np.asarray(sensitivities)))
     along = finite_array("sensitivities", sensitivities, (size,))
@@ -112,7 +112,7 @@ class FullScale(NamedTuple):
     high: float
 
     def clipped(self, readings: Floats) -> Booleans:
-        """Return which readings, of any shape, are at or beyond 0.999 of full scale, measured from its middle."""
+        """Return which readings, of any shape, reach 0.999 of full scale, measured from the middle of the range."""
         middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
         return np.asarray(np.abs(readings - middle) >= CLIPPED * half)
 

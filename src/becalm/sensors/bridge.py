@@ -26,7 +26,7 @@ _WITH_POISSON = ("half I", "full II", "full III")  # configurations with gauges 
 
 
 class _Terms(NamedTuple):
-    """Coefficients of the strain equation of one circuit, see the module."""
+    """Coefficients of the strain equation of one circuit; see the docstring of the module."""
 
     c: float
     d0: float
@@ -34,7 +34,7 @@ class _Terms(NamedTuple):
 
 
 class Shunt(NamedTuple):
-    """A shunt calibration: a resistor across a gauge in tension, and the reading with it.
+    """A shunt calibration: a resistor across a gauge in tension, and the reading with this resistor.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Bridge:
     gauge_ohm, lead_ohm : float
         Resistance of a gauge, and of one lead wire in series with it, for quarter (three wires) and half bridges.
     gain_adjustment : float
-        Factor of the strain, see the function of this name.
+        Factor of the strain; see the function of this name.
     shunt : Shunt or None
         Shunt calibration that replaces `gain_adjustment`; the gain is computed when needed, because it depends on the
         zero.
@@ -83,7 +83,8 @@ class Bridge:
 
     Notes
     -----
-    Equations of NI-DAQmx for a bridge that is balanced when unstrained; they are exact, also for large strain.
+    The equations are those of NI-DAQmx for a bridge that is balanced when unstrained; they are exact, also for large
+    strain.
     """
 
     configuration: Configuration
@@ -124,7 +125,7 @@ class Bridge:
 
     @property
     def gain(self) -> float:
-        """Return the factor of the strain: `gain_adjustment`, or the one from the shunt.
+        """Return the factor of the strain: `gain_adjustment`, or the factor from the shunt calibration.
 
         Raises
         ------
@@ -133,16 +134,17 @@ class Bridge:
 
         Notes
         -----
-        A shunt corrects the losses in cables and amplifier; it does not calibrate the gauge, its glue or its place.
+        A shunt calibration corrects the losses in cables and amplifier, but not errors of the gauge, its glue or its
+        place.
         """
         if self.shunt is None:
             return self.gain_adjustment
-        bare, sign = replace(self, shunt=None, gain_adjustment=1.0), self._sign()
+        unadjusted, sign = replace(self, shunt=None, gain_adjustment=1.0), self._sign()
         changed = self.gauge_factor * shunt_strain(self.gauge_ohm, self.shunt.shunt_ohm, self.gauge_factor)
-        balanced = replace(bare, lead_ohm=0.0, initial_ratio=0.0)
+        balanced = replace(unadjusted, lead_ohm=0.0, initial_ratio=0.0)
         # the shunt changes the resistance of one gauge by the share `changed`
         simulated = balanced.strain(np.array([-sign * changed / (4 + 2 * changed)]))
-        return gain_adjustment(float(simulated[0]), float(bare.strain(np.array([self.shunt.ratio]))[0]))
+        return gain_adjustment(float(simulated[0]), float(unadjusted.strain(np.array([self.shunt.ratio]))[0]))
 
     def ratio(self, voltage_v: Floats) -> Floats:
         """Return the ratio (n,), in V/V, for an output (n,) in volts.
@@ -176,7 +178,7 @@ class Bridge:
         return np.asarray(self._sign() * (ratio - self.initial_ratio))
 
     def _factor(self) -> float:
-        """Return the factor of the strain that does not depend on the circuit's coefficients."""
+        """Return the factor of the strain from gain, lead wires and gauge factor."""
         lead_factor = 1.0 if self.configuration.startswith("full") else 1 + self.lead_ohm / self.gauge_ohm
         return self.gain * lead_factor / self.gauge_factor
 
@@ -195,7 +197,7 @@ class Bridge:
 
 
 def _valid_denominator(denominator: Floats) -> Floats:
-    """Return the denominator, NaN where it is not positive: there a resistance would be infinite or negative."""
+    """Return the denominator, NaN where it is not positive: a resistance would be infinite or negative there."""
     return np.where(denominator > 0, denominator, np.nan)
 
 
@@ -212,7 +214,7 @@ def shunt_strain(gauge_ohm: float, shunt_ohm: float, gauge_factor: float) -> flo
 
 
 def gain_adjustment(simulated: float, read: float) -> float:
-    """Return the factor with which the strain read with a shunt equals the strain that the shunt simulates.
+    """Return the factor that corrects the strain read with a shunt to the strain that the shunt simulates.
 
     Parameters
     ----------
@@ -224,11 +226,11 @@ def gain_adjustment(simulated: float, read: float) -> float:
     Raises
     ------
     SensorError
-        If the two differ in sign or by more than a factor of two, which has another cause.
+        If the two strains differ in sign or by more than a factor of two, which losses do not explain.
 
     Notes
     -----
-    This corrects the losses in cables and amplifier; it does not calibrate the gauge, its glue or its place.
+    The factor corrects the losses in cables and amplifier, but not errors of the gauge, its glue or its place.
     """
     expected, measured = finite("simulated", simulated, "-952e-6"), finite("read", read, "-940e-6")
     if not (measured * expected > 0 and 0.5 <= expected / measured <= 2):

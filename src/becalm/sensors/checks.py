@@ -9,7 +9,7 @@ from becalm.core.arrays import Floats, frozen, real
 from becalm.errors import SensorError
 
 STANDARD_GRAVITY = 9.80665
-"""g, in m/s^2, by definition; the local value on Earth differs by up to 0.3 %."""
+"""g, in m/s^2, by definition; the local value on Earth differs from it by up to 0.3 %."""
 
 
 def finite(name: str, value: object, example: str) -> float:
@@ -18,7 +18,7 @@ def finite(name: str, value: object, example: str) -> float:
     Raises
     ------
     SensorError
-        If it is not a finite number (booleans and text are not numbers).
+        If the value is not a finite number; booleans and text are not numbers.
     """
     number = _number(value)
     if not np.isfinite(number):
@@ -27,12 +27,12 @@ def finite(name: str, value: object, example: str) -> float:
 
 
 def positive(name: str, value: object, example: str, *, zero: bool = False) -> float:
-    """Return a finite number above zero, or at least zero if that is allowed, as float.
+    """Return a finite number above zero, or at least zero if `zero` is True, as float.
 
     Raises
     ------
     SensorError
-        If it is not a finite number, negative, or 0 where that is not allowed.
+        If the value is not a finite number, is negative, or is 0 where 0 is not allowed.
     """
     number = _number(value)
     if not (0 < number < np.inf or (zero and number == 0)):
@@ -47,7 +47,7 @@ def finite_array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats
     Raises
     ------
     SensorError
-        If it has another shape, or an entry is not a finite number.
+        If the array has another shape, or an entry is not a finite number.
     """
     try:
         own = frozen(real(values))

@@ -23,7 +23,7 @@ class CalibrationCurve:
     Raises
     ------
     SensorError
-        If all coefficients but the constant are 0, or one is not finite.
+        If all coefficients but the constant are 0, or a coefficient is not finite.
     """
 
     coefficients: tuple[float, ...]

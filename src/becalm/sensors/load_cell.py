@@ -18,12 +18,12 @@ class LoadCell:
     Attributes
     ----------
     rated_output_mv_per_v : float
-        Output at the capacity minus the output without load, per volt of supply; negative if the signal wires
-        are swapped.
+        Output at the capacity minus the output without load, in mV per volt of supply; negative if the signal wires are
+        swapped.
     capacity : float
         Rated load, in the unit of the result: N, kg, N*m.
     zero_balance_mv_per_v : float
-        Output without load.
+        Output without load, in mV per volt of supply.
     excitation_v : float or None
         Supply voltage in volts, if readings are voltages; None if they are ratios.
 

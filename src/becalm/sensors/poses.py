@@ -1,10 +1,10 @@
 """Calibrate a triaxial accelerometer at rest: the magnitude of gravity is the same in every pose.
 
-No equipment is needed: the sensor rests in many poses, and scale, bias and skew of its axes are fitted so that |a| is
-the same in all poses. Gravity does not show how the axes are oriented in space. Therefore the third axis keeps its
-direction, and the second keeps its plane with the third (the upper triangular matrix of Tedaldi, Pretto and Menegatti,
-ICRA 2014). If directions are known, as for the six faces of a cube, linear least squares gives all parameters (IEEE
-1293).
+No equipment is needed: the sensor rests in many poses, and scale, bias and skew of its axes are fitted so that the
+magnitude of the acceleration is equal in all poses. Gravity does not show how the axes are oriented in space. Therefore
+the third axis keeps its direction, and the second keeps its plane with the third (the upper triangular matrix of
+Tedaldi, Pretto and Menegatti, ICRA 2014). If directions are known, as for the six faces of a cube, linear least squares
+gives all parameters (IEEE 1293).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ FEWEST_DIRECTIONS = 5
 _UPPER = np.triu_indices(3)  # entries of the matrix that are fitted
 _UNKNOWNS = 9  # six entries of the matrix, three of the bias
 _UNKNOWNS_AN_AXIS = 4  # three sensitivities and a bias
-_POOR = 0.005  # limit of the least singular value over root of rests: 0.1 to 0.2 for a full sphere, 0.04 for half of it
-_ROUNDS = 3  # fits, each with weights from the one before
+_POOR = 0.005  # least singular value over root of rests: 0.1 to 0.2 for a full sphere of poses, 0.04 for half of it
+_ROUNDS = 3  # number of fits, each with weights from the previous fit
 
 
 class Rests(NamedTuple):
@@ -36,7 +36,7 @@ class Rests(NamedTuple):
     Attributes
     ----------
     means : (k, 3) float array
-        Mean of each rest, in the unit of readings.
+        Mean of the readings of each rest, in the unit of readings.
     stds : (k, 3) float array
         Standard errors of the means, in the unit of readings.
     """
@@ -75,12 +75,12 @@ class PoseCalibration(NamedTuple):
 
 
 def common_factor(means: Floats, zero: Floats, gravity: float = STANDARD_GRAVITY) -> PoseCalibration:
-    """Return the calibration with a zero (3,) and one factor for all axes; its standard errors are NaN.
+    """Return the calibration with a given zero (3,) and one factor for all axes; its standard errors are NaN.
 
     Raises
     ------
     SensorError
-        If all rests (k, 3) are at the zero, or gravity is not positive.
+        If all rests (k, 3) equal the zero, or gravity is not positive.
     """
     length = float(np.linalg.norm(means - zero, axis=1).mean())
     factor = positive("gravity", gravity, "9.80665") / positive("mean length of the rests", length, "1.0")
@@ -110,10 +110,10 @@ def calibrate_by_length(rests: Rests, gravity: float = STANDARD_GRAVITY) -> Pose
     means, stds = _checked(rests, FEWEST_POSES, "poses")
     g = positive("gravity", gravity, "9.80665")
     centre, radius = nearest_sphere(means)
-    u, u_std = (means - centre) / radius, stds / radius  # of length near 1, so that all unknowns are of similar size
+    u, u_std = (means - centre) / radius, stds / radius  # lengths near 1, so that all unknowns are of similar size
     p = np.concatenate([np.eye(3)[_UPPER], np.zeros(3)])
     _require_variety(_slopes(p, u))
-    for _ in range(_ROUNDS):  # the weight of a rest depends slightly on the fit
+    for _ in range(_ROUNDS):  # the weights of the rests depend slightly on the fit
         weight = 1 / _length_std(p, u, u_std)
         p = _fitted(p, u, weight)
     J, residual = weight[:, np.newaxis] * _slopes(p, u), weight * (_length(p, u) - 1)
@@ -248,7 +248,7 @@ def _length_std(p: Floats, u: Floats, u_std: Floats) -> Floats:
 
 
 def _require_variety(design: Floats) -> None:
-    """Raise an error if k poses, the rows, hardly determine some combination of the unknowns, which are of size 1."""
+    """Raise an error if k poses, the rows, hardly determine a combination of the unknowns, which have a size of 1."""
     strengths = np.linalg.svd(design, compute_uv=False) / np.sqrt(len(design))
     if not strengths[-1] > _POOR:
         raise SensorError(

@@ -1,4 +1,4 @@
-"""Define calibration records, which hold the data of a sensor's data sheet, and convert its readings."""
+"""Define records of sensors, with the data of their data sheets, and convert their readings."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Sensitivity(NamedTuple):
     unit : str
         Unit of the sensitivity, such as mV/g.
     uncertainty : float
-        Expanded uncertainty (k = 2), in this unit.
+        Expanded uncertainty (k = 2), in the same unit.
     """
 
     value: float
@@ -63,13 +63,13 @@ class Sheet:
     impedance_ohm : float or None
         Impedance of the bridge or of the output.
     temperature_coefficient_percent_per_k : float or None
-        Temperature coefficient of the sensitivity.
+        Temperature coefficient of the sensitivity, in percent per kelvin.
     transverse_percent : float or None
         Largest sensitivity across the axis, in percent of that along it.
     noise_density : float or None
         One-sided noise density, in unit of the result per sqrt(Hz).
     resonance_hz, damping_ratio : float or None
-        Resonance of the proof mass or spring; without a damping ratio it counts as undamped.
+        Resonance frequency and damping ratio of the proof mass; None as damping ratio counts as undamped.
     """
 
     manufacturer: str = ""
@@ -147,8 +147,8 @@ class SensorRecord:
     full_scale : FullScale or None
         The smallest and the largest possible reading, in raw_unit; with None no reading counts as clipped.
     tare_s : (float, float) or None
-        The stretch without load for the zero, in seconds after the first row; None keeps the zero of the data
-        sheet.
+        Start and end of the stretch without load that gives the zero, in seconds after the first row; None keeps the
+        zero of the data sheet.
     temperature : GaugeTemperature or None
         Effect of temperature on the gauges of a bridge; with None nothing is corrected.
     sheet : Sheet
@@ -219,18 +219,19 @@ def convert_readings(record: SensorRecord, columns: Mapping[str, Floats]) -> dic
     with np.errstate(invalid="ignore", over="ignore"):  # infinite readings
         values = _converted(record.conversion, record.reading_size * readings)
     if record.temperature is not None and isinstance(record.conversion, Bridge):
-        values = _without_temperature(values, record.temperature, record.conversion.gauge_factor, columns)
+        values = _correct_temperature(values, record.temperature, record.conversion.gauge_factor, columns)
     values = record.result_size * values
     return dict(zip(record.channels, values.T, strict=True))
 
 
-def tared(record: SensorRecord, tare: Tare) -> SensorRecord:
+def apply_tare(record: SensorRecord, tare: Tare) -> SensorRecord:
     """Return a sensor of one channel with a measured zero.
 
     Parameters
     ----------
     record : SensorRecord
-        Sensor with `tare_s`; its `zero_uncertainty` covers what the measurement does not, e.g. a later drift.
+        Sensor with `tare_s`; its `zero_uncertainty` covers causes that the measurement does not show, such as a later
+        drift.
     tare : Tare
         The measured zero, in raw_unit of the sensor.
 
@@ -266,7 +267,7 @@ def tared(record: SensorRecord, tare: Tare) -> SensorRecord:
     return replace(zeroed, zero_uncertainty=float(np.hypot(expanded, record.zero_uncertainty)))
 
 
-def _without_temperature(
+def _correct_temperature(
     strain: Floats, temperature: GaugeTemperature, gauge_factor: float, columns: Mapping[str, Floats]
 ) -> Floats:
     """Return the strain (n, 1) of a bridge, corrected for temperature."""

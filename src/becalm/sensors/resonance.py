@@ -14,7 +14,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import SensorError
 from becalm.sensors.checks import positive
 
-_WHOLE = 100.0  # percent
+_PERCENT = 100.0  # percent in 1
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Resonance:
     natural_hz : float
         f_N, the resonance frequency without damping.
     damping_ratio : float
-        zeta: 1 is critical, 0.7 gives the flattest response, and most piezo sensors have less than 0.05.
+        zeta: 1 is critical, 0.7 has the flattest response, and most piezoelectric sensors have less than 0.05.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class Resonance:
 
     @property
     def ringing_hz(self) -> float:
-        """Return the frequency of free oscillation, f_N sqrt(1 - zeta^2), in Hz; NaN from critical damping on."""
+        """Return the frequency of free oscillation, f_N sqrt(1 - zeta^2), in Hz; NaN if zeta is 1 or more."""
         return float(self.natural_hz * np.sqrt(1 - self.damping_ratio**2)) if self.damping_ratio < 1 else np.nan
 
     def acceleration(self, displacement_m: Floats) -> Floats:
@@ -75,19 +75,19 @@ class Resonance:
             magnitude = 1 / np.hypot(real, imaginary)
         return np.asarray(magnitude), np.asarray(-np.degrees(np.arctan2(imaginary, real)))
 
-    def right_to_hz(self, percent: float) -> float:
-        """Return the frequency, in Hz, up to which amplitudes are correct within some percent.
+    def accurate_to_hz(self, percent: float) -> float:
+        """Return the frequency, in Hz, up to which the error of amplitudes is at most `percent`.
 
         Raises
         ------
         SensorError
-            If percent is not between 0 and 100.
+            If `percent` is not between 0 and 100.
 
         Notes
         -----
         With u = (f/f_N)^2 the magnitude equals a limit where u^2 + (4 zeta^2 - 2) u + 1 = 1 / limit^2.
         """
-        error = positive("percent", percent, "5.0") / _WHOLE
+        error = positive("percent", percent, "5.0") / _PERCENT
         if not error < 1:
             raise SensorError(f"percent = {percent!r} is not an error of an amplitude; give less than 100, e.g. 5.0.")
         half = 1 - 2 * self.damping_ratio**2

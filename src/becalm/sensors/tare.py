@@ -10,18 +10,18 @@ from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.errors import SensorError
 
-BLOCKS = 8  # into which a stretch is cut
+BLOCKS = 8  # number of blocks into which a stretch is cut
 FEWEST = 4 * BLOCKS
 """Least number of readings in a stretch."""
 
 MOST_WANDER = 1 / 3
-"""Largest standard deviation of the block means, less chance, over that of the noise: a linear drift of 1.1 sigma."""
+"""Largest standard deviation of the block means, beyond chance, over that of the noise: a linear drift of 1.1 sigma."""
 
 MOST_UNEVEN = 4.0
 """Largest power of one block over that of the others."""
 
 MOST_READINGS = 1 << 24
-"""Largest number of readings in a stretch; it is held in memory."""
+"""Largest number of readings in a stretch, which is kept in memory."""
 
 _CHANCE = 1e-3  # probability that noise alone fails a test
 
@@ -34,8 +34,8 @@ class Zero(NamedTuple):
     value : float
         Mean of the readings, in their unit.
     std : float
-        Standard uncertainty of the value: that of a mean of white noise and, if the block means vary more than white
-        noise explains, the whole drift, since it may continue; NaN if all readings are equal.
+        Standard uncertainty of the value: that of a mean of white noise. If the block means vary more than white noise
+        explains, the whole drift is added, because the drift may continue. NaN if all readings are equal.
     readings : int
         Number of readings in the mean.
     """
@@ -53,13 +53,13 @@ class Tare(NamedTuple):
     start_s, stop_s : float
         Start and end of the stretch, in seconds after the first row.
     reading, reading_std : float, float or None
-        The zero and its standard uncertainty, in raw_unit; the latter is None if all readings are equal.
+        The zero and its standard uncertainty, in raw_unit; the uncertainty is None if all readings are equal.
     raw_unit : str
         Unit of the readings.
     readings : int
         Number of readings in the mean.
     temperature_degc : float or None
-        Mean temperature over the stretch, if it is known.
+        Mean temperature over the stretch; None if unknown.
     """
 
     start_s: float
@@ -77,7 +77,7 @@ def zero_of(stretch: Floats) -> Zero:
     Parameters
     ----------
     stretch : (n,) float array
-        Readings without load, in any unit; NaN, inf and magnitudes above 1e100 are left out.
+        Readings without load, in any unit; NaN, inf and magnitudes above 1e100 are ignored.
 
     Raises
     ------
@@ -88,8 +88,8 @@ def zero_of(stretch: Floats) -> Zero:
     Notes
     -----
     Eight blocks are compared by analysis of variance: the variance of their means with the noise within them, and the
-    largest power of a block with that of the others. An error is raised if a difference is significant (one in a
-    thousand) and large.
+    largest power of a block with the power of the others. An error is raised if a difference is large and significant,
+    with a probability by chance of less than one in a thousand.
     """
     from scipy.special import fdtrc
 

@@ -1,4 +1,4 @@
-"""Correct strain for the temperature of a gauge and its lead wires; filters cannot remove such slow effects."""
+"""Correct strain for the temperature of a gauge and of its lead wires, a slow effect that filters cannot remove."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ COPPER_PER_K = 0.0039
 """Relative change of the resistance of copper, per kelvin."""
 
 REFERENCE_DEGC = 24.0
-"""Temperature for which data sheets give the gauge factor, and at which thermal output is 0."""
+"""Temperature for which data sheets give the gauge factor, and at which the thermal output is 0."""
 
-_MOST_COEFFICIENTS = 5  # of the polynomial of the thermal output
+_MOST_COEFFICIENTS = 5  # most coefficients of the polynomial of the thermal output
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class GaugeTemperature:
     Attributes
     ----------
     output_um : tuple of up to 5 floats
-        Coefficients of the thermal output, see `thermal_output`; empty if they are unknown or the bridge compensates
-        for it.
+        Coefficients of the thermal output, see `thermal_output`; empty if they are unknown, or if the bridge
+        compensates the thermal output.
     percent_per_100_k : float
         Increase of the gauge factor, in percent per 100 K.
     reference_degc : float
@@ -79,14 +79,14 @@ class GaugeTemperature:
         strain : (n,) float array
             Strain as read with `gauge_factor`, in m/m.
         temperature_degc : (n,) float array
-            Temperature of the gauge; NaN where unknown, which gives a strain of NaN.
+            Temperature of the gauge; the strain is NaN where this is NaN.
         gauge_factor : float
             Gauge factor of the data sheet at `reference_degc`.
 
         Returns
         -------
         (n,) float array
-            Strain in m/m, minus thermal output, with the gauge factor at each temperature.
+            Strain in m/m, less the thermal output, computed with the gauge factor at each temperature.
         """
         factor = gauge_factor_at(temperature_degc, gauge_factor, self.percent_per_100_k, self.reference_degc)
         factor = np.where(factor > 0, factor, np.nan)
@@ -130,7 +130,7 @@ def thermal_output(coefficients_um: Sequence[float], temperature_degc: Floats, g
 def gauge_factor_at(
     temperature_degc: Floats, gauge_factor: float, percent_per_100_k: float, reference_degc: float = REFERENCE_DEGC
 ) -> Floats:
-    """Return the gauge factor (n,) at temperatures (n,), in degC; it is linear, and known at the reference.
+    """Return the gauge factor (n,) at temperatures (n,), in degC, linear from its value at the reference temperature.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def gauge_factor_at(
 
 
 def two_wire_drift(lead_ohm: float, warmer_k: float, gauge_ohm: float, gauge_factor: float) -> float:
-    """Return the apparent strain, in m/m, from warming copper leads of a gauge with only two wires.
+    """Return the apparent strain, in m/m, that warming of its copper leads causes in a gauge with only two wires.
 
     Parameters
     ----------

@@ -31,12 +31,12 @@ from becalm.studies.car_filters import (
     FrequencyLimits,
     T,
     compare_forms,
+    computed_noise_gain,
+    frequency_limits,
+    measured_noise_gain,
     printed_model,
-    reach_of,
     settled_gain,
     vertical_alone,
-    white_noise_left,
-    white_noise_measured,
 )
 from becalm.studies.car_real import RealCar, study_real_car
 from becalm.studies.drive import RATE_HZ
@@ -45,7 +45,10 @@ from becalm.studies.recordings import RECORDINGS
 AXES = ("a_x", "a_z")
 MEASURED, TRUTH = "measured", "truth"
 PRINTED, OWN = "paper's matrices", "becalm: three sensors"
-ALONE, DISTURBED = "becalm: channel by channel", "becalm: channel by channel, vibration as disturbance"
+PER_CHANNEL, PER_CHANNEL_DISTURBANCE = (
+    "becalm: channel by channel",
+    "becalm: channel by channel, vibration as disturbance",
+)
 CANCELLER = "RLS canceller"
 REFERENCE_HZ = 5.0  # -3 dB cutoff of the high-pass that makes the canceller's reference
 
@@ -58,7 +61,7 @@ class CarScore(NamedTuple):
     filter: str
     axis: str
     snr_db: float  # signal-to-noise ratio of the output, (14), in usual decibels
-    snr_paper_db: float  # the same in the paper's decibels
+    snr_paper_db: float  # the same ratio in the paper's decibels, which are twice as many
     described_lag_s: float  # delay of a slow signal, computed from the model; only for a_z, NaN if unknown
     measured_lag_s: float  # by cross-correlation with the truth
     rms_error: float  # m/s^2
@@ -69,35 +72,35 @@ class ErrorParts(NamedTuple):
 
     filter: str
     axis: str
-    came: dict[str, float]  # power of each kind of noise before the filter
-    stays: dict[str, float]  # power after it; "signal" is the filter's distortion of the signal
+    power_before: dict[str, float]  # of each kind of noise, before the filter
+    power_after: dict[str, float]  # of each kind of noise, after the filter; "signal" is the distortion of the signal
 
 
-class Other(NamedTuple):
-    """The rms errors along and up, in m/s^2, for other shares of the kinds of noise."""
+class OtherShares(NamedTuple):
+    """The rms errors along and up, in m/s^2, for a drive with other shares of the kinds of noise."""
 
     shares: dict[str, float]
     printed: tuple[float, float]  # with the paper's matrices
-    own: tuple[float, float]  # with Q and R by likelihood
+    own: tuple[float, float]  # with Q and R identified by likelihood
 
 
 class CarStudy(NamedTuple):
-    """All numbers and curves of the study; pairs and (2,) arrays are along and up."""
+    """All numbers and curves of the study; pairs and (2,) arrays hold one value along and one up."""
 
     drive: CarDrive
     input_snr_paper_db: tuple[float, float]
     estimates: dict[str, Floats]  # (N, 3) speed, a_x, a_z, by filter; also `TRUTH` and `MEASURED`
     scores: tuple[CarScore, ...]
-    left: tuple[ErrorParts, ...]
+    error_parts: tuple[ErrorParts, ...]
     forms: FormDifferences
     gain: Floats  # (3, 3) steady-state gain with the paper's matrices
-    gain_apart: float  # largest difference from `CHECKED_GAIN`
-    white_left: Floats  # (2,) noise gain with the paper's matrices, computed
-    white_measured: Floats  # (2,) the same, measured
-    reach: tuple[FrequencyLimits, FrequencyLimits]
+    gain_difference: float  # largest difference from `CHECKED_GAIN`
+    noise_gain: Floats  # (2,) noise gain with the paper's matrices, computed
+    noise_gain_measured: Floats  # (2,) noise gain with the paper's matrices, measured
+    limits: tuple[FrequencyLimits, FrequencyLimits]
     bands: dict[str, tuple[dict[str, float], dict[str, float]]]  # by filter and axis: (m/s^2)^2 in each band
-    own: TunedModel  # the paper's model with Q and R by likelihood
-    others: tuple[Other, ...]
+    own: TunedModel  # the paper's model with Q and R identified by likelihood
+    others: tuple[OtherShares, ...]
     real: RealCar | None
 
 
@@ -107,11 +110,11 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
     Parameters
     ----------
     recordings : Path
-        Folder of real recordings; if it lacks the car's, `real` is None.
+        Folder of real recordings; without the recordings of the car, `real` is None.
     seed : int
         Seed of the simulated drive.
     channel_by_channel : bool
-        Whether to clean each channel alone too, without any settings.
+        Whether to clean also each channel separately, without any settings.
     """
     drive = simulate(seed)
     z, truth = drive.measured.samples, drive.truth.samples
@@ -119,11 +122,11 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
     own = tune_model(printed_model(known_start=False), z)
     estimates = {TRUTH: truth, MEASURED: z, PRINTED: _filtered(printed, z), OWN: _filtered(own.model, z)}
     if channel_by_channel:
-        estimates |= _alone(drive.measured)
+        estimates |= _clean_per_channel(drive.measured)
     estimates[CANCELLER] = np.column_stack([cancel(column, REFERENCE_HZ / RATE_HZ) for column in z.T])
     models, gain = {PRINTED: printed, OWN: own.model}, settled_gain(printed)
-    ratios = tuple(zip(INPUT_SNR_PAPER_DB, OUTPUT_SNR_PAPER_DB, strict=True))
-    along, up = (reach_of(printed, axis, *ratio) for axis, ratio in enumerate(ratios, start=1))
+    printed_snr = tuple(zip(INPUT_SNR_PAPER_DB, OUTPUT_SNR_PAPER_DB, strict=True))
+    along, up = (frequency_limits(printed, axis, *snr) for axis, snr in enumerate(printed_snr, start=1))
     return CarStudy(
         drive=drive,
         input_snr_paper_db=_input_ratios(drive),
@@ -131,13 +134,13 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
         scores=tuple(
             _score(name, axis, estimates, models.get(name)) for axis in (1, 2) for name in _filters(estimates)
         ),
-        left=tuple(_left(name, models[name], axis, drive) for axis in (1, 2) for name in models),
+        error_parts=tuple(_error_parts(name, models[name], axis, drive) for axis in (1, 2) for name in models),
         forms=compare_forms(printed, z),
         gain=gain,
-        gain_apart=float(np.abs(gain - CHECKED_GAIN).max()),
-        white_left=white_noise_left(printed)[1:],
-        white_measured=white_noise_measured(printed)[1:],
-        reach=(along, up),
+        gain_difference=float(np.abs(gain - CHECKED_GAIN).max()),
+        noise_gain=computed_noise_gain(printed)[1:],
+        noise_gain_measured=measured_noise_gain(printed)[1:],
+        limits=(along, up),
         bands={name: _bands(values) for name, values in estimates.items()},
         own=own,
         others=tuple(_other(shares, seed) for shares in OTHER_SHARES),
@@ -145,29 +148,32 @@ def study(recordings: Path = RECORDINGS, *, seed: int = 1, channel_by_channel: b
     )
 
 
-def _other(shares: dict[str, float], seed: int) -> Other:
+def _other(shares: dict[str, float], seed: int) -> OtherShares:
     drive = simulate(seed, shares)
     z, truth = drive.measured.samples, drive.truth.samples
     models = printed_model(), tune_model(printed_model(known_start=False), z).model
     printed, own = (
         (rms_error(s[:, 1], truth[:, 1]), rms_error(s[:, 2], truth[:, 2])) for s in (_filtered(m, z) for m in models)
     )
-    return Other(shares, printed, own)
+    return OtherShares(shares, printed, own)
 
 
 def _filtered(model: Model, z: Floats) -> Floats:
     return kalman_filter(model, z, sigma=False, innovations=False).signal
 
 
-def _alone(measured: Recording) -> dict[str, Floats]:
-    """Clean each channel alone: without settings, and with tones above the body's band set as disturbances."""
+def _clean_per_channel(measured: Recording) -> dict[str, Floats]:
+    """Clean each channel separately: without settings, and with tones above the body's band set as disturbances."""
     recipe = tune(measured, causal=True)
     channels = []
     for channel in recipe.channel:
         tones = [tone.model_copy(update={"disturbance": tone.frequency_hz > BODY_HZ[1]}) for tone in channel.tone]
         channels.append(channel.model_copy(update={"tone": tuple(tones)}))
     disturbed = recipe.model_copy(update={"channel": tuple(channels)})
-    return {ALONE: clean(measured, recipe).signal.samples, DISTURBED: clean(measured, disturbed).signal.samples}
+    return {
+        PER_CHANNEL: clean(measured, recipe).signal.samples,
+        PER_CHANNEL_DISTURBANCE: clean(measured, disturbed).signal.samples,
+    }
 
 
 def _filters(estimates: dict[str, Floats]) -> list[str]:
@@ -196,20 +202,20 @@ def _score(name: str, axis: int, estimates: dict[str, Floats], model: Model | No
     )
 
 
-def _left(name: str, model: Model, axis: int, drive: CarDrive) -> ErrorParts:
-    """Filter each kind of noise and the signal alone; the filter is linear, so that their outputs sum to its output."""
+def _error_parts(name: str, model: Model, axis: int, drive: CarDrive) -> ErrorParts:
+    """Filter each kind of noise and the signal separately; the filter is linear, so their outputs sum to its output."""
 
-    def after(values: Floats) -> Floats:
+    def output(values: Floats) -> Floats:
         return _filtered(model, values)[:, axis]
 
     truth = drive.truth.samples
     still = np.zeros(len(truth))
     kinds = {kind: np.column_stack([still, noise]) for kind, noise in drive.noise.items()}
     kinds["speed's"] = np.column_stack([drive.measured.samples[:, 0] - truth[:, 0], still, still])
-    stays = {kind: float(np.mean(after(noise) ** 2)) for kind, noise in kinds.items()}
-    stays["signal"] = float(np.mean((after(truth) - truth[:, axis]) ** 2))
-    came = {kind: float(np.mean(noise[:, axis] ** 2)) for kind, noise in kinds.items()}
-    return ErrorParts(name, AXES[axis - 1], came, stays)
+    after = {kind: float(np.mean(output(noise) ** 2)) for kind, noise in kinds.items()}
+    after["signal"] = float(np.mean((output(truth) - truth[:, axis]) ** 2))
+    before = {kind: float(np.mean(noise[:, axis] ** 2)) for kind, noise in kinds.items()}
+    return ErrorParts(name, AXES[axis - 1], before, after)
 
 
 def _bands(samples: Floats) -> tuple[dict[str, float], dict[str, float]]:

@@ -17,9 +17,9 @@ _TIME, _SPEED = Axis("time (s)"), Axis("speed (km/h)")
 _ALONG, _UP = Axis("longitudinal acceleration (m/s²)"), Axis("vertical acceleration (m/s²)")
 
 
-def sheets(found: CarStudy) -> tuple[SheetContents, ...]:
-    """Return the figures of the study; that of the real car only if its recordings are present."""
-    times, drawn = found.drive.truth.times_s, found.estimates
+def sheets(result: CarStudy) -> tuple[SheetContents, ...]:
+    """Return the figures of the study; the figure of the real car is left out if its recordings are missing."""
+    times, drawn = result.drive.truth.times_s, result.estimates
     roles: dict[str, Role] = {MEASURED: "readings", PRINTED: "other", OWN: "clean", TRUTH: "truth"}
     whole, close = slice(None), slice(*np.searchsorted(times, _CLOSE_S))
 
@@ -27,7 +27,7 @@ def sheets(found: CarStudy) -> tuple[SheetContents, ...]:
         return tuple(_curve(name, times[shown], drawn[name][shown, column], roles[name]) for name in names)
 
     estimated = (PRINTED, OWN, TRUTH)
-    speed = (_curve(MEASURED, times, found.drive.speed_kmh, "readings"),)
+    speed = (_curve(MEASURED, times, result.drive.speed_kmh, "readings"),)
     near = curves(2, *estimated, shown=close)
     figures = [
         Figure("car-6-speed", "Figure 6: speed", _TIME, _SPEED, speed),
@@ -36,8 +36,8 @@ def sheets(found: CarStudy) -> tuple[SheetContents, ...]:
         Figure("car-9-longitudinal", "Figure 9: longitudinal, estimated", _TIME, _ALONG, curves(1, *estimated)),
         Figure("car-10-vertical", "Figure 10: vertical, estimated, a few seconds of it", _TIME, _UP, near),
     ]
-    if found.real is not None:
-        figures.append(_real(found))
+    if result.real is not None:
+        figures.append(_real(result))
     shown = tuple(
         _spectrogram(f"car-spectrogram-{number}", name, times, drawn[name][:, 2])
         for number, name in enumerate((MEASURED, OWN), start=1)
@@ -54,9 +54,9 @@ def _spectrogram(name: str, shown: str, times_s: Floats, values: Floats) -> Figu
     return Figure(name, f"Vertical acceleration, {shown}", _TIME, Axis("frequency (Hz)"), (layer,))
 
 
-def _real(found: CarStudy) -> Figure:
-    assert found.real is not None
-    real, times = found.real, found.real.record.times_s
+def _real(result: CarStudy) -> Figure:
+    assert result.real is not None
+    real, times = result.real, result.real.record.times_s
     curves = (
         _curve("read", times, real.record.readings[:, 1], "readings"),
         _curve("three sensors", times, real.estimate[:, 1], "clean"),
@@ -66,6 +66,6 @@ def _real(found: CarStudy) -> Figure:
 
 
 def _curve(name: str, times_s: Floats, values: Floats, role: Role) -> Curve:
-    """Return a curve through the finite values: the sensors of the real car have different sampling times."""
+    """Return a curve through the finite values; the sensors of the real car are not sampled at the same times."""
     finite = np.isfinite(values)
     return Curve(name, times_s[finite], values[finite], role, "dashed" if role == "truth" else "line")

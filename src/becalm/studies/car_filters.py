@@ -36,27 +36,27 @@ def printed_model(known_start: bool = True) -> Model:
 
 
 def vertical_alone(model: Model) -> Model:
-    """Return the part of the three-sensor model for the vertical acceleration, which is independent of the rest."""
+    """Return the part of the three-sensor model for the vertical acceleration; the other states do not affect it."""
     return Model(model.F[2:, 2:], [[1.0]], model.process_covariance[2:, 2:], model.R[2:, 2:])
 
 
 class OneStep(NamedTuple):
     """The states and covariances of Appendix B over a record; N rows, n states."""
 
-    ahead: Floats  # (N, n) x(n+1 | n)
-    filtered_cov: Floats  # (N, n, n) P(n)
-    ahead_cov: Floats  # (N, n, n) P(n+1, n)
-    gain: Floats  # (n, m) the last K_G, which includes F
+    ahead: Floats  # (N, n) predicted states x(n+1 | n)
+    filtered_cov: Floats  # (N, n, n) filtered covariances P(n)
+    ahead_cov: Floats  # (N, n, n) predicted covariances P(n+1, n)
+    gain: Floats  # (n, m) gain K_G of the last step, which includes F
 
 
 def run_one_step(model: Model, z: Floats) -> OneStep:
     """Filter readings z (N, m) in the one-step-prediction form of Appendix B, from x0 and P0."""
     assert model.x0 is not None
     assert model.P0 is not None
-    belief, steps = reference.StateEstimate(model.x0, model.P0), []
+    estimate, steps = reference.StateEstimate(model.x0, model.P0), []
     for reading in z:
-        step = reference.predict_one_step(belief, model.F, model.process_covariance, (model.H, model.R), reading)
-        belief = reference.StateEstimate(step.state, step.cov)
+        step = reference.predict_one_step(estimate, model.F, model.process_covariance, (model.H, model.R), reading)
+        estimate = reference.StateEstimate(step.state, step.cov)
         steps.append(step)
     return OneStep(
         np.array([step.state for step in steps]),
@@ -71,11 +71,11 @@ class FormDifferences(NamedTuple):
 
     state: float  # of x(n+1 | n), relative to the largest value of each state
     filtered_cov: float  # of P(n), relative to its largest entry in the same row
-    ahead_cov: float  # of P(n+1, n), likewise
+    ahead_cov: float  # of P(n+1, n), relative to its largest entry in the same row
 
 
 def compare_forms(model: Model, z: Floats) -> FormDifferences:
-    """Filter readings z (N, m) in both forms and compare x(n+1 | n) with F x(n | n), and likewise the covariances."""
+    """Filter readings z (N, m) in both forms; compare x(n+1 | n) with F x(n | n), and the covariances."""
     one, got = run_one_step(model, z), kalman_filter(model, z, states=True, covariances=True)
     assert got.mean is not None
     assert got.cov is not None
@@ -94,15 +94,15 @@ def settled_gain(model: Model) -> Floats:
     return gain_before(np.asarray(P, dtype=np.float64), model)
 
 
-def white_noise_left(model: Model) -> Floats:
+def computed_noise_gain(model: Model) -> Floats:
     """Return the noise gain (m,) in steady state: output over input power, for equal white noise on all channels."""
     K = settled_gain(model)
     A = (np.eye(model.states) - K @ model.H) @ model.F
-    left: Floats = np.diag(model.H @ solve_discrete_lyapunov(A, K @ K.T) @ model.H.T)
-    return left
+    noise_gain: Floats = np.diag(model.H @ solve_discrete_lyapunov(A, K @ K.T) @ model.H.T)
+    return noise_gain
 
 
-def white_noise_measured(model: Model, count: int = 1_000_000, seed: int = 3) -> Floats:
+def measured_noise_gain(model: Model, count: int = 1_000_000, seed: int = 3) -> Floats:
     """Return the noise gain (m,), measured on `count` rows of random noise."""
     z = np.random.default_rng(seed).normal(size=(count, model.channels))
     settled = slice(count // 100, None)
@@ -112,7 +112,7 @@ def white_noise_measured(model: Model, count: int = 1_000_000, seed: int = 3) ->
 
 
 def response(model: Model, frequency_hz: Floats) -> Complexes:
-    """Return the frequency response (k, m, m) with the steady-state gain; [:, i, j] is from reading j to output i."""
+    """Return the frequency response (k, m, m) in steady state; [:, i, j] is from reading j to output i."""
     K = settled_gain(model)
     A = (np.eye(model.states) - K @ model.H) @ model.F
     delay = np.exp(-2j * np.pi * np.asarray(frequency_hz) * T)[:, np.newaxis, np.newaxis]
@@ -122,14 +122,16 @@ def response(model: Model, frequency_hz: Floats) -> Complexes:
 class FrequencyLimits(NamedTuple):
     """The frequencies at which the printed matrices reach the printed output signal-to-noise ratio of a channel."""
 
-    noise_above_hz: float  # noise above this frequency is reduced at least as much as printed; inf if no noise is
-    signal_below_hz: float  # noiseless motion below this frequency is followed at least as well as printed
+    noise_above_hz: float  # least frequency of noise that is reduced at least as much as printed; inf if none is
+    signal_below_hz: float  # motion without noise below this frequency is followed at least as well as printed
 
 
-def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_paper_db: float) -> FrequencyLimits:
+def frequency_limits(
+    model: Model, channel: int, input_snr_paper_db: float, output_snr_paper_db: float
+) -> FrequencyLimits:
     """Return the frequencies at which noise and motion have the paper's ratios, with a model's steady-state gain.
 
-    Motion along appears in the speed too, so that both sensors measure it.
+    Motion along also appears in the speed, so that two sensors measure it.
 
     Parameters
     ----------
@@ -144,10 +146,10 @@ def reach_of(model: Model, channel: int, input_snr_paper_db: float, output_snr_p
     G = response(model, f)
     moved = G[:, channel, channel].copy()
     if channel == 1:
-        moved += G[:, 1, 0] * T / (1 - np.exp(-2j * np.pi * f * T))  # speed is the sum of acceleration
-    left = np.abs(G[:, channel, channel]) ** 2
-    missed = np.abs(1 - moved) ** 2
-    quiet = left <= 10 ** ((input_snr_paper_db - output_snr_paper_db) / 20)
-    close = missed <= 10 ** (-output_snr_paper_db / 20)
+        moved += G[:, 1, 0] * T / (1 - np.exp(-2j * np.pi * f * T))  # speed is the cumulative sum of acceleration
+    noise_gain = np.abs(G[:, channel, channel]) ** 2
+    distortion = np.abs(1 - moved) ** 2
+    quiet = noise_gain <= 10 ** ((input_snr_paper_db - output_snr_paper_db) / 20)
+    close = distortion <= 10 ** (-output_snr_paper_db / 20)
     far = f[~close]
     return FrequencyLimits(float(f[quiet].min()) if quiet.any() else np.inf, float(far.min()) if len(far) else np.inf)

@@ -10,7 +10,7 @@ import numpy as np
 from becalm.files.atomic_file import make_folder, write_text
 from becalm.metrics.decibels import snr_db
 from becalm.metrics.spectrum import VEHICLE_BANDS_HZ
-from becalm.studies.car import ALONE, DISTURBED, PRINTED, CarScore, CarStudy, study
+from becalm.studies.car import PER_CHANNEL, PER_CHANNEL_DISTURBANCE, PRINTED, CarScore, CarStudy, study
 from becalm.studies.car_drive import (
     BODY_HZ,
     COLOURED_HZ,
@@ -29,27 +29,27 @@ from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN, draw
 
 
-def page(found: CarStudy, drawn: Sequence[Path] = ()) -> str:
+def page(result: CarStudy, drawn: Sequence[Path] = ()) -> str:
     """Return the page as Markdown.
 
     Parameters
     ----------
-    found : CarStudy
+    result : CarStudy
         Numbers of the study.
     drawn : sequence of Path
-        Paths of the figures in the page's folder; if there are none, the page says why.
+        Paths of the figures in the page's folder; if there are none, the page gives the reason.
     """
     parts = [
         _opening(),
-        _drive(found),
-        _forms(found),
-        _white(found),
-        _scores(found),
-        _others(found),
-        _reasons(found),
-        _left(found),
+        _drive(result),
+        _forms(result),
+        _white(result),
+        _scores(result),
+        _others(result),
+        _reasons(result),
+        _error_parts(result),
     ]
-    return "\n\n".join([*parts, _bands(found), _real(found), _figures(drawn)]) + "\n"
+    return "\n\n".join([*parts, _bands(result), _real(result), _figures(drawn)]) + "\n"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -67,13 +67,13 @@ def _opening() -> str:
     )
 
 
-def _drive(found: CarStudy) -> str:
-    x, z = found.input_snr_paper_db
+def _drive(result: CarStudy) -> str:
+    x, z = result.input_snr_paper_db
     shares = ", ".join(f"{name} {share:.0%}" for name, share in SHARES.items())
     return (
         f"## The drive\n\n{DURATION_S:.0f} s at {RATE_HZ:.0f} Hz, in volts: {SENSITIVITY_V_PER_G[0] * 1e3:.1f} and"
         f" {SENSITIVITY_V_PER_G[1] * 1e3:.1f} mV/g, transverse sensitivity {TRANSVERSE[0]:.2%} and {TRANSVERSE[1]:.2%},"
-        f" a range of 2 g, which {found.drive.beyond_range} readings exceeded. Input: {x:.1f} and {z:.1f} paper's dB"
+        f" a range of 2 g, which {result.drive.beyond_range} readings exceeded. Input: {x:.1f} and {z:.1f} paper's dB"
         f" (paper: {INPUT_SNR_PAPER_DB[0]} and {INPUT_SNR_PAPER_DB[1]}), {x / 2:.2f} and {z / 2:.2f} dB. Of the noise's"
         f" power {shares}: coloured is a band from {COLOURED_HZ[0]:.0f} to {COLOURED_HZ[1]:.0f} Hz, disturbances are"
         f" wheels and masses. The body's own motion is signal.\n\nChosen here, because the paper does not print it:"
@@ -81,22 +81,22 @@ def _drive(found: CarStudy) -> str:
     )
 
 
-def _forms(found: CarStudy) -> str:
-    forms, K = found.forms, found.gain
+def _forms(result: CarStudy) -> str:
+    forms, K = result.forms, result.gain
     rows = [[f"{value:.8f}" for value in row] for row in K]
     return (
         "## One-step prediction and filtering\n\nAppendix B carries x(n+1 | n) with a gain that includes F. Over the"
         f" whole drive it is F x(n | n) of the filtered form to {forms.state:.1e} of the largest state; the"
         f" covariances P(n) and P(n+1, n) agree to {forms.filtered_cov:.1e} and {forms.ahead_cov:.1e}. F leaves"
         " the accelerations unchanged, so that both forms estimate them equally.\n\nThe steady-state gain of the"
-        f" filtered form, within {found.gain_apart:.1e} of the one computed beforehand:\n\n"
+        f" filtered form, within {result.gain_difference:.1e} of the one computed beforehand:\n\n"
         + _table(["speed", "a_x", "a_z"], rows)
     )
 
 
-def _white(found: CarStudy) -> str:
+def _white(result: CarStudy) -> str:
     rows = []
-    for axis, gain, seen in zip(("a_x", "a_z"), found.white_left, found.white_measured, strict=True):
+    for axis, gain, seen in zip(("a_x", "a_z"), result.noise_gain, result.noise_gain_measured, strict=True):
         decibels = [f"{-per * np.log10(share):.2f}" for share in (gain, seen) for per in (20, 10)]
         rows.append([axis, "> 30", *decibels])
     head = ["", "paper, paper's dB", "steady-state gain, paper's dB", "dB", "measured on noise, paper's dB", "dB"]
@@ -106,23 +106,23 @@ def _white(found: CarStudy) -> str:
     )
 
 
-def _scores(found: CarStudy) -> str:
+def _scores(result: CarStudy) -> str:
     head = ["", "filter", "output, paper's dB", "dB", "lag from the filter", "lag measured", "rms error"]
     rows = []
     for axis, printed in zip(("a_x", "a_z"), OUTPUT_SNR_PAPER_DB, strict=True):
         rows.append([axis, "paper, as printed", f"{printed:.0f}", f"{printed / 2:.1f}", "", "", ""])
-        rows += [_row(score) for score in found.scores if score.axis == axis]
-    Q, R = (np.diag(values) for values in (found.own.model.Q, found.own.model.R))
+        rows += [_row(score) for score in result.scores if score.axis == axis]
+    Q, R = (np.diag(values) for values in (result.own.model.Q, result.own.model.R))
     own = (
         f"becalm's own choice keeps the paper's F, G and H and estimates Q = diag({Q[0]:.3g}, {Q[1]:.3g}) and"
         f" R = diag({R[0]:.3g}, {R[1]:.3g}, {R[2]:.3g}) by likelihood, from the readings alone; it is causal too. Its"
         " longitudinal acceleration follows the speed more than the accelerometer: less error, more lag. How much"
         " that gains depends on the speedometer's noise, which the paper does not print."
     )
-    return f"## The table\n\n{_table(head, rows)}\n\nRms errors are in m/s².\n\n{own}{_alone(found)}"
+    return f"## The table\n\n{_table(head, rows)}\n\nRms errors are in m/s².\n\n{own}{_per_channel(result)}"
 
 
-def _others(found: CarStudy) -> str:
+def _others(result: CarStudy) -> str:
     head = [
         "white",
         "coloured",
@@ -137,9 +137,9 @@ def _others(found: CarStudy) -> str:
             *(f"{share:.0%}" for share in other.shares.values()),
             *(f"{e:.3f}" for k in (0, 1) for e in (other.printed[k], other.own[k])),
         ]
-        for other in found.others
+        for other in result.others
     ]
-    lost = sum(o > p for other in found.others for o, p in zip(other.own, other.printed, strict=True))
+    lost = sum(o > p for other in result.others for o, p in zip(other.own, other.printed, strict=True))
     return (
         "## Other shares of noise\n\nThe shares above are a choice. Rms errors in m/s² with others; in"
         f" {lost} of {2 * len(rows)} cases the three sensors with likelihood err more than the paper's matrices. Their"
@@ -147,11 +147,11 @@ def _others(found: CarStudy) -> str:
     )
 
 
-def _alone(found: CarStudy) -> str:
+def _per_channel(result: CarStudy) -> str:
 
-    if ALONE not in found.estimates:
+    if PER_CHANNEL not in result.estimates:
         return ""
-    errors = {(score.filter, score.axis): score.rms_error for score in found.scores}
+    errors = {(score.filter, score.axis): score.rms_error for score in result.scores}
 
     def compared(name: str) -> str:
         return " and ".join(
@@ -160,9 +160,9 @@ def _alone(found: CarStudy) -> str:
         )
 
     return (
-        f"\n\nChannel by channel, without settings, becalm is {compared(ALONE)} than with the paper's matrices:"
+        f"\n\nChannel by channel, without settings, becalm is {compared(PER_CHANNEL)} than with the paper's matrices:"
         " it models narrow bands of vibration as tones, and tones are signal. If tones above"
-        f" {BODY_HZ[1]:.0f} Hz are set as disturbances, it is {compared(DISTURBED)}."
+        f" {BODY_HZ[1]:.0f} Hz are set as disturbances, it is {compared(PER_CHANNEL_DISTURBANCE)}."
     )
 
 
@@ -173,21 +173,21 @@ def _row(score: CarScore) -> list[str]:
     return [score.axis, score.filter, *ratios, described, measured, f"{score.rms_error:.3f}"]
 
 
-def _reasons(found: CarStudy) -> str:
+def _reasons(result: CarStudy) -> str:
     reasons = []
     for k, axis in enumerate(("a_x", "a_z")):
-        reach, came, went = found.reach[k], INPUT_SNR_PAPER_DB[k], OUTPUT_SNR_PAPER_DB[k]
-        here = next(score for score in found.scores if score.axis == axis and score.filter == "paper's matrices")
-        left = next(left for left in found.left if left.axis == axis and left.filter == "paper's matrices")
-        largest = sorted(left.stays, key=lambda kind: -left.stays[kind])[:2]
-        total = sum(left.stays.values())
-        shares = " and ".join(f"{_called(kind)} ({left.stays[kind] / total:.0%})" for kind in largest)
+        limits, snr_in, snr_out = result.limits[k], INPUT_SNR_PAPER_DB[k], OUTPUT_SNR_PAPER_DB[k]
+        here = next(score for score in result.scores if score.axis == axis and score.filter == "paper's matrices")
+        parts = next(one for one in result.error_parts if one.axis == axis and one.filter == "paper's matrices")
+        largest = sorted(parts.power_after, key=lambda kind: -parts.power_after[kind])[:2]
+        total = sum(parts.power_after.values())
+        shares = " and ".join(f"{_label(kind)} ({parts.power_after[kind] / total:.0%})" for kind in largest)
         reasons.append(
-            f"- **{axis}: {went:.0f} printed, {here.snr_paper_db:.1f} here.** From {came} to {went:.0f} the ratio gains"
-            f" {went - came:.1f} paper's dB, but white noise loses only"
-            f" {-20 * np.log10(found.white_left[k]):.1f}. With these matrices, noise of one frequency would have to"
-            f" be at {reach.noise_above_hz:.0f} Hz or above to be reduced so much; and a sine in the signal at"
-            f" {reach.signal_below_hz:.2f} Hz or below, because a faster one is followed less well even without noise."
+            f"- **{axis}: {snr_out:.0f} printed, {here.snr_paper_db:.1f} here.** From {snr_in} to {snr_out:.0f} the"
+            f" ratio gains {snr_out - snr_in:.1f} paper's dB, but white noise loses only"
+            f" {-20 * np.log10(result.noise_gain[k]):.1f}. With these matrices, noise of one frequency would have to"
+            f" be at {limits.noise_above_hz:.0f} Hz or above to be reduced so much; and a sine in the signal at"
+            f" {limits.signal_below_hz:.2f} Hz or below, because a faster one is followed less well even without noise."
             f" Here most of the error is {shares}."
         )
     return (
@@ -198,19 +198,21 @@ def _reasons(found: CarStudy) -> str:
     )
 
 
-def _called(kind: str) -> str:
+def _label(kind: str) -> str:
     return {"signal": "lag and damping of the signal", "speed's": "the speed's noise", "white": "white noise"}.get(
         kind, kind
     )
 
 
-def _left(found: CarStudy) -> str:
+def _error_parts(result: CarStudy) -> str:
     rows = []
-    for left in found.left:
-        for kind, stays in left.stays.items():
-            came = left.came.get(kind, 0.0)
-            ratio = f"{snr_db(np.sqrt([came]), np.sqrt([stays])):.1f}" if came else ""
-            rows.append([left.axis, left.filter, _called(kind), f"{came:.3g}" if came else "", f"{stays:.2g}", ratio])
+    for parts in result.error_parts:
+        for kind, after in parts.power_after.items():
+            before = parts.power_before.get(kind, 0.0)
+            ratio = f"{snr_db(np.sqrt([before]), np.sqrt([after])):.1f}" if before else ""
+            rows.append(
+                [parts.axis, parts.filter, _label(kind), f"{before:.3g}" if before else "", f"{after:.2g}", ratio]
+            )
     head = ["", "filter", "part", "before, (m/s²)²", "after, (m/s²)²", "dB removed"]
     return (
         "## Parts of the error\n\nThe filters are linear, so each kind of noise, and the signal, can be filtered"
@@ -218,20 +220,20 @@ def _left(found: CarStudy) -> str:
     )
 
 
-def _bands(found: CarStudy) -> str:
+def _bands(result: CarStudy) -> str:
     head = ["", "", *(f"{name}, {low:.0f} to {high:.0f} Hz" for name, (low, high) in VEHICLE_BANDS_HZ.items())]
     rows = [
         [axis, name, *(f"{powers[k][band]:.3g}" for band in VEHICLE_BANDS_HZ)]
         for k, axis in enumerate(("a_x", "a_z"))
-        for name, powers in found.bands.items()
+        for name, powers in result.bands.items()
     ]
     return "## Power in the vehicle's bands\n\nBefore and after, by Welch's method, in (m/s²)².\n\n" + _table(
         head, rows
     )
 
 
-def _real(found: CarStudy) -> str:
-    real = found.real
+def _real(result: CarStudy) -> str:
+    real = result.real
     if real is None:
         return "## A real car\n\nSkipped: the recordings of the car (comma2k19) are not on this machine."
     noise, jerk = real.fitted.noise_std, real.fitted.jerk_density
@@ -279,7 +281,7 @@ def run(folder: Path, recordings: Path = RECORDINGS) -> str:
         If a file cannot be written.
     """
     make_folder(folder)
-    found = study(recordings)
-    text = page(found, draw(sheets(found), folder))
+    result = study(recordings)
+    text = page(result, draw(sheets(result), folder))
     write_text(folder / "car.md", text)
     return text

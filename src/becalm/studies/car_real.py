@@ -1,7 +1,7 @@
-"""Apply the three-sensor model to a real car, with the speed of its CAN bus and an accelerometer on another clock.
+"""Apply the three-sensor model to a real car: speed from the CAN bus, and an accelerometer with another clock.
 
-The process noise is white on the derivative of each acceleration, and is discretised exactly over the time between two
-readings. Its densities and the noise of each sensor are estimated by maximum likelihood.
+The process noise is white noise in the derivative of each acceleration. The model is discretised exactly over the time
+between two readings. Its densities and the noise of each sensor are estimated by maximum likelihood.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class CarRecord(NamedTuple):
 
     times_s: Floats  # (N,)
     readings: Floats  # (N, 3) speed m/s, acceleration along and up m/s^2
-    offset: float  # m/s^2, subtracted from the acceleration along: tilt of the sensor, and the mean slope of the road
+    offset: float  # m/s^2, subtracted from the acceleration along; due to tilt of the sensor and slope of the road
 
 
 class Fitted(NamedTuple):
-    """The estimates by maximum likelihood."""
+    """The noise parameters that were estimated by maximum likelihood."""
 
     jerk_density: Floats  # (2,) noise density of the derivative of the accelerations along and up, (m/s^3)^2/Hz
     noise_std: Floats  # (3,) speed in m/s, accelerations in m/s^2
@@ -46,20 +46,20 @@ class RealCar(NamedTuple):
     record: CarRecord
     fitted: Fitted
     estimate: Floats  # (N, 3) causal estimates
-    slope: Floats  # (N,) derivative of the measured speed, m/s^2, not causal; NaN at the ends and in gaps
-    raw_rms: float  # m/s^2, readings of the acceleration along against the slope
-    estimate_rms: float  # m/s^2, the same for the estimate
-    accelerometer_rms: float  # m/s^2, the same for the estimate without the speed
-    raw_correlation: float  # of the same readings with the slope
-    estimate_correlation: float  # of the estimate
-    alone_correlation: float  # of the estimate without the speed
+    slope: Floats  # (N,) derivative of the measured speed, m/s^2, by a non-causal fit; NaN at the ends and in gaps
+    raw_rms: float  # m/s^2, difference of the readings of the acceleration along from the slope
+    estimate_rms: float  # m/s^2, difference of the estimate from the slope
+    accelerometer_rms: float  # m/s^2, difference of the estimate without the speed from the slope
+    raw_correlation: float  # of the readings of the acceleration along with the slope
+    estimate_correlation: float  # of the estimate with the slope
+    alone_correlation: float  # of the estimate without the speed with the slope
     hidden_rms: float  # m/s, error of the speed where it was hidden, estimated from the accelerometer
     held_rms: float  # m/s, error of holding the last speed instead
     hidden_count: int  # number of hidden speeds
 
 
 def load(recordings: Path) -> CarRecord | None:
-    """Read the car of `comma2k19` from a folder of recordings; None if it is absent."""
+    """Read the recordings of the car from folder `comma2k19`; None if they are missing."""
     paths = [recordings / FOLDER / name for name in ("accelerometer.csv", "can_speed.csv")]
     if not all(path.exists() for path in paths):
         return None
@@ -76,16 +76,16 @@ def load(recordings: Path) -> CarRecord | None:
 
 
 def study_real_car(recordings: Path) -> RealCar | None:
-    """Run the three-sensor model on the car in a folder of recordings; None if it is absent."""
+    """Run the three-sensor model on the recordings of the car; None if they are missing."""
     record = load(recordings)
     if record is None:
         return None
     z, times = record.readings, record.times_s
     fitted = fit(times, z)
     estimate = run_three_sensors(times, z, fitted).signal
-    deaf = z.copy()
-    deaf[np.isfinite(z[:, 0]).nonzero()[0][1:], 0] = np.nan  # the first speed starts the filter
-    without_speed = run_three_sensors(times, deaf, fitted).signal
+    first_speed_only = z.copy()
+    first_speed_only[np.isfinite(z[:, 0]).nonzero()[0][1:], 0] = np.nan  # the first speed starts the filter
+    without_speed = run_three_sensors(times, first_speed_only, fitted).signal
     slope = slope_of_speed(times, z[:, 0])
     compared = np.isfinite(slope) & np.isfinite(z[:, 1])
     along = slope[compared]
@@ -118,26 +118,26 @@ def _component(jerk_density: Floats) -> Component:
     return Component(frozen(drift), frozen(noise_input), frozen(np.diag(jerk_density)), frozen(np.eye(3)), (part,))
 
 
-def run_three_sensors(times_s: Floats, readings: Floats, fitted: Fitted, *, all_of_it: bool = True) -> Estimate:
-    """Filter readings (N, 3) at times (N,), in seconds, causally; without `all_of_it`, compute only the likelihood."""
+def run_three_sensors(times_s: Floats, readings: Floats, fitted: Fitted, *, with_estimates: bool = True) -> Estimate:
+    """Filter readings (N, 3) at times (N,), in s, causally; without `with_estimates`, compute only the likelihood."""
     elapsed = np.diff(times_s, prepend=times_s[0])
     timeline = elapsed_timeline(_component(fitted.jerk_density), 1.0, elapsed)
     R = np.diag(fitted.noise_std**2)
     F, Q, H, _ = timeline.system
     timeline = timeline._replace(system=timeline.system._replace(R=R))
-    wanted = WantedResults(sigma=all_of_it, innovations=all_of_it, signal=all_of_it)
+    wanted = WantedResults(sigma=with_estimates, innovations=with_estimates, signal=with_estimates)
     return run_filter(Model(F[0], H, Q[0], R), timeline, readings, wanted).estimate
 
 
 def fit(times_s: Floats, readings: Floats) -> Fitted:
-    """Estimate densities and noise by maximum likelihood, from a rough initial guess."""
+    """Estimate the noise parameters by maximum likelihood, starting at a rough guess."""
     spread = [float(np.nanstd(readings[:, k])) / 2 for k in (1, 2)]
     rough = np.log([10.0, 10.0, 0.05, *spread])
 
     def cost(theta: Floats) -> float:
         numbers: Floats = np.exp(theta)
         tried = Fitted(numbers[:2], numbers[2:])
-        return -run_three_sensors(times_s, readings, tried, all_of_it=False).log_likelihood
+        return -run_three_sensors(times_s, readings, tried, with_estimates=False).log_likelihood
 
     best = minimize(cost, rough, method="Nelder-Mead", options={"maxfev": _EVALUATIONS, "xatol": 1e-2, "fatol": 0.1})
     numbers: Floats = np.exp(np.asarray(best.x))
@@ -165,7 +165,7 @@ class _Hidden(NamedTuple):
 
 
 def _hide(times_s: Floats, readings: Floats, fitted: Fitted) -> _Hidden:
-    """Hide the speed for the last second of every four, and estimate it by the filter, and by holding the last one."""
+    """Hide the speed for the last second of every four; estimate it by the filter, and by holding the last speed."""
     phase = np.mod(times_s - times_s[0], _PERIOD_S)
     hidden = np.isfinite(readings[:, 0]) & (phase >= _PERIOD_S - _HIDDEN_S)
     shown = readings.copy()

@@ -16,7 +16,7 @@ from becalm.core.recording import Recording
 
 RATE_HZ = 500.0
 DURATION_S = 60.0
-NOISE_STD = (0.15, 0.8, 0.6)  # of the sensors in `NAMES`; m/s, m/s^2, m/s^2
+NOISE_STD = (0.15, 0.8, 0.6)  # standard deviations of the noise of the sensors in `NAMES`; m/s, m/s^2, m/s^2
 NAMES = ("speed (m/s)", "acceleration_x (m/s^2)", "acceleration_z (m/s^2)")
 UNITS = ("m/s", "m/s^2", "m/s^2")
 
@@ -33,8 +33,8 @@ def simulate(seed: int = 1) -> Drive:
     rng = np.random.default_rng(seed)
     t = np.arange(int(DURATION_S * RATE_HZ)) / RATE_HZ
     knots_s = [0, 3, 4, 12, 13, 25, 25.5, 30, 30.5, 36, 37, 44, 45, 50, 50.2, 54, 54.3, 60]
-    pulls = [0, 0, 2.2, 1.2, 0, 0, -3, -3, 0, 0, 2.5, 1, 0, 0, -6.5, -6.5, 0, 0]
-    along = np.interp(t, knots_s, pulls) + band_noise(rng, 1.0, 3.0, len(t), 0.12)
+    accelerations = [0, 0, 2.2, 1.2, 0, 0, -3, -3, 0, 0, 2.5, 1, 0, 0, -6.5, -6.5, 0, 0]
+    along = np.interp(t, knots_s, accelerations) + band_noise(rng, 1.0, 3.0, len(t), 0.12)
     speed = np.cumsum(along) / RATE_HZ + 2.0
     moving = np.clip(speed / 10, 0.2, 1.5)
     up = moving * (band_noise(rng, 1.0, 3.0, len(t), 0.5) + band_noise(rng, 4.0, 8.0, len(t), 0.4))

@@ -1,4 +1,4 @@
-"""Repeat the IMU paper (Kownacki 2010): filters with R and Q of a motionless record are too slow; find better ones.
+"""Repeat the IMU paper (Kownacki 2010): R and Q of a motionless record give slow filters; find better R and Q.
 
 `study` computes the results, `becalm.studies.imu_figures` describes the figures, and `becalm.studies.imu_page` writes
 the page.
@@ -26,9 +26,9 @@ from becalm.studies.imu_records import (
     identify,
     motionless,
 )
-from becalm.studies.imu_responses import FilterResponse, NoiseSetting, answer, answers
-from becalm.studies.imu_switching import Contest, contest
-from becalm.studies.imu_valley import ColouredRecord, Optimum, colours, optimise
+from becalm.studies.imu_responses import FilterResponse, NoiseSetting, compute_response, compute_responses
+from becalm.studies.imu_switching import ImmComparison, compare_imm
+from becalm.studies.imu_valley import ColouredRecord, Optimum, optimise, tune_coloured_records
 from becalm.studies.recordings import RECORDINGS
 
 _FINE = 8192  # samples in a segment of Welch's method
@@ -46,18 +46,18 @@ class SensorStudy:
         Spectrum of the record: figure 4.
     identified : tuple of Identified
         Table 1, one entry for each simulated record of two minutes.
-    answers : tuple of FilterResponse
+    responses : tuple of FilterResponse
         Responses in the panels of figure 5 or 6.
     optimum : Optimum
         Table 2 and figure 8.
     tuned : tuple of FilterResponse
-        Figure 9: responses at the paper's optimum, and at the one computed here.
+        Figure 9: responses at the paper's optimum, and at the optimum computed here.
     """
 
     record: Floats
     spectrum: Spectrum
     identified: tuple[Identified, ...]
-    answers: tuple[FilterResponse, ...]
+    responses: tuple[FilterResponse, ...]
     optimum: Optimum
     tuned: tuple[FilterResponse, ...]
 
@@ -70,27 +70,29 @@ class Study:
     ----------
     sensors : dict of SensorStudy
         Results for each sensor, by name.
-    colours : tuple of ColouredRecord
+    coloured_records : tuple of ColouredRecord
         Records that may explain the accelerometer's printed optimum.
     rests : tuple of Rest
         Rests in real recordings.
     skipped : tuple of str
         A sentence for each real recording that is left out.
-    contest : Contest
+    comparison : ImmComparison
         Comparison of an IMM with the paper's optimum.
     """
 
     sensors: dict[Sensor, SensorStudy]
-    colours: tuple[ColouredRecord, ...]
+    coloured_records: tuple[ColouredRecord, ...]
     rests: tuple[Rest, ...]
     skipped: tuple[str, ...]
-    contest: Contest
+    comparison: ImmComparison
 
 
 def study(recordings: Path = RECORDINGS) -> Study:
-    """Compute all results; real recordings are read from a folder, and absent ones are left out."""
+    """Compute all results; real recordings are read from a folder, and missing recordings are left out."""
     rests, skipped = find_rests(recordings)
-    return Study({sensor: study_sensor(sensor) for sensor in SENSORS}, colours(), rests, skipped, contest())
+    return Study(
+        {sensor: study_sensor(sensor) for sensor in SENSORS}, tune_coloured_records(), rests, skipped, compare_imm()
+    )
 
 
 def study_sensor(sensor: Sensor) -> SensorStudy:
@@ -100,6 +102,6 @@ def study_sensor(sensor: Sensor) -> SensorStudy:
     optimum = optimise(sensor)
     own = NoiseSetting("here", printed.measured_noise, optimum.ratio * printed.measured_noise)
     paper = NoiseSetting("paper", printed.tuned_noise, printed.tuned_process)
-    tuned = tuple(answer(sensor, record, setting) for setting in (paper, own))
+    tuned = tuple(compute_response(sensor, record, setting) for setting in (paper, own))
     shown = welch(np.asarray(record - record.mean()), RATE_HZ, _FINE)
-    return SensorStudy(record, shown, identified, answers(sensor, record), optimum, tuned)
+    return SensorStudy(record, shown, identified, compute_responses(sensor, record), optimum, tuned)

@@ -9,34 +9,34 @@ from becalm.identification.several.step_spectrum import Sensor
 from becalm.report.description import Axis, Band, Curve, DrawnSurface, Figure, Layer, Look, Role
 from becalm.studies.imu import SensorStudy, Study
 from becalm.studies.imu_records import PRINTED, RATE_HZ
-from becalm.studies.imu_responses import EVERY, STEP, STEP_AT_S, FilterResponse
-from becalm.studies.imu_switching import Contest
+from becalm.studies.imu_responses import FIGURE_STRIDE, STEP, STEP_AT_S, FilterResponse
+from becalm.studies.imu_switching import ImmComparison
 from becalm.studies.sheets import SheetContents
 
-_BLOCK = 100  # readings in a mean
-_QUICKEST_MS = 1e3 / RATE_HZ  # one row; a logarithmic axis cannot show 0
+_BLOCK = 100  # number of readings in a mean
+_QUICKEST_MS = 1e3 / RATE_HZ  # least time shown, one row, because a logarithmic axis cannot show 0
 _CLOSE_S = (4.5, 6.5)  # part of a response that figure 9 shows
 _TIME = Axis("time (s)")
 _QUANTITIES: dict[Sensor, str] = {"accelerometer": "acceleration", "gyroscope": "angular rate"}
-_LOOKS: tuple[Look, ...] = ("line", "dashed", "dotted")  # of the orders of fixed gains
+_LOOKS: tuple[Look, ...] = ("line", "dashed", "dotted")  # line styles of fixed gains of orders 1, 2 and 3
 
 
 def sheets(study: Study) -> tuple[SheetContents, ...]:
     """Return the figures of the study."""
-    held = study.sensors.items()
+    results = study.sensors.items()
     return (
-        SheetContents("imu-record", tuple(_record(*each) for each in held)),
-        SheetContents("imu-spectra", tuple(_spectrum(*each) for each in held), 2),
-        *(SheetContents(f"imu-{sensor}", _panels(sensor, one.answers), 2) for sensor, one in held),
-        SheetContents("imu-surface", tuple(_surface(*each) for each in held), 2),
-        SheetContents("imu-optimum", tuple(_optimum(*each) for each in held), 2),
-        SheetContents("imu-contest", (_contest(study.contest),)),
+        SheetContents("imu-record", tuple(_record(*each) for each in results)),
+        SheetContents("imu-spectra", tuple(_spectrum(*each) for each in results), 2),
+        *(SheetContents(f"imu-{sensor}", _panels(sensor, one.responses), 2) for sensor, one in results),
+        SheetContents("imu-surface", tuple(_surface(*each) for each in results), 2),
+        SheetContents("imu-optimum", tuple(_optimum(*each) for each in results), 2),
+        SheetContents("imu-contest", (_comparison(study.comparison),)),
     )
 
 
-def _record(sensor: Sensor, held: SensorStudy) -> Figure:
+def _record(sensor: Sensor, result: SensorStudy) -> Figure:
     """Draw figure 3."""
-    z = held.record - held.record.mean()
+    z = result.record - result.record.mean()
     times_s = np.arange(len(z)) / RATE_HZ
     means = z.reshape(-1, _BLOCK).mean(axis=1)
     layers = (
@@ -46,17 +46,17 @@ def _record(sensor: Sensor, held: SensorStudy) -> Figure:
     return Figure(f"imu-record-{sensor}", sensor, _TIME._replace(low=0.0), Axis("centred reading"), layers)
 
 
-def _spectrum(sensor: Sensor, held: SensorStudy) -> Figure:
+def _spectrum(sensor: Sensor, result: SensorStudy) -> Figure:
     """Draw figure 4."""
-    f, density = held.spectrum
+    f, density = result.spectrum
     layers = (Curve("readings", f[1:], np.sqrt(density[1:]), "readings"),)
     x, y = Axis("frequency (Hz)", log=True), Axis("amplitude density (unit/√Hz)", log=True)
     return Figure(f"imu-spectra-{sensor}", sensor, x, y, layers)
 
 
-def _panels(sensor: Sensor, answers: tuple[FilterResponse, ...]) -> tuple[Figure, ...]:
+def _panels(sensor: Sensor, responses: tuple[FilterResponse, ...]) -> tuple[Figure, ...]:
     """Draw figure 5 or 6."""
-    return tuple(_panel(sensor, each) for each in answers)
+    return tuple(_panel(sensor, each) for each in responses)
 
 
 def _panel(sensor: Sensor, each: FilterResponse) -> Figure:
@@ -67,18 +67,18 @@ def _panel(sensor: Sensor, each: FilterResponse) -> Figure:
 
 
 def _output(name: str, output: Floats, role: Role) -> Curve:
-    return Curve(name, np.arange(len(output)) * EVERY / RATE_HZ, output, role)
+    return Curve(name, np.arange(len(output)) * FIGURE_STRIDE / RATE_HZ, output, role)
 
 
 def _step(output: Floats) -> Curve:
-    end_s = (len(output) - 1) * EVERY / RATE_HZ
+    end_s = (len(output) - 1) * FIGURE_STRIDE / RATE_HZ
     x, y = np.array([0, STEP_AT_S, STEP_AT_S, end_s]), np.array([0, 0, STEP, STEP])
     return Curve("step", x, y, "truth", "dotted")
 
 
-def _surface(sensor: Sensor, held: SensorStudy) -> Figure:
+def _surface(sensor: Sensor, result: SensorStudy) -> Figure:
     """Draw figure 8: the valley, the paper's optimum and the ends of the searches over R and Q."""
-    cost, found, printed = held.optimum.surface, held.optimum, PRINTED[sensor]
+    cost, found, printed = result.optimum.surface, result.optimum, PRINTED[sensor]
     ends = np.log10([[end.noise_variance, end.process_variance] for end in found.ends[1:]])
     tuned = np.log10([[printed.tuned_noise, printed.tuned_process]])
     layers: tuple[Layer, ...] = (
@@ -95,31 +95,31 @@ def _spanned(label: str, values: Floats) -> Axis:
     return Axis(label, low=float(values[0]), high=float(values[-1]))
 
 
-def _optimum(sensor: Sensor, held: SensorStudy) -> Figure:
+def _optimum(sensor: Sensor, result: SensorStudy) -> Figure:
     """Draw figure 9."""
     roles: dict[str, Role] = {"here": "clean"}
     layers = []
-    for each in held.tuned:
+    for each in result.tuned:
         name, noise, process, _ = each.setting
         layers.append(_output(f"{name}: Q/R = {process / noise:.4g}", each.output, roles.get(name, "other")))
     x = _TIME._replace(low=_CLOSE_S[0], high=_CLOSE_S[1])
-    drawn = (*layers, _step(held.tuned[0].output))
+    drawn = (*layers, _step(result.tuned[0].output))
     return Figure(f"imu-optimum-{sensor}", sensor, x, Axis(_QUANTITIES[sensor]), drawn)
 
 
-def _contest(held: Contest) -> Figure:
+def _comparison(result: ImmComparison) -> Figure:
     """Draw noise at rest against the time to nine tenths of a step: fixed gains, the paper's filters, an IMM."""
-    times_ms = np.array([max(each.reached_ms, _QUICKEST_MS) for each in held.switched])
-    gains = np.array([each.rest_gain for each in held.switched])
-    labels = tuple(f"{each.step_std:.2g} std" for each in held.switched)
+    times_ms = np.array([max(each.reached_ms, _QUICKEST_MS) for each in result.switched])
+    gains = np.array([each.rest_gain for each in result.switched])
+    labels = tuple(f"{each.step_std:.2g} std" for each in result.switched)
     layers = (
         *(
             Curve(f"fixed gain, order {one.order}", one.reached_ms, one.rest_gain, "other", look)
-            for one, look in zip(held.fronts, _LOOKS, strict=True)
+            for one, look in zip(result.gain_curves, _LOOKS, strict=True)
         ),
         *(
             Curve(f"paper's optimum, {one.sensor}", *_place(one.reached_ms, one.rest_gain), "other", "points")
-            for one in held.fixed
+            for one in result.fixed
         ),
         Curve("switching", times_ms, gains, "clean", "points", labels),
     )

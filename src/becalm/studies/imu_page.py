@@ -13,7 +13,7 @@ from becalm.identification.several.step_spectrum import Sensor
 from becalm.studies import imu_switching
 from becalm.studies.imu import Study, study
 from becalm.studies.imu_figures import sheets
-from becalm.studies.imu_records import PRINTED, RATE_HZ, RECORD_S, SPLIT_HZ, SPLIT_ORDER, makeup
+from becalm.studies.imu_records import PRINTED, RATE_HZ, RECORD_S, SPLIT_HZ, SPLIT_ORDER, noise_parts
 from becalm.studies.imu_responses import STEP, FilterResponse
 from becalm.studies.imu_valley import least_ratio
 from becalm.studies.recordings import RECORDINGS
@@ -66,7 +66,7 @@ own method gives his table 1 for them. The page is written by `becalm.studies.im
 
 
 def _measured(study: Study) -> str:
-    rows, made = [], {sensor: makeup(PRINTED[sensor]) for sensor in study.sensors}
+    rows, made = [], {sensor: noise_parts(PRINTED[sensor]) for sensor in study.sensors}
     for sensor, each in study.sensors.items():
         found = np.array(each.identified)
         mean, error = found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(len(found))
@@ -117,7 +117,7 @@ slow.
 
 def _varied(study: Study) -> str:
     tables = "\n".join(
-        f"Figure {_FIGURE[sensor]}, {sensor}:\n\n{_answers(each.answers)}" for sensor, each in study.sensors.items()
+        f"Figure {_FIGURE[sensor]}, {sensor}:\n\n{_responses(each.responses)}" for sensor, each in study.sensors.items()
     )
     return f"""## Figures 5 and 6: R, Q and P0 one at a time
 
@@ -130,7 +130,7 @@ trusts the start at zero so much that five seconds of step change little.
 """
 
 
-def _answers(answers: Iterable[FilterResponse]) -> str:
+def _responses(responses: Iterable[FilterResponse]) -> str:
     head = ["", "R", "Q", "P0", "noise at rest", "nine tenths after", "height after 5 s"]
     rows = [
         [
@@ -142,7 +142,7 @@ def _answers(answers: Iterable[FilterResponse]) -> str:
             _ms(each.reached_ms),
             f"{each.risen:.0%}",
         ]
-        for each in answers
+        for each in responses
     ]
     return _table(head, rows)
 
@@ -193,9 +193,9 @@ The paper's accelerometer needs **{late:.0f} ms** to reach nine tenths of a step
 
 
 def _why(study: Study) -> str:
-    rows = [[each.made_of, f"{each.ratio:.4g}"] for each in study.colours]
+    rows = [[each.made_of, f"{each.ratio:.4g}"] for each in study.coloured_records]
     paper = PRINTED["accelerometer"].ratio
-    below = study.colours[-1]
+    below = study.coloured_records[-1]
     return f"""## Why the accelerometer's ratio differs
 
 The gyroscope's noise was nearly white, and its printed ratio is reproduced. The accelerometer's was not. Records of the
@@ -210,7 +210,7 @@ for the filter in steady state). The printed {paper:.4g} needs noise below 50 Hz
 
 
 def _switching(study: Study) -> str:
-    got, noises = study.contest, {sensor: np.sqrt(PRINTED[sensor].measured_noise) for sensor in study.sensors}
+    got, noises = study.comparison, {sensor: np.sqrt(PRINTED[sensor].measured_noise) for sensor in study.sensors}
     rows = [
         [f"{each.step_std:.2f}", f"**{_ms(each.reached_ms)}**", f"**{each.rest_gain:.4f}**"] for each in got.switched
     ]

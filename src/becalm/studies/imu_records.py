@@ -2,8 +2,9 @@
 
 The paper (Kownacki 2010) takes the variance after a 1 Hz high-pass for R and that after a 1 Hz low-pass for Q. Its
 records are not public, but R and Q together show how the noise of each sensor was distributed over frequency. White
-noise has a known share of its variance below 1 Hz. The accelerometer's noise has less there: only a part is white, and
-the rest is in the harmonics that the paper shows. The gyroscope's has more: there is drift in addition.
+noise has a known share of its variance below 1 Hz. The accelerometer's noise has a smaller share there: a part of it is
+white, and the other part is in the harmonics that the paper shows. The gyroscope's noise has a larger share there: it
+contains white noise and a drift.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ SENSORS: tuple[Sensor, ...] = ("accelerometer", "gyroscope")
 HARMONICS_HZ = np.arange(50.0, 501.0, 50.0)
 RECORDS = range(10)  # seeds of the simulated records for table 1
 RECORD_S = 120.0
-"""Duration of the simulated records for table 1; the others last 10 s."""
+"""Duration of the simulated records for table 1; other records last 10 s."""
 
 SPLIT_HZ = 1.0  # cutoff of the paper's high-pass and low-pass
 SPLIT_ORDER = 2
@@ -58,7 +59,7 @@ PRINTED: dict[Sensor, Printed] = {
 }
 
 
-class Makeup(NamedTuple):
+class NoiseParts(NamedTuple):
     """The parts of a motionless record, as variances in unit^2."""
 
     white: float
@@ -75,7 +76,7 @@ class Identified(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """A rest in a real recording: its source, begin and end, and R and Q of each channel by the paper's method."""
+    """A rest in a real recording: its source, start and end, and R and Q of each channel by the paper's method."""
 
     source: str
     start_s: float
@@ -89,13 +90,13 @@ class Rest(NamedTuple):
         return float(1 / np.sqrt(_INDEPENDENT_HZ * (self.stop_s - self.start_s - _SETTLED_S)))
 
 
-def makeup(printed: Printed) -> Makeup:
+def noise_parts(printed: Printed) -> NoiseParts:
     """Return the parts of a record for which the paper's method gives its R and Q of table 1."""
     kept = butterworth_noise_gain(SPLIT_ORDER, SPLIT_HZ / RATE_HZ)
     white = min(printed.measured_noise, printed.measured_process / kept)
     passes = 2 / np.pi * np.arctan(SPLIT_HZ / DRIFT_HZ)  # share of the drift that passes the low-pass, approximately
     drift = max(0.0, printed.measured_process - kept * white) / passes
-    return Makeup(white, printed.measured_noise - white, drift)
+    return NoiseParts(white, printed.measured_noise - white, drift)
 
 
 def white(sensor: Sensor, seed: int, duration_s: float = 10.0) -> Floats:
@@ -106,11 +107,11 @@ def white(sensor: Sensor, seed: int, duration_s: float = 10.0) -> Floats:
 
 def motionless(sensor: Sensor, seed: int, duration_s: float = 10.0) -> Floats:
     """Return a simulated motionless record (N,): white noise, equal harmonics of 50 to 500 Hz, and drift."""
-    made, rng = makeup(PRINTED[sensor]), np.random.default_rng([seed, SENSORS.index(sensor)])
+    parts, rng = noise_parts(PRINTED[sensor]), np.random.default_rng([seed, SENSORS.index(sensor)])
     count = round(duration_s * RATE_HZ)
-    z = rng.normal(0.0, np.sqrt(made.white), count)
-    z += np.sqrt(made.harmonic) * harmonics(count, rng)
-    z += np.sqrt(made.drift) * _drift(count, rng)
+    z = rng.normal(0.0, np.sqrt(parts.white), count)
+    z += np.sqrt(parts.harmonic) * harmonics(count, rng)
+    z += np.sqrt(parts.drift) * _drift(count, rng)
     return z
 
 
@@ -126,10 +127,10 @@ def _drift(count: int, rng: np.random.Generator) -> Floats:
     """Return first-order Gauss-Markov noise (count,) of variance 1, from its stationary start."""
     from scipy.signal import lfilter
 
-    keeps = np.exp(-2 * np.pi * DRIFT_HZ / RATE_HZ)
-    drive = np.sqrt(1 - keeps**2) * rng.normal(size=count)
+    pole = np.exp(-2 * np.pi * DRIFT_HZ / RATE_HZ)
+    drive = np.sqrt(1 - pole**2) * rng.normal(size=count)
     drive[0] = rng.normal()
-    return np.asarray(lfilter([1.0], [1.0, -keeps], drive))
+    return np.asarray(lfilter([1.0], [1.0, -pole], drive))
 
 
 def identify(z: Floats, rate_hz: float) -> Identified:
@@ -139,11 +140,11 @@ def identify(z: Floats, rate_hz: float) -> Identified:
     """
     from scipy.signal import butter, sosfilt
 
-    calm, settled = z - z.mean(), round(_SETTLED_S * rate_hz)
+    centred, settled = z - z.mean(), round(_SETTLED_S * rate_hz)
 
     def variance(kind: Literal["highpass", "lowpass"]) -> float:
         sos = butter(SPLIT_ORDER, SPLIT_HZ, kind, fs=rate_hz, output="sos")
-        return float(np.var(sosfilt(sos, calm)[settled:]))
+        return float(np.var(sosfilt(sos, centred)[settled:]))
 
     high, low = variance("highpass"), variance("lowpass")
     kept = butterworth_noise_gain(SPLIT_ORDER, SPLIT_HZ / rate_hz)
@@ -151,7 +152,7 @@ def identify(z: Floats, rate_hz: float) -> Identified:
 
 
 def find_rests(data: Path) -> tuple[tuple[Rest, ...], tuple[str, ...]]:
-    """Return the longest rest of each sensor in real recordings, and a sentence for each one that is left out."""
+    """Return the longest rest of each sensor in real recordings, and a sentence for each recording left out."""
     rests, skipped = list[Rest](), list[str]()
     for source, reader in _READERS.items():
         path = data / source
@@ -199,9 +200,9 @@ def _mat(path: Path) -> Iterator[Recording]:
 def _hdf5(path: Path) -> Iterator[Recording]:
     import h5py
 
-    with h5py.File(path) as opened:
-        arrays = {name: opened[name][:] for name in ("imu_acc", "imu_gyr")}
-        yield from _broad(arrays | {"sampling_rate": np.array(opened.attrs["sampling_rate"])})
+    with h5py.File(path) as file:
+        arrays = {name: file[name][:] for name in ("imu_acc", "imu_gyr")}
+        yield from _broad(arrays | {"sampling_rate": np.array(file.attrs["sampling_rate"])})
 
 
 def _broad(arrays: Mapping[str, Any]) -> Iterator[Recording]:

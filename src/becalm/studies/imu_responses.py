@@ -1,4 +1,4 @@
-"""Compute step responses of the IMU paper's filters, with R, Q and P0 varied one at a time: its figures 5, 6 and 9."""
+"""Compute step responses of the IMU paper's filters, for its figures 5, 6 and 9; R, Q and P0 vary one at a time."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from becalm.studies.imu_records import PRINTED, RATE_HZ
 
 STEP = 0.2  # height, in unit
 STEP_AT_S = 5.0
-EVERY = 50
-"""A figure shows every 50th row of a response."""
+FIGURE_STRIDE = 50
+"""Rows of a response per point of a figure."""
 
-_LAST = round(0.1 * RATE_HZ)  # rows at the end over which the output is averaged
+_LAST = round(0.1 * RATE_HZ)  # number of rows at the end over which the output is averaged
 
 
 class NoiseSetting(NamedTuple):
@@ -37,13 +37,13 @@ class FilterResponse(NamedTuple):
     setting : NoiseSetting
         R, Q and P0 of the filter.
     output : (k,) float array
-        Every `EVERY`-th row of the output, in unit, from the first on.
+        Every `FIGURE_STRIDE`-th row of the output, in unit, from the first on.
     reached_ms : float
-        Time from the step until the output first reaches nine tenths of it; inf if it never does.
+        Time from the step until the output first reaches nine tenths of the step; inf if it never does.
     rest_noise : float
         Standard deviation of the output over the last second before the step, in unit.
     rest_offset : float
-        Mean of the output over that second, in unit; the record had its mean subtracted.
+        Mean of the output over the last second before the step, in unit; the mean of the record was subtracted.
     risen : float
         Output at the end of the record, averaged over a tenth of a second, relative to the step.
     differs : float
@@ -71,7 +71,7 @@ def settings(sensor: Sensor) -> tuple[NoiseSetting, ...]:
     return panels if sensor == "gyroscope" else (*panels, NoiseSetting("e", R, Q, 0.0), NoiseSetting("f", R, Q))
 
 
-def answer(sensor: Sensor, record: Floats, setting: NoiseSetting) -> FilterResponse:
+def compute_response(sensor: Sensor, record: Floats, setting: NoiseSetting) -> FilterResponse:
     """Return the response of one filter to a motionless record (N,), in unit, plus a step of 0.2 after 5 s."""
     P0 = np.full((2, 2), setting.start)
     trial = StepTrial(record, RATE_HZ, sensor, step=STEP, step_at_s=STEP_AT_S, initial_covariance=P0)
@@ -80,12 +80,12 @@ def answer(sensor: Sensor, record: Floats, setting: NoiseSetting) -> FilterRespo
     z = record - record.mean()
     z[row:] += STEP
     x = kalman_filter(model, z, sigma=False, innovations=False).signal[:, 0]
-    passed = np.flatnonzero(x[row:] >= 0.9 * STEP)
+    reached = np.flatnonzero(x[row:] >= 0.9 * STEP)
     rest = x[row - second : row]
     return FilterResponse(
         setting,
-        x[::EVERY].copy(),
-        1e3 * float(passed[0]) / RATE_HZ if len(passed) else np.inf,
+        x[::FIGURE_STRIDE].copy(),
+        1e3 * float(reached[0]) / RATE_HZ if len(reached) else np.inf,
         float(rest.std()),
         float(rest.mean()),
         float(x[-_LAST:].mean() / STEP),
@@ -93,13 +93,13 @@ def answer(sensor: Sensor, record: Floats, setting: NoiseSetting) -> FilterRespo
     )
 
 
-def answers(sensor: Sensor, record: Floats) -> tuple[FilterResponse, ...]:
+def compute_responses(sensor: Sensor, record: Floats) -> tuple[FilterResponse, ...]:
     """Return the responses in all panels of figure 5 or 6."""
-    return tuple(answer(sensor, record, setting) for setting in settings(sensor))
+    return tuple(compute_response(sensor, record, setting) for setting in settings(sensor))
 
 
 def reached_ms(sensor: Sensor, ratio: float) -> float:
-    """Return how many ms the steady-state filter of a Q/R takes to nine tenths of a step, computed from its model."""
+    """Return the time, in ms, in which the steady-state filter of a Q/R reaches nine tenths of a step."""
     any_record = np.zeros(2 * round(STEP_AT_S * RATE_HZ))
     step = describe(StepTrial(any_record, RATE_HZ, sensor).model(1.0, ratio), 1 / RATE_HZ).step
     assert step is not None  # a kinematic model passes 0 Hz

@@ -1,7 +1,8 @@
 """Compare the filter that becalm identifies, an IMM, with the fixed gain of the IMU paper's optimum.
 
-A record is white noise of variance 1 at 10 kHz, with a step after a rest. becalm does not depend on units, so that the
-noise at rest relative to that of a reading, and the time to follow the step, hold for both of the paper's sensors.
+A record is white noise of variance 1 at 10 kHz, with a step after a rest. becalm's result does not depend on units.
+Therefore the noise at rest relative to that of a reading, and the time to follow the step, hold for both of the paper's
+sensors.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from becalm.identification.wishes.noise_against_lag import trade_off_curve
 from becalm.studies.imu_records import PRINTED, RATE_HZ, SENSORS
 from becalm.studies.imu_responses import reached_ms
 
-REST_S = 8.0  # before the step
+REST_S = 8.0  # duration of the rest before the step
 SETTLED_S = 4.0  # noise at rest is measured from here on
-AFTER_S = 2.0  # from the step on
+AFTER_S = 2.0  # duration of the record from the step on
 SEEDS = range(2)
 STEPS = (0.2, 0.05, 0.02, 0.005)
 """Steps of the accelerometer in its unit; the simulation divides them by the standard deviation of its noise."""
 
 
 class SwitchedStep(NamedTuple):
-    """The results of the IMM for one step; medians over the records.
+    """The results of the IMM for one height of the step; medians over the records.
 
     Attributes
     ----------
@@ -61,12 +62,12 @@ class GainCurve(NamedTuple):
     rest_gain: Floats  # (k,)
 
 
-class Contest(NamedTuple):
+class ImmComparison(NamedTuple):
     """The results of the IMM, of the paper's optimum, and of other fixed gains."""
 
     switched: tuple[SwitchedStep, ...]
     fixed: tuple[PrintedOptimum, ...]
-    fronts: tuple[GainCurve, ...]
+    gain_curves: tuple[GainCurve, ...]
 
     @property
     def rest_gain(self) -> float:
@@ -74,13 +75,13 @@ class Contest(NamedTuple):
         return float(np.median([each.rest_gain for each in self.switched]))
 
 
-def contest() -> Contest:
+def compare_imm() -> ImmComparison:
     """Run the IMM on records with each step, and the paper's optimum for each sensor on records at rest."""
     std = np.sqrt(PRINTED["accelerometer"].measured_noise)
     switched = tuple(_switched(step / std) for step in STEPS)
     fixed = tuple(_fixed(sensor) for sensor in SENSORS)
     points = trade_off_curve(1.0, 1 / RATE_HZ).points
-    fronts = tuple(
+    gain_curves = tuple(
         GainCurve(
             order,
             np.array([1e3 * point.step_90_s for point in points if point.order == order]),
@@ -88,11 +89,11 @@ def contest() -> Contest:
         )
         for order in sorted({point.order for point in points})
     )
-    return Contest(switched, fixed, fronts)
+    return ImmComparison(switched, fixed, gain_curves)
 
 
 def _record(step_std: float, seed: int) -> Floats:
-    """Return noise (N,) of variance 1, with a step at the end of the rest; the random numbers depend on its height."""
+    """Return noise (N,) of variance 1, with a step at the end of the rest; the noise depends on the step's height."""
     rest, after = round(REST_S * RATE_HZ), round(AFTER_S * RATE_HZ)
     z = np.random.default_rng([seed, round(1e3 * step_std)]).normal(size=rest + after)
     z[rest:] += step_std
@@ -105,8 +106,8 @@ def _switched(step_std: float) -> SwitchedStep:
     for seed in SEEDS:
         recording = Recording(_record(step_std, seed), rate_hz=RATE_HZ)
         x = clean(recording, causal=True).signal.samples[:, 0]
-        passed = np.flatnonzero(x[rest:] > 0.9 * step_std)
-        times_ms.append(1e3 * float(passed[0]) / RATE_HZ if len(passed) else np.inf)
+        reached = np.flatnonzero(x[rest:] > 0.9 * step_std)
+        times_ms.append(1e3 * float(reached[0]) / RATE_HZ if len(reached) else np.inf)
         gains.append(float(np.sqrt(np.mean(x[settled:rest] ** 2))))
     return SwitchedStep(step_std, float(np.median(times_ms)), float(np.median(gains)))
 

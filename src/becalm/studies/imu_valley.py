@@ -10,17 +10,17 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.identification.several.step_spectrum import Sensor, StepTrial
 from becalm.identification.several.step_tuning import StepTuning, tune_by_simplex, tune_by_step
-from becalm.studies.imu_records import PRINTED, RATE_HZ, harmonics, makeup, motionless, white
+from becalm.studies.imu_records import PRINTED, RATE_HZ, harmonics, motionless, noise_parts, white
 from becalm.studies.imu_responses import reached_ms
 
-SEEDS = range(5)  # of the records of white noise
+SEEDS = range(5)  # seeds of the records of white noise
 STARTS = ((1e-3, 1.0), (1.0, 1e-3))
-"""Starts (R, Q), in unit^2, of the search over both, in addition to R and Q of table 1."""
+"""Starting points (R, Q), in unit^2, of the search over R and Q, in addition to R and Q of table 1."""
 
 _DECADES = np.arange(-13.0, 2.0)  # log10 R on the surface
-_RAISED = 2  # the grid of Q begins this many decades above that of R
-_BELOW_HZ = (5.0, 500.0)  # a band that begins below the harmonics
-_SHOWN_HZ = (50.0, 500.0)  # the band of the harmonics that the paper shows
+_RAISED = 2  # decades by which the grid of Q begins above that of R
+_BELOW_HZ = (5.0, 500.0)  # band that begins below the harmonics
+_SHOWN_HZ = (50.0, 500.0)  # band of the harmonics that the paper shows
 
 
 class ValleySurface(NamedTuple):
@@ -61,7 +61,7 @@ class Optimum(NamedTuple):
     excess : float
         J at the paper's ratio relative to the least J, median over the records.
     ends : tuple of StepTuning
-        End of the search over Q/R, then those of the searches over R and Q, all on the first record.
+        Results of the search over Q/R, and then of the searches over R and Q, all on the first record.
     reached_ms, paper_reached_ms : float
         Time to nine tenths of a step at the median ratio, and at the paper's ratio.
     surface : ValleySurface
@@ -89,12 +89,12 @@ class ColouredRecord(NamedTuple):
 
 
 def optimise(sensor: Sensor) -> Optimum:
-    """Minimise the cost on white noise, over Q/R and over R and Q."""
+    """Minimise the cost for records of white noise, both over Q/R alone and over R and Q."""
     printed = PRINTED[sensor]
     trials = [StepTrial(white(sensor, seed), RATE_HZ, sensor) for seed in SEEDS]
     tunings = [tune_by_step(trial, printed.measured_noise) for trial in trials]
-    there = [trial.cost(printed.measured_noise, printed.ratio * printed.measured_noise).total for trial in trials]
-    excess = np.median([cost / each.cost.total for cost, each in zip(there, tunings, strict=True)])
+    at_printed = [trial.cost(printed.measured_noise, printed.ratio * printed.measured_noise).total for trial in trials]
+    excess = np.median([cost / each.cost.total for cost, each in zip(at_printed, tunings, strict=True)])
     starts = ((printed.measured_noise, printed.measured_process), *STARTS)
     ends = (tunings[0], *(tune_by_simplex(trials[0], *start) for start in starts))
     ratios = np.array([each.ratio for each in tunings])
@@ -108,11 +108,11 @@ def _surface(trial: StepTrial) -> ValleySurface:
     return ValleySurface(_DECADES, raised, cost)
 
 
-def colours() -> tuple[ColouredRecord, ...]:
-    """Find Q/R for the accelerometer on records of equal variance and different spectra, to explain the printed one."""
+def tune_coloured_records() -> tuple[ColouredRecord, ...]:
+    """Find Q/R for the accelerometer on records of equal variance and different spectra, to explain the printed Q/R."""
     sensor: Sensor = "accelerometer"
     variance, rng = PRINTED[sensor].measured_noise, np.random.default_rng(0)
-    share = makeup(PRINTED[sensor]).harmonic / variance
+    share = noise_parts(PRINTED[sensor]).harmonic / variance
     half = np.sqrt(variance / 2) * (rng.normal(size=100_000) + harmonics(100_000, rng))
     made: dict[str, Callable[[], Floats]] = {
         "white": lambda: white(sensor, 0),

@@ -12,7 +12,7 @@ from becalm.studies.strain_gauge import Gauge
 from becalm.studies.strain_methods import AVERAGE, BECALM, BUTTERWORTH, KALMAN, READINGS
 
 _ZOOM_S = 30.0  # first part of the gauge's record, in figure 8
-_TRIALS: dict[str, Role] = {  # filters that are drawn; the curves of the others overlap with these
+_TRIALS: dict[str, Role] = {  # filters that are drawn; the curves of the other filters overlap with these
     "becalm, smoothed": "clean",
     "G by likelihood, R at rest": "other",
     "G of the simulation, R at rest": "other",

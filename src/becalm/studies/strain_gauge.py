@@ -1,4 +1,4 @@
-"""Apply the strain paper's filter and becalm to a real gauge on a bridge, and judge both."""
+"""Apply the strain paper's filter and becalm's filters to a real gauge on a bridge, and judge each filter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from becalm.core.recording import Recording
 from becalm.files.opening import read
 from becalm.identification.at_rest.detection import detect_rests
 from becalm.identification.at_rest.rest_noise import split_at_cutoff
-from becalm.studies.strain_methods import TRIED
+from becalm.studies.strain_methods import G_BY_TRIAL
 from becalm.studies.strain_model import Noise, likeliest, strain_model
 
 AT_REST = "munich_bridge/reference_state_strain.csv.gz"
@@ -32,9 +32,9 @@ class QuietStretch(NamedTuple):
 
     begin_s: float
     end_s: float
-    std: float  # standard deviation in unit; the paper's R is its square
+    std: float  # standard deviation of the readings, in unit; the paper's R is its square
     noise_std: float  # standard deviation of the part above `CUTOFF_HZ`, in unit
-    drift_std: float  # that of the part below it
+    drift_std: float  # standard deviation of the part below `CUTOFF_HZ`, in unit
 
     @property
     def moved_share(self) -> float:
@@ -45,13 +45,13 @@ class QuietStretch(NamedTuple):
 class Trial(NamedTuple):
     """The results of one filter on the loaded record."""
 
-    jerk_variance: float  # G of the paper's filter, in unit^2/s^6; NaN for becalm's own
+    jerk_variance: float  # G of the paper's filter, in unit^2/s^6; NaN for becalm's filters
     noise_std: float  # root of R, in unit
-    tones_hz: tuple[float, ...]  # vibrations that becalm's own filter counts as signal; empty for others
+    tones_hz: tuple[float, ...]  # vibrations that becalm's filter counts as signal; empty for other filters
     output: Floats  # (N,) in unit
     judgement: Judgement
     residual_std: float  # standard deviation of readings minus output, in unit
-    residual_drift: float  # largest magnitude of a mean of readings minus output over ten seconds, in unit
+    residual_drift: float  # largest magnitude of readings minus output, averaged over ten seconds, in unit
 
 
 class Gauge(NamedTuple):
@@ -65,8 +65,8 @@ class Gauge(NamedTuple):
     trials: dict[str, Trial]  # by filter
 
 
-def absent(recordings: Path) -> str:
-    """Return a sentence that names absent recordings; empty if there are none."""
+def missing_recordings(recordings: Path) -> str:
+    """Return a sentence that names the missing recordings; empty if none is missing."""
     missing = [name for name in (AT_REST, LOADED) if not (recordings / name).exists()]
     return f"The real gauge is left out: {' and '.join(missing)} are not on this machine." if missing else ""
 
@@ -79,7 +79,7 @@ def measure_gauge(recordings: Path) -> Gauge:
     z, step_s = loaded.channel(loaded.names[0]), loaded.timebase.step_s
     given = rest.std**2
     noises = {
-        "G of the simulation, R at rest": Noise(TRIED, given),
+        "G of the simulation, R at rest": Noise(G_BY_TRIAL, given),
         "G by likelihood, R at rest": likeliest(z, step_s, given),
         "G by likelihood, R above 1 Hz": likeliest(z, step_s, rest.noise_std**2),
         "G and R by likelihood": likeliest(z, step_s),
@@ -91,11 +91,11 @@ def measure_gauge(recordings: Path) -> Gauge:
 
 def measure_rest(recording: Recording) -> QuietStretch:
     """Measure the noise of a recording's first channel in its longest quiet stretch."""
-    alone = recording.select(recording.names[:1])
-    begin, end = max(detect_rests(alone).stretches, key=lambda stretch: stretch.stop - stretch.start)
-    quiet = alone.channel(alone.names[0])[begin:end]
-    above, below = split_at_cutoff(quiet, alone.rate_hz, CUTOFF_HZ)
-    step_s = alone.timebase.step_s
+    first = recording.select(recording.names[:1])
+    begin, end = max(detect_rests(first).stretches, key=lambda stretch: stretch.stop - stretch.start)
+    quiet = first.channel(first.names[0])[begin:end]
+    above, below = split_at_cutoff(quiet, first.rate_hz, CUTOFF_HZ)
+    step_s = first.timebase.step_s
     return QuietStretch(begin * step_s, end * step_s, float(quiet.std()), float(np.sqrt(above)), float(np.sqrt(below)))
 
 
@@ -115,8 +115,8 @@ def _becalm(loaded: Recording, causal: bool) -> Trial:
 
 
 def _trial(noise: Noise, z: Floats, output: Floats, judgement: Judgement, step_s: float) -> Trial:
-    left, length = z - output, round(DRIFT_S / step_s)
-    means = left[: len(left) // length * length].reshape(-1, length).mean(axis=1)
+    residual, length = z - output, round(DRIFT_S / step_s)
+    means = residual[: len(residual) // length * length].reshape(-1, length).mean(axis=1)
     drift = float(np.nanmax(np.abs(means)))
     std = float(np.sqrt(noise.noise_variance))
-    return Trial(noise.jerk_variance, std, (), output, judgement, float(np.nanstd(left)), drift)
+    return Trial(noise.jerk_variance, std, (), output, judgement, float(np.nanstd(residual)), drift)

@@ -19,10 +19,10 @@ from becalm.core.recording import Recording
 from becalm.studies.strain_model import Noise, likeliest, strain_model
 
 STEP_S = 0.1  # time between readings
-TRIED = 1e-4
-"""G of the simulation, in unit^2/s^6. It was found by trial, because the exponent is illegible in the paper."""
+G_BY_TRIAL = 1e-4
+"""G of the simulation, in unit^2/s^6, found by trial, because its exponent is illegible in the paper."""
 
-CUTOFF_HZ, ORDER, AVERAGED = 0.3, 4, 100  # of the Butterworth filter; readings in the average
+CUTOFF_HZ, ORDER, AVERAGED = 0.3, 4, 100  # cut-off and order of the Butterworth filter; readings in the average
 
 
 class Records(NamedTuple):
@@ -34,14 +34,14 @@ class Records(NamedTuple):
 
 
 class MethodOutcome(NamedTuple):
-    """The outputs of a filter for each record.
+    """The outputs of one method for each record.
 
     Attributes
     ----------
     outputs : (N, runs) float array
         Outputs for the noisy records.
     followed : (N, runs) float array
-        Outputs of the same filters for the signal without noise; their error is lag and overshoot.
+        Outputs of the same filters for the signal without noise; their errors are lag and overshoot.
     identified : (runs, 3) float array
         For a filter that was identified from the record: G or, for becalm's filters, the process noise density; the
         standard deviation of the noise; and the kinematic order. NaN for other filters.
@@ -68,7 +68,7 @@ def _readings(records: Records) -> MethodOutcome:
 
 
 def _kalman_by_trial(records: Records, from_zero: bool) -> MethodOutcome:
-    noise = Noise(TRIED, records.noise_std**2)
+    noise = Noise(G_BY_TRIAL, records.noise_std**2)
     return _each(records, partial(_filtered, strain_model(noise, STEP_S, from_zero=from_zero)))
 
 

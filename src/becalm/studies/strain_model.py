@@ -11,12 +11,12 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
 from becalm.core.model.model import Model
 
-_RATIOS = np.arange(-14.0, 5.0)  # decimal logarithms of G T^6 / R to start a search from
+_RATIOS = np.arange(-14.0, 5.0)  # decimal logarithms of G T^6 / R at which a search may start
 _NEAR = 0.01  # tolerance of the search, in decades
 
 
 class Noise(NamedTuple):
-    """Both variances of the paper's filter."""
+    """The two variances of the paper's filter."""
 
     jerk_variance: float  # G, in unit^2/s^6
     noise_variance: float  # R, in unit^2
@@ -28,12 +28,12 @@ def strain_model(noise: Noise, step_s: float, *, from_zero: bool = False) -> Mod
     Parameters
     ----------
     noise : Noise
-        Both variances: a *small* `jerk_variance` trusts the parabola and smooths more, a *small*
-        `noise_variance` trusts the readings and smooths less.
+        The two variances: a *small* `jerk_variance` trusts the parabola and smooths more, a *small* `noise_variance`
+        trusts the readings and smooths less.
     step_s : float
         Time between readings, in seconds.
     from_zero : bool
-        Whether the prior of strain and its first two derivatives is zero, each with the variance R (the paper does not
+        Whether the strain and its first two derivatives start at zero, each with the variance R (the paper does not
         print a start); by default the initial state is unknown.
 
     Raises

@@ -16,15 +16,15 @@ from becalm.studies.strain_methods import (
     AVERAGE,
     BECALM,
     BUTTERWORTH,
+    G_BY_TRIAL,
     KALMAN,
     KALMAN_FLAT,
     LIKELIEST,
     LIKELIEST_G,
     SMOOTHED,
-    TRIED,
 )
 
-REFERENCE_RUNS = 20  # that the errors in `REFERENCE` are averaged over
+REFERENCE_RUNS = 20  # number of runs over which the errors in `REFERENCE` are averaged
 REFERENCE = {
     KALMAN: (0.0089, 0.0184, 0.0309),
     BUTTERWORTH: (0.0433, 0.0453, 0.0494),
@@ -49,7 +49,7 @@ def page(study: StrainStudy, drawn: Mapping[str, str]) -> str:
         _errors(study),
         _lags(study),
         _settings(study),
-        _gauge(study.gauge) if study.gauge else f"## A real gauge\n\n{study.absent}",
+        _gauge(study.gauge) if study.gauge else f"## A real gauge\n\n{study.why_no_gauge}",
         _figures(drawn),
     ]
     return "\n\n".join(parts) + "\n"
@@ -70,7 +70,7 @@ becalm's own choice, which has no settings at all, not even the model."""
 def _errors(study: StrainStudy) -> str:
     head = [f"noise {noise:g}" for noise in NOISES]
     rows = []
-    for name, found in study.measured.items():
+    for name, found in study.quality.items():
         rows.append([name, *(f"{found[noise].rms:.4f} ± {found[noise].rms_error:.4f}" for noise in NOISES)])
         if name in REFERENCE:
             rows.append(["  an earlier re-run", *(f"{value:.4f}" for value in REFERENCE[name])])
@@ -87,7 +87,7 @@ Rms error, mean of the runs and its standard error.
 
 
 def _verdict(study: StrainStudy) -> str:
-    own = [study.measured[BECALM][noise].rms for noise in NOISES]
+    own = [study.quality[BECALM][noise].rms for noise in NOISES]
     limits = REFERENCE[KALMAN]
     kept = all(got <= limit for got, limit in zip(own, limits, strict=True))
     return (
@@ -97,8 +97,8 @@ def _verdict(study: StrainStudy) -> str:
 
 
 def _start(study: StrainStudy) -> str:
-    flat = [study.measured[KALMAN_FLAT][noise].rms for noise in NOISES]
-    from_zero = [study.measured[KALMAN][noise].rms for noise in NOISES]
+    flat = [study.quality[KALMAN_FLAT][noise].rms for noise in NOISES]
+    from_zero = [study.quality[KALMAN][noise].rms for noise in NOISES]
     return (
         f"The paper does not print a start. A filter with a known start at zero errs by {_listed(from_zero)}; one"
         f" that starts from the first readings alone, as becalm's does, by {_listed(flat)}. The known start has P0 = R,"
@@ -108,11 +108,11 @@ def _start(study: StrainStudy) -> str:
 
 def _lags(study: StrainStudy) -> str:
     rows = []
-    for name, found in study.measured.items():
+    for name, found in study.quality.items():
         m = found[SHOWN]
         rows.append([name, f"{m.noise_share:.0%}", _lag(m.ramp_lag_s), _lag(m.record_lag_s), f"{m.overshoot:.1%}"])
     head = ["filter", "noise's share of the error", "lag on the ramp, s", "lag over the record, s", "overshoot"]
-    butterworth, average = study.measured[BUTTERWORTH][SHOWN], study.measured[AVERAGE][SHOWN]
+    butterworth, average = study.quality[BUTTERWORTH][SHOWN], study.quality[AVERAGE][SHOWN]
     return f"""\
 ## Lag and overshoot, at noise {SHOWN:g}
 
@@ -130,18 +130,18 @@ state has no lag on a ramp; it errs at the corners, where the model is wrong for
 def _settings(study: StrainStudy) -> str:
     rows = []
     for noise in NOISES:
-        g, found, own = (study.measured[name][noise].identified for name in (LIKELIEST_G, LIKELIEST, BECALM))
+        g, found, own = (study.quality[name][noise].identified for name in (LIKELIEST_G, LIKELIEST, BECALM))
         rows.append(
             [f"{noise:g}", f"{g[0]:.2g}", f"{found[0]:.2g}", f"{found[1]:.4f}", f"{own[1]:.4f}", f"{own[2]:.0f}"]
         )
     head = ["noise", "G, R given", "G, both estimated", "noise estimated with it", "noise by becalm", "order by becalm"]
     smoothed, both, flat = (
-        [study.measured[name][noise].rms for noise in NOISES] for name in (SMOOTHED, LIKELIEST, KALMAN_FLAT)
+        [study.quality[name][noise].rms for noise in NOISES] for name in (SMOOTHED, LIKELIEST, KALMAN_FLAT)
     )
     return f"""\
 ## Identified settings
 
-Medians over the records, to compare with G = {TRIED:g} by trial.
+Medians over the records, to compare with G = {G_BY_TRIAL:g} by trial.
 
 {_table(head, rows)}
 
@@ -180,7 +180,7 @@ becalm's judgement of each filter:
 
 
 def _vibrations(gauge: Gauge) -> str:
-    """Return sentences about the filters that count vibrations as signal; empty if there are none."""
+    """Return sentences about the filters that count vibrations as signal; empty if no filter does."""
     sentences = [
         f'"{name}" counts a vibration near {", ".join(f"{tone:.1f}" for tone in trial.tones_hz)} Hz as signal, which a'
         " quasi-static filter does not want: its residual is therefore smaller. "

@@ -1,1 +1,1 @@
-"""Web pages: the tuner, and the live page of a stream. Only this machine can open them, and only with a token."""
+"""Web pages: the tuner, and the live page of a stream. A browser needs a token to open them."""

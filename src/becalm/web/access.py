@@ -1,4 +1,4 @@
-"""Decide who may open a page, by its host names and its token."""
+"""Decide by host name and token whether a request may open a page."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from becalm.errors import BecalmError, UsageError
 
 LOOPBACK = "127.0.0.1"
 COOKIE = "becalm-"  # prefix of the cookie's name; the port follows
-_DEFAULT_PORT = 80  # browsers leave this one out of the Host header
+_DEFAULT_PORT = 80  # browsers leave this port out of the Host header
 _ANYWHERE = ("0.0.0.0", "::")  # hosts that mean all addresses of this machine
 _TICKET_S = 30.0  # a ticket is valid for this long; a browser starts in less
-_WATCHED_S = 600.0  # age up to which a used ticket that comes again counts as stolen; later it is harmless
-_STOLEN = (
+_WATCHED_S = 600.0  # a ticket that is used again within this time counts as stolen; later it is only refused
+_REUSED = (
     "The address that becalm gave the browser was used twice: another user of this machine may have opened the page."
     " The page is now closed to everyone; end becalm, remove the file of --token-file if it has one, and start again."
 )
@@ -35,8 +35,8 @@ class AccessOptions(NamedTuple):
     port: str
 
 
-class PageAsked(NamedTuple):
-    """The port, host and token file that a person gave for a page."""
+class PageOptions(NamedTuple):
+    """The port, the host and the token file of a page, from the command line."""
 
     port: int
     host: str
@@ -50,12 +50,13 @@ OPTIONS = AccessOptions("--host", "--port")
 def address_of(host: str) -> str:
     """Return the address to listen at.
 
-    "localhost" becomes one address. It may stand for two, and a program that listens at the other would get the token.
+    "localhost" becomes 127.0.0.1: the name may have a second address, and a program that listens there would get the
+    token.
     """
     return LOOPBACK if host.lower() == "localhost" else host.lower()
 
 
-class StolenError(BecalmError):
+class TicketReusedError(BecalmError):
     """A ticket, which opens the page once, was used twice."""
 
 
@@ -78,8 +79,8 @@ class Access:
         self._options = options
         self.host, self.port = address_of(host), port
         self._token = token
-        self._tickets: dict[str, float] = {}  # tickets, with the time at which each was made
-        self._spent: dict[str, float] = {}  # used tickets, with the same times
+        self._tickets: dict[str, float] = {}  # unused tickets: the monotonic time at which each was made
+        self._spent: dict[str, float] = {}  # used tickets: the same times
         self.cookie = f"{COOKIE}{port}"
         own = {self.host} | ({"localhost", LOOPBACK, "::1"} if self.loopback or self.anywhere else set())
         self._names = {_in_url(name) for name in (own | {socket.gethostname().lower()} if self.anywhere else own)}
@@ -114,46 +115,46 @@ class Access:
         )
 
     def ticket(self) -> str:
-        """Return an address that opens the page once, within 30 s; other users can see the arguments of a browser."""
+        """Return an address for the arguments of a browser, which other users can see; it works once, within 30 s."""
         ticket = secrets.token_urlsafe()
         self._tickets[ticket] = time.monotonic()
         return f"http://{LOOPBACK if self.anywhere else _in_url(self.host)}:{self.port}/?token={ticket}"
 
-    def admits(self, brought: str) -> bool:
-        """Return whether a text from a request is the token or a valid ticket.
+    def admits(self, secret: str) -> bool:
+        """Return whether the secret in a request is the token or a valid ticket.
 
         Raises
         ------
-        StolenError
-            If a ticket comes for the second time: one of the two senders was not the browser. From then on nobody is
+        TicketReusedError
+            If a ticket is used a second time: one of the two senders was not the browser. Afterwards no request is
             admitted.
         """
         now = time.monotonic()
-        if any(_same(brought, ticket) and now - made < _WATCHED_S for ticket, made in self._spent.items()):
-            self._token = secrets.token_urlsafe(32)  # nobody gets this one
+        if any(_same(secret, ticket) and now - made < _WATCHED_S for ticket, made in self._spent.items()):
+            self._token = secrets.token_urlsafe(32)  # nobody gets the new token
             self._tickets.clear()
-            raise StolenError(_STOLEN)
+            raise TicketReusedError(_REUSED)
         for ticket, made in list(self._tickets.items()):
-            if _same(brought, ticket) and now - made < _TICKET_S:
+            if _same(secret, ticket) and now - made < _TICKET_S:
                 self._spent[ticket] = self._tickets.pop(ticket)
                 return True
-        return self.knows(brought)
+        return self.is_token(secret)
 
-    def knows(self, brought: str) -> bool:
-        """Return whether a text from a request is the token, which the cookie contains."""
-        return _same(brought, self._token)
+    def is_token(self, secret: str) -> bool:
+        """Return whether the secret in a cookie is the token."""
+        return _same(secret, self._token)
 
     def set_cookie(self) -> str:
-        """Return the value of the header that sets the cookie; other sites cannot use it, scripts cannot read it."""
+        """Return the value of a Set-Cookie header; other sites cannot send the cookie, and scripts cannot read it."""
         return f"{self.cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict"
 
-    def ours(self, host: str) -> bool:
+    def is_own_host(self, host: str) -> bool:
         """Return whether a Host header has a name of this page; another name may be a DNS rebinding attack.
 
         Parameters
         ----------
         host : str
-            The Host header. If the page listens at every address, every numeric one is accepted: it cannot be rebound.
+            The Host header. A page at every address of this machine accepts all IP addresses: DNS cannot rebind them.
         """
         name = host.lower().removesuffix(f":{self.port}")
         if name == host.lower() and self.port != _DEFAULT_PORT:
@@ -162,7 +163,7 @@ class Access:
 
     @staticmethod
     def same_origin(origin: str, host: str) -> bool:
-        """Return whether a request comes from the page that it is sent to."""
+        """Return whether a request was sent by a page of the host that it is sent to."""
         return origin.lower() == f"http://{host.lower()}"
 
     @property
@@ -176,7 +177,7 @@ def token_of(path: Path | None) -> str:
     Raises
     ------
     UsageError
-        If the file cannot be read or written, other users may read it or own it, or it does not contain a token.
+        If the file cannot be read or written, belongs to another user or can be read by one, or contains no token.
     """
     new = secrets.token_urlsafe(32)
     if path is None:
@@ -211,8 +212,8 @@ def _read_token(path: Path) -> str:
     return text
 
 
-def _same(brought: str, wanted: str) -> bool:
-    return hmac.compare_digest(brought.encode("utf-8", "replace"), wanted.encode())
+def _same(secret: str, wanted: str) -> bool:
+    return hmac.compare_digest(secret.encode("utf-8", "replace"), wanted.encode())
 
 
 def _in_url(name: str) -> str:

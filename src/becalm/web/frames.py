@@ -23,14 +23,14 @@ Values = NDArray[np.float32] | NDArray[np.float64] | NDArray[np.uint16]
 
 
 class Relative(NamedTuple):
-    """Numbers as differences from a common offset, for which float32 has enough digits.
+    """Numbers as float32 differences from a common offset.
 
     Attributes
     ----------
     values : array of float32
         Differences from the offset.
     offset : float
-        Number to add to each of them.
+        Number to add to each difference.
     """
 
     values: NDArray[np.float32]
@@ -48,7 +48,7 @@ def relative(values: NDArray[np.float64]) -> Relative | NDArray[np.float64]:
     Returns
     -------
     Relative or array of float64
-        The unchanged array if float32 would overflow.
+        The differences, or the unchanged array if float32 would overflow.
     """
     finite = values[np.isfinite(values)]
     if finite.size == 0:
@@ -103,7 +103,7 @@ def unframed(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     header : dict
         Header without "arrays".
     arrays : dict of str to array
-        Flat arrays; to those with an offset it is added, and they are float64.
+        Flat arrays; an array with an offset is float64, and contains the sums.
     """
     (length,) = _LENGTH.unpack_from(data)
     begin = _LENGTH.size + length

@@ -8,12 +8,12 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs
 
-from becalm.web.access import Access, StolenError
+from becalm.web.access import Access, TicketReusedError
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-MOST_VIEWERS = 32  # open WebSockets
+MOST_VIEWERS = 32  # limit of open WebSockets
 _OWN_SITE = ("same-origin", "none")  # values of Sec-Fetch-Site; none: a person typed the address
 _TRY_AGAIN_LATER = 1013  # close code of a WebSocket
 _BROKEN = 1011  # close code of a WebSocket
@@ -63,11 +63,11 @@ class Guard:
         if (why := self._foreign(request)) is not None:
             await _answer(request, secured, 403, why)
         elif request.header(b"content-length") is not None and request.header(b"transfer-encoding") is not None:
-            # such a request may smuggle in another one
+            # servers may disagree on where such a request ends (request smuggling)
             await _answer(request, secured, 400, "This request gives its length in two ways.")
         elif request.is_login:
             await self._log_in(request, secured)
-        elif not any(map(self._access.knows, request.cookies(self._access.cookie))):
+        elif not any(map(self._access.is_token, request.cookies(self._access.cookie))):
             why = "Open the address that becalm printed: it contains the token of this page."
             await _answer(request, secured, 403, why)
         else:
@@ -76,7 +76,7 @@ class Guard:
     def _foreign(self, request: _Request) -> str | None:
         """Return a sentence on why a request is foreign, or None if it comes from this page."""
         host, origin, site = request.header(b"host"), request.header(b"origin"), request.header(b"sec-fetch-site")
-        if host is None or not self._access.ours(host):
+        if host is None or not self._access.is_own_host(host):
             return "The host name of this request is not one of the page's; open the address that becalm printed."
         if origin is None and request.is_websocket:
             return "Only a page of becalm may connect here, and it sends its origin."
@@ -91,7 +91,7 @@ class Guard:
         why = "The token in this address is not that of the page; open the address that becalm printed last."
         try:
             admitted = self._access.admits(request.token)
-        except StolenError as cause:
+        except TicketReusedError as cause:
             admitted, why = False, str(cause)
             self._end_all(why)
         if not admitted:
@@ -119,7 +119,7 @@ class Guard:
         self._answering.add(task)
         try:
             await self._app(scope, receive, send)
-        except Exception as cause:  # the page goes on for others
+        except Exception as cause:  # other requests continue
             _log.exception("A page's request failed.", exc_info=cause)
             if is_viewer:
                 with suppress(Exception):  # the WebSocket may be closed already
@@ -148,7 +148,7 @@ class _Request:
         return self._tokens[0]
 
     def header(self, name: bytes) -> str | None:
-        """Return the value of a header, or None; "" (which is never valid) if it occurs twice, as from no browser."""
+        """Return the value of a header, or None; "" (never valid) if it occurs twice, because no browser does that."""
         values = [value for key, value in self._headers if key == name]
         return None if not values else values[0].decode("latin-1") if len(values) == 1 else ""
 

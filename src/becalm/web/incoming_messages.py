@@ -14,7 +14,7 @@ from becalm.errors import UsageError
 Number = Annotated[int, Field(ge=0, le=1 << 53, strict=True)]
 """An integer that a browser can hold exactly."""
 
-_LONGEST = 200  # most characters of each part of an error message that come from a page
+_LONGEST = 200  # limit of the characters of a page that each part of an error message repeats
 
 T = TypeVar("T")
 
@@ -38,7 +38,7 @@ def parse_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        The JSON object. All numbers are finite; names are not checked yet.
+        The JSON object. All its numbers are finite; its keys are not checked yet.
 
     Raises
     ------
@@ -57,29 +57,29 @@ def parse_frame(frame: Mapping[str, Any]) -> dict[str, Any]:
     return message
 
 
-def number_of(said: Mapping[str, Any]) -> int | None:
-    """Return the number of a message, which may not be valid otherwise; None if it has no number."""
-    number = said.get("number")
-    return number if type(number) is int else None  # in Python, true is an int too
+def number_of(content: Mapping[str, Any]) -> int | None:
+    """Return the number of a message that is not checked yet; None if it has no number."""
+    number = content.get("number")
+    return number if type(number) is int else None  # a bool would be an instance of int too
 
 
-def checked_message(messages: TypeAdapter[T], said: Mapping[str, Any]) -> T:
+def checked_message(messages: TypeAdapter[T], content: Mapping[str, Any]) -> T:
     """Check a message and return it as an object of its type.
 
     Parameters
     ----------
     messages : TypeAdapter
         Types of the allowed messages.
-    said : mapping
+    content : mapping
         JSON object from `parse_frame`.
 
     Raises
     ------
     UsageError
-        If it is not one of these messages.
+        If the object is not one of the allowed messages.
     """
     try:
-        return messages.validate_python(said)
+        return messages.validate_python(content)
     except ValidationError as cause:
         first = cause.errors(include_input=False, include_url=False, include_context=False)[0]
         names = (str(one)[:_LONGEST] for one in first["loc"])

@@ -10,12 +10,12 @@ _NEEDED = ("starlette", "uvicorn", "websockets")
 
 
 def need_app() -> None:
-    """Check the libraries; call this before a module that needs them is loaded.
+    """Check that the libraries are installed; call this before importing a module that needs them.
 
     Raises
     ------
     UsageError
-        If one of them is not installed.
+        If a library is not installed.
     """
     if missing := [name for name in _NEEDED if find_spec(name) is None]:
         raise UsageError(f"Pages need {', '.join(missing)}, which must be installed; type: pip install 'becalm[app]'")

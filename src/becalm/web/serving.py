@@ -1,4 +1,4 @@
-"""Take a port, and serve a page there from a thread. The port is taken before its address is shown."""
+"""Listen at a port, and serve a page there from a thread."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import uvicorn
 
 from becalm.errors import UsageError
 from becalm.web.access import OPTIONS, AccessOptions, address_of
-from becalm.web.sockets import HurriedProtocol, HurriedWebSocket
+from becalm.web.sockets import TimeLimitedHttp, TimeLimitedWebSocket
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
 MAX_MESSAGE_BYTES = 1 << 20  # size limit of a message from a page
-PING_S = 20.0  # time between two pings, and time that a page has to answer one
-_PORTS = 1 << 16  # number of ports
+PING_S = 20.0  # time between two pings, and time limit for the answer of a page
+_PORTS, _FIRST_FREE = 1 << 16, 1024  # number of ports, and the first that needs no permission
 _HEADERS_BYTES = 1 << 16  # size limit of headers; browsers send the cookies of all ports
 _ENDING_S = 1  # how long the server waits for unfinished answers when it ends
 _PATIENCE_S = 4.0  # how long `close` waits for the thread of the server, which may be computing
 
 
-class TakenError(UsageError):
+class PortInUseError(UsageError):
     """Another program listens at the port."""
 
 
@@ -37,14 +37,14 @@ def listen(host: str, port: int, options: AccessOptions = OPTIONS) -> socket.soc
     host : str
         Name or address of this machine; "0.0.0.0" or "::" for all addresses.
     port : int
-        Port number; 0 takes any free port.
+        Port number; 0 means any free port.
     options : AccessOptions
         Names of the options for host and port, for error messages.
 
     Raises
     ------
     UsageError
-        If the port cannot be taken: a TakenError if another program has it.
+        If the socket cannot listen there; a PortInUseError if another program uses the port.
     """
     wanted = f"No page can be served at {host}, port {port}"
     way_out = f"give another port with {options.port}, or 0 for any free one."
@@ -56,8 +56,8 @@ def listen(host: str, port: int, options: AccessOptions = OPTIONS) -> socket.soc
         both = family == socket.AF_INET6 and host == "::" and socket.has_dualstack_ipv6()
         return socket.create_server(address[:2], family=family, dualstack_ipv6=both)
     except OSError as cause:
-        if cause.errno == errno.EADDRINUSE:
-            raise TakenError(f"{wanted}: another program uses it; {way_out}") from cause
+        if cause.errno == errno.EADDRINUSE or (cause.errno == errno.EACCES and port >= _FIRST_FREE):
+            raise PortInUseError(f"{wanted}: another program uses it; {way_out}") from cause
         why = str(cause.strerror).partition(" (while")[0]
         raise UsageError(
             f"{wanted} ({why}); give a name of this machine with {options.host}, and a port with {options.port}."
@@ -72,7 +72,7 @@ class Server:
     Parameters
     ----------
     listener : socket
-        Socket from `listen`; the server closes it at its end.
+        Socket from `listen`; `close` closes it.
     app : ASGI application
         Application to serve.
     """
@@ -82,8 +82,8 @@ class Server:
         config = uvicorn.Config(
             app,
             loop="asyncio",
-            http=HurriedProtocol,
-            ws=HurriedWebSocket,
+            http=TimeLimitedHttp,
+            ws=TimeLimitedWebSocket,
             lifespan="off",
             interface="asgi3",
             log_config=None,
@@ -103,7 +103,7 @@ class Server:
         self._thread = threading.Thread(target=self._server.run, args=([listener],), name="page", daemon=True)
 
     def start(self) -> None:
-        """Start to answer requests, including those that arrived since the port was taken."""
+        """Start to answer requests, including those that arrived since `listen`."""
         self._thread.start()
 
     def close(self) -> None:

@@ -46,7 +46,7 @@ class Page(NamedTuple):
 
 
 def html_of(name: str) -> str:
-    """Return the HTML of a page; `name` is that of its file in web/assets."""
+    """Return the HTML of a page from the file `name` in web/assets."""
     return (files("becalm.web") / "assets" / name).read_text(encoding="utf-8")
 
 
@@ -60,7 +60,7 @@ def site(page: Page, access: Access) -> Guard:
     """
     table = assets()
 
-    async def whole(request: Request) -> Response:
+    async def html(request: Request) -> Response:
         return HTMLResponse(page.html)
 
     async def asset(request: Request) -> Response:
@@ -69,13 +69,13 @@ def site(page: Page, access: Access) -> Guard:
             return PlainTextResponse("The page has no such file.", 404)
         return Response(table[name], media_type=_KINDS[name.rpartition(".")[2]])
 
-    async def speak(websocket: WebSocket) -> None:
+    async def converse(websocket: WebSocket) -> None:
         try:
             await page.wire(websocket)
         except WebSocketDisconnect:
             return
 
-    routes = [Route("/", whole), Route("/assets/{name:path}", asset), WebSocketRoute("/wire", speak), *page.routes]
+    routes = [Route("/", html), Route("/assets/{name:path}", asset), WebSocketRoute("/wire", converse), *page.routes]
     handlers = {BecalmError: _refused, ClientDisconnect: _gone, Exception: _unforeseen}
     return Guard(Starlette(routes=routes, exception_handlers=handlers), access)
 
@@ -86,11 +86,11 @@ def as_file(name: str) -> dict[str, str]:
 
 
 def assets() -> dict[str, bytes]:
-    """Return the files that pages load, by name. Names are only looked up in this table, and cannot lead elsewhere."""
+    """Return the contents of the files that pages may load, by name; a request for another name gets no file."""
     javascript, css = uplot()
     table = {"uPlot.iife.min.js": javascript.encode(), "uPlot.min.css": css.encode()}
-    for room in ("becalm.report", "becalm.web"):  # pages use the scripts of the report's figures too
-        _gather(files(room) / "assets", "", table)
+    for package in ("becalm.report", "becalm.web"):  # pages use the scripts of the report's figures too
+        _gather(files(package) / "assets", "", table)
     return table
 
 

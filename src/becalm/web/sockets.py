@@ -11,15 +11,16 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from becalm.web.access import COOKIE
 
-REQUEST_S = 10.0  # limit from a connection, or a later request's first byte, to complete headers or an open WebSocket
-MOST_SOCKETS = 200  # most connections; every system allows a process at least 256 open files
+REQUEST_S = 10.0  # time limit for the headers of a request, and for the handshake of a WebSocket
+MOST_SOCKETS = 200  # limit of connections; every system allows a process at least 256 open files
 
 
-class HurriedProtocol(H11Protocol):
-    """The HTTP protocol of uvicorn with a time limit for requests; uvicorn has none for the first one.
+class TimeLimitedHttp(H11Protocol):
+    """The HTTP protocol of uvicorn with a time limit for requests; uvicorn does not limit a connection's first request.
 
     A client that sends no request, or sends its headers byte by byte, is disconnected after `REQUEST_S`. If there are
-    more than `MOST_SOCKETS` connections, the one whose time limit ends first is closed; if none has one, the new one.
+    more than `MOST_SOCKETS` connections, the connection whose time limit ends first is closed; if no connection has a
+    time limit, the new one is closed.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
@@ -31,16 +32,16 @@ class HurriedProtocol(H11Protocol):
         super().connection_made(transport)
         if len(self.connections) > MOST_SOCKETS:
             self._make_room()
-        self._look()
+        self._update_deadline()
 
     def data_received(self, data: bytes) -> None:
         """Process data, which may complete a request's headers or begin the next request."""
         super().data_received(data)
-        self._look()
+        self._update_deadline()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         """Switch to a WebSocket; remove cookies of other pages, because it accepts only a few kilobytes of headers."""
-        self.headers = [(name, _own(value) if name == b"cookie" else value) for name, value in self.headers]
+        self.headers = [(name, _becalm_cookies(value) if name == b"cookie" else value) for name, value in self.headers]
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -48,7 +49,7 @@ class HurriedProtocol(H11Protocol):
         self._cancel()
         super().connection_lost(exc)
 
-    def _look(self) -> None:
+    def _update_deadline(self) -> None:
         if self.conn.their_state is not h11.IDLE:  # the headers are complete, or invalid
             self._cancel()
         elif self._deadline is None and not self.transport.is_closing():
@@ -63,13 +64,13 @@ class HurriedProtocol(H11Protocol):
         waiting = [
             (other._deadline.when(), other.transport)
             for other in self.connections
-            if isinstance(other, HurriedProtocol | HurriedWebSocket) and other._deadline is not None
+            if isinstance(other, TimeLimitedHttp | TimeLimitedWebSocket) and other._deadline is not None
         ]
         _, longest = min(waiting, key=lambda pair: pair[0], default=(0.0, self.transport))
         longest.abort()
 
 
-class HurriedWebSocket(WebSocketsSansIOProtocol):
+class TimeLimitedWebSocket(WebSocketsSansIOProtocol):
     """The WebSocket protocol of uvicorn with time limits for the handshake and for pings, which uvicorn lacks.
 
     The requests that it gets are valid HTTP, but their tokens are not checked yet.
@@ -99,7 +100,7 @@ class HurriedWebSocket(WebSocketsSansIOProtocol):
         super().start_keepalive()
 
     def keepalive_timeout(self) -> None:
-        """Disconnect a page that does not answer a ping, without sending the rest of its data."""
+        """Disconnect a page that does not answer a ping, without sending the data that it has not received yet."""
         super().keepalive_timeout()
         self.transport.abort()
 
@@ -114,5 +115,5 @@ class HurriedWebSocket(WebSocketsSansIOProtocol):
             self._deadline = None
 
 
-def _own(cookies: bytes) -> bytes:
+def _becalm_cookies(cookies: bytes) -> bytes:
     return b";".join(each for each in cookies.split(b";") if each.strip().startswith(COOKIE.encode()))

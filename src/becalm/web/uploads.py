@@ -20,7 +20,7 @@ from becalm.errors import BecalmError
 PATIENCE_S = 60.0
 """Time limit for the arrival of each part of a file."""
 
-_OVER_ALL = 2  # size limit of all files together, as a multiple of that of one file
+_OVER_ALL = 2  # size limit of all files together, as a multiple of the limit of one file
 _LONGEST_NAME = 255  # bytes of a file name, the limit of most file systems
 _MEBIBYTE = 1 << 20
 
@@ -51,15 +51,15 @@ class Uploads:
         """Return the folder of the files; it is created at the first call, and only its owner may enter it."""
         return Path(tempfile.mkdtemp(prefix="becalm-"))
 
-    async def take(self, request: Request, name: str) -> Path:
-        """Store the body of a request as a file of that name, in a folder of its own; return its path.
+    async def store(self, request: Request, name: str) -> Path:
+        """Store the body of a request as a file with this name, in a new folder; return its path.
 
-        After an exception, nothing of the file is left.
+        After an exception, no part of the file remains.
 
         Raises
         ------
         RefusedError
-            If the name is not a plain file name, the file is too large, the disk is full, or the data stop coming.
+            If the name is not a plain file name, the file is too large, the disk is full, or no data arrive in time.
         ClientDisconnect
             If the page disconnects before the file is complete.
         """
@@ -92,12 +92,12 @@ class Uploads:
         size, waiting = 0, bytearray()
         try:
             with path.open("xb") as file:
-                while (part := await _soon(stream, path.name)) is not None:
+                while (part := await _next_part(stream, path.name)) is not None:
                     self._check_fits(path.name, len(part), size)
                     size += len(part)
                     self._bytes += len(part)
                     waiting += part
-                    if len(waiting) >= _MEBIBYTE:  # in a thread: other pages do not wait for the disk
+                    if len(waiting) >= _MEBIBYTE:  # written in a thread: other pages do not wait
                         await run_in_threadpool(file.write, bytes(waiting))
                         waiting.clear()
                 file.write(waiting)
@@ -115,7 +115,7 @@ class Uploads:
             raise RefusedError(f"{says}; end becalm and type: becalm app {name}, or raise --upload-limit.", 413)
 
 
-async def _soon(stream: AsyncIterator[bytes], name: str) -> bytes | None:
+async def _next_part(stream: AsyncIterator[bytes], name: str) -> bytes | None:
     """Return the next part of a file, or None at its end; raise a RefusedError if it does not arrive in time."""
     try:
         async with asyncio.timeout(PATIENCE_S):
@@ -130,7 +130,7 @@ def checked_name(name: str) -> str:
     Raises
     ------
     RefusedError
-        If it leads to another folder, or is not a file name.
+        If the name contains a folder, or is not a file name.
     """
     odd = any(unicodedata.category(letter) in ("Cc", "Cs") or letter in "/\\" for letter in name)
     drive = os.name == "nt" and ":" in name

@@ -32,13 +32,14 @@ class FilteredBatch:
     signal, sigma : (B, N, m) float array
         H x and its standard uncertainty, in the channels' units.
     innovations, innovation_sigma : (B, N, m) float array
-        Reading minus its prediction, and the expected standard deviation of this difference; no rows if not requested.
+        Reading minus its prediction, and the expected standard deviation of this difference; without rows if they were
+        not requested.
     mean : (B, N, n) float array or None
         Filtered states, on request.
     log_likelihood : (B,) float array
         Exact Gaussian log-likelihood of each record.
     used : (B,) int array
-        Number of readings that entered each log-likelihood.
+        Number of readings in the log-likelihood of each record.
     """
 
     signal: Floats
@@ -56,9 +57,9 @@ def filter_batch(model: Model, z: ArrayLike, *, states: bool = False, innovation
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step per row, the same for all records.
+        Model of the signal and its sensors, one step per row, the same for all records.
     z : (B, N, m) array_like
-        Readings in the channels' units, NaN where one is missing. The array is not modified.
+        Readings in the channels' units, NaN where a reading is missing. The array is not modified.
     states, innovations : bool
         Whether to return `mean`, and `innovations` with `innovation_sigma`.
 

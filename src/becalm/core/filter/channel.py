@@ -1,7 +1,7 @@
 """Filter one channel causally, block by block; a block has any number of rows.
 
-The filter itself is `native/channel.c`. It processes one row after the other, so that the cuts between blocks change
-no bit of the result.
+The filter itself is `native/channel.c`. It processes one row after the other, so that the boundaries between blocks
+change no bit of the result.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Sums(NamedTuple):
         return float(-0.5 * (self.squares + self.log_det + self.used * np.log(2 * np.pi)))
 
     def plus(self, other: Sums) -> Sums:
-        """Return the sums over the readings of this and the other."""
+        """Return the sums over the readings of both objects."""
         return Sums(self.squares + other.squares, self.log_det + other.log_det, self.used + other.used)
 
 
@@ -48,8 +48,8 @@ class History(NamedTuple):
 
     reading: float  # the first reading of the record, in unit
     readings: int  # number of readings that arrived
-    rows: int
-    steps: float  # from the first earlier row to the last
+    rows: int  # number of rows
+    steps: float  # time from the first earlier row to the last, in steps
     least: float = np.inf  # smallest reading, in unit
     most: float = -np.inf  # largest reading, in unit
 
@@ -65,7 +65,7 @@ class Estimates(NamedTuple):
     x: Floats  # (B, n) filtered states if requested, else (B, 0); NaN while they are undetermined
 
     @classmethod
-    def room(cls, rows: int, states: int = 0) -> Estimates:
+    def allocate(cls, rows: int, states: int = 0) -> Estimates:
         """Allocate arrays for this many rows and states."""
         signal, sigma, innovation, deviation = np.empty((4, rows))
         return cls(signal, sigma, np.zeros(rows, np.int8), innovation, deviation, np.empty((rows, states)))
@@ -88,26 +88,26 @@ class Estimates(NamedTuple):
 
 
 def log_densities(innovation: Floats, deviation: Floats) -> Floats:
-    """Return the log-likelihood (B,) of measurements, given those before; NaN where there is none."""
+    """Return the log-likelihood (B,) of each measurement, given the earlier ones; NaN where there is no innovation."""
     with np.errstate(over="ignore"):  # the square of an extreme innovation overflows: its density is 0
         densities: Floats = -0.5 * (innovation / deviation) ** 2 - np.log(deviation) - 0.5 * np.log(2 * np.pi)
     return densities
 
 
-def parts_of(component: Component, found: Estimates) -> Floats:
-    """Return the contribution (p, B) of each part of the component; the level is in that of the first part.
+def parts_of(component: Component, estimates: Estimates) -> Floats:
+    """Return the contribution (p, B) of each part of the component; that of the first part includes the level.
 
     Parameters
     ----------
     component : Component
         The signal's model, in steps.
-    found : Estimates
+    estimates : Estimates
         Estimates of B rows, with their states `x`.
     """
-    parts = np.array([output[0] @ found.x.T for _, output in component.outputs()])
+    parts = np.array([output[0] @ estimates.x.T for _, output in component.outputs()])
     if len(parts) == 1:
-        return found.signal[np.newaxis]
-    parts[0] += found.signal - component.signal_output[0] @ found.x.T
+        return estimates.signal[np.newaxis]
+    parts[0] += estimates.signal - component.signal_output[0] @ estimates.x.T
     return parts
 
 
@@ -143,9 +143,9 @@ class Channel:
         elapsed : (B,) float array
             Steps since the row before.
         timing : (B,) int8 array, optional
-            A `Verdict` on the time of each row; by default all times are right.
+            A `Verdict` on the time of each row; by default no time has a fault.
         states : bool
-            Whether to return the filtered states, too.
+            Whether to return also the filtered states.
 
         Returns
         -------
@@ -158,7 +158,7 @@ class Channel:
             If there is not one step, 0 or more, for each measurement, if the arrays are not contiguous float64, or if
             `timing` holds a value that is not a `Verdict`.
         """
-        estimates = Estimates.room(len(z), int(self._settings["states"]) if states else 0)
+        estimates = Estimates.allocate(len(z), int(self._settings["states"]) if states else 0)
         if timing is not None:
             if not np.isin(timing, list(Verdict)).all():
                 raise ValueError("timing holds a value that is not a Verdict; pass values of Verdict.")
@@ -169,7 +169,7 @@ class Channel:
 
     @property
     def counts(self) -> dict[Verdict, int]:
-        """Return the count of each verdict so far."""
+        """Return how often each verdict was given so far."""
         return dict(zip(Verdict, self._state["counts"].tolist(), strict=True))
 
     @property
@@ -185,7 +185,7 @@ class Channel:
 
     @property
     def powers(self) -> Floats:
-        """Return the sums of squared innovations of the last hops, in sigma^2, not in order of time."""
+        """Return the sums of squared innovations over the last hops, in sigma^2, in any order."""
         powers: Floats = self._state["powers"][: int(self._state["hops"])].copy()
         return powers
 
@@ -197,7 +197,7 @@ class Channel:
 
     @property
     def settled_row(self) -> int | None:
-        """Return the first row with the steady-state gain; None before that."""
+        """Return the first row with the steady-state gain; None if there is none yet."""
         row = int(self._state["settled_row"])
         return None if row < 0 else row
 
@@ -226,13 +226,13 @@ class Channel:
     def comparable_state(self) -> dict[str, Codes]:
         """Return the part of the state that determines all later estimates, bit for bit.
 
-        The entry `HOPS` also has the part that matters only if the sensor may be dead.
+        The entry `HOPS` holds the complete state, including the part that matters only if the sensor may be dead.
         """
         if_alive, complete = (reduced(self._settings, self._state, alive=alive).tobytes() for alive in (True, False))
         return {"channel": np.frombuffer(if_alive, np.int8), HOPS: np.frombuffer(complete, np.int8)}
 
     def state_dict(self) -> dict[str, Codes]:
-        """Return everything that later rows depend on, as plain bytes."""
+        """Return the state that later estimates depend on, as plain bytes."""
         return {"state": saved(self._settings, self._state)}
 
     def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
@@ -248,19 +248,19 @@ class Channel:
         self._state = loaded(self._settings, np.asarray(arrays["state"]))
 
 
-# Filter, smooth or score a complete record of one channel with the C kernel.
+# Filter or smooth a complete record of one channel, or compute its likelihood, with the C kernel.
 #
 # The smoother is that of Bryson and Frazier (1963) in Bierman's form (1973), equations (9) to (12) of
 # `becalm.core.reference.kalman`; the likelihood is equation (8).
 
 
 class ChannelRecord:
-    """A record of one channel; every measurement may enter the filter, and no gap is too long.
+    """A complete record of one channel, without limits on measurements and gaps.
 
     Parameters
     ----------
     component : Component
-        The model, in steps; the signal is all that is measured, disturbances included.
+        The model, in steps; the signal includes all disturbances.
     noise_variance : float
         R, in unit^2.
     z : (N,) float array
@@ -271,7 +271,7 @@ class ChannelRecord:
     Raises
     ------
     ModelError
-        If a channel cannot start from measurements alone, or coloured noise does not come in whole steps.
+        If the filter cannot start from measurements alone, or the model has coloured noise and a step is not whole.
     """
 
     def __init__(self, component: Component, noise_variance: float, z: Floats, elapsed: Floats) -> None:
@@ -298,32 +298,32 @@ class ChannelRecord:
 
     def filtered(self) -> Estimates:
         """Return the filtered estimates: each row uses the measurements up to its own."""
-        estimates = Estimates.room(len(self._rows["z"]))
+        estimates = Estimates.allocate(len(self._rows["z"]))
         Smoother(self._settings, self._coefficients).forward(ends=True, **estimates.outputs(), **self._rows)
         return estimates
 
     def smoothed(self, process_noise: Floats | None = None) -> Estimates:
-        """Return the smoothed estimates: each row uses all measurements. Innovations are those of the forward pass.
+        """Return the smoothed estimates: each row uses all measurements. The innovations are those of the filter.
 
         Parameters
         ----------
         process_noise : (u, n, n) float array, optional
-            Q to use in place of that of the component.
+            Process noise to use in place of that of the component.
         """
-        estimates, smoother = Estimates.room(len(self._rows["z"])), Smoother(self._settings, self._coefficients)
+        estimates, smoother = Estimates.allocate(len(self._rows["z"])), Smoother(self._settings, self._coefficients)
         forward_pass = smoother.forward(ends=True, **estimates.outputs(), **self._with(process_noise))
-        smoother.backward(forward_pass, smoother.nothing())
+        smoother.backward(forward_pass, smoother.no_later_rows())
         return estimates
 
     def score(self, scored_from: int, process_noise: Floats | None = None) -> Sums:
-        """Return the terms of the log-likelihood of the rows from `scored_from` on that have a prediction.
+        """Return the terms of the log-likelihood, summed over the rows from `scored_from` on that have a prediction.
 
         Parameters
         ----------
         scored_from : int
             The first row that counts; earlier rows only start the filter.
         process_noise : (u, n, n) float array, optional
-            Q to use in place of that of the component.
+            Process noise to use in place of that of the component.
         """
         return Sums(*score(self._settings, self._coefficients, scored_from, **self._with(process_noise)))
 

@@ -29,20 +29,20 @@ from becalm.native.scans import PARTS
 # comes from the first readings grows as (T / L)^(2n-2), where L is the time that these readings span. The first
 # reading after the gap reduces the variance to about R in one update. If the predicted variance is too many times R,
 # the difference has no correct digit left. In that case the readings before the gap have almost no information on
-# those after it, so that a filter that restarts after the gap loses almost nothing.
+# the signal after it, so that a filter that restarts after the gap loses almost nothing.
 
 _FORGOTTEN = 1e15  # largest predicted variance over R; from 1e18 on smoothers lose all digits
-_CARRIED = 1e13  # largest part from the first readings over R; it has fewer digits: all are lost from 1e14 on
-_LENGTHS = np.ldexp(1.0, np.arange(53))  # steps: whole ones, because coloured noise needs whole steps
-_LEAST = 2.0  # steps: two rows one even step apart are not a gap, even with large process noise
+_CARRIED = 1e13  # largest part of it that comes from the first readings, over R; from 1e14 on it has no digits
+_LENGTHS = np.ldexp(1.0, np.arange(53))  # lengths of gaps, in whole steps, which coloured noise needs
+_LEAST = 2.0  # least longest gap, in steps: two rows one step apart are no gap, even with large process noise
 
 
 class GapLimit(NamedTuple):
-    """The gaps that a filter may bridge, as time since the last reading that arrived."""
+    """The longest gaps that a filter may bridge. A gap is the time between two readings that arrived."""
 
     longest: float  # in steps
-    spans: float = np.inf  # longest gap over the time that the earlier readings span, once they determine the state
-    readings: int = 1  # number of readings that determine the state
+    spans: float = np.inf  # longest gap over the time from the first to the last earlier reading
+    readings: int = 1  # number of readings that determine the state; from then on `spans` applies
 
 
 @lru_cache(maxsize=256)
@@ -59,10 +59,10 @@ def gap_limit_of(component: Component, noise_variance: float) -> GapLimit:
     Notes
     -----
     The highest coefficient of a polynomial of degree d = n - 1, fitted to m >= n readings at even times over the time
-    L, has the variance (2d + 1) C(2d, d)^2 R / (m L^2d), by Legendre's polynomials. T later this variance counts T^2d
-    times.
+    L, has the variance (2d + 1) C(2d, d)^2 R / (m L^2d), by Legendre's polynomials. In a prediction over the time T
+    this variance is multiplied by T^2d.
     """
-    if len(component.drift) == 1:  # one reading determines the only state, after a gap of any length
+    if len(component.drift) == 1:  # one reading determines the only state again, after a gap of any length
         return GapLimit(np.inf)
     order = 1 if component.returns else len(component.parts[0].state_names)
     degree, spans = order - 1, np.inf
@@ -84,8 +84,8 @@ def longest_gap(component: Component, noise_variance: float) -> float:
     Returns
     -------
     float
-        The longest gap over which the variance of the measured quantity grows by no more than 1e15 R, at least 2;
-        inf if it stays below that over any time that a clock can count, or if R is 0.
+        The longest gap over which the variance of the measured quantity grows by at most 1e15 R, but at least 2 steps;
+        inf if R is 0, or if the variance stays smaller over any time that a clock can count.
     """
     if not noise_variance > 0:
         return np.inf
@@ -97,7 +97,7 @@ def longest_gap(component: Component, noise_variance: float) -> float:
 
 
 def least_gap_limit(limits: Sequence[GapLimit]) -> GapLimit:
-    """Return the gap limit of several modes: the gaps that all of them bridge."""
+    """Return the limit for a filter with several modes: the gaps that all of its modes bridge."""
     longest, spans, readings = zip(*limits, strict=True)
     return GapLimit(min(longest), min(spans), max(readings))
 
@@ -110,11 +110,11 @@ _GATE_FIELDS = {"states", "largest_accepted", "gated", "gate_threshold", "gate_a
 
 
 class Widening(NamedTuple):
-    """How the sigma of a signal is widened beyond the filter's: by a factor, uncertain times and a calibration."""
+    """The uncertainties that increase sigma beyond the filter's value: of the tuning, the times and the calibration."""
 
-    factor: float = 1.0  # sigma with the uncertainty of the tuning, over sigma without it
+    factor: float = 1.0  # sigma with the uncertainty of the tuning, over sigma without this uncertainty
     time_std_s: float | None = None  # standard uncertainty of a measurement's time
-    included_std: float = 0.0  # the part of its effect that R already includes, in unit
+    included_std: float = 0.0  # effect of uncertain times on a measurement that R already includes, in unit
     calibration: tuple[float, float] | None = None  # standard uncertainties: relative, of sensitivity; of zero, in unit
 
 
@@ -128,7 +128,7 @@ class ChannelSettings(NamedTuple):
     alarms: Alarms = NO_ALARMS
     gate: Gate | None = None
     widening: Widening = Widening()
-    unknown_from: float = np.inf  # a row without a measurement is a hole from this sigma on, in unit
+    unknown_from: float = np.inf  # a missing row whose sigma reaches this value is a hole, in unit
 
     @property
     def disturbed(self) -> bool:
@@ -137,15 +137,15 @@ class ChannelSettings(NamedTuple):
 
 
 class StepTable:
-    """The matrices of steps, for the kernel.
+    """The transition and process-noise matrices of steps of any length, for the kernel.
 
     Parameters
     ----------
     component : Component
         The signal's model, in steps.
     nearest : bool
-        Whether to round steps to whole ones for coloured noise, which needs them; a late row then does not end a
-        stream with an error.
+        Whether to round steps to whole ones for coloured noise, which has no other steps; a late row of a stream then
+        does not cause an error.
     """
 
     def __init__(self, component: Component, *, nearest: bool = True) -> None:
@@ -154,11 +154,11 @@ class StepTable:
 
     @property
     def matrices(self) -> tuple[Floats, Floats]:
-        """Return F and Q (u, n, n) of the last call of `before`; at first those of one step."""
+        """Return F and Q (u, n, n) of the last call of `before`; before the first call, the matrices of one step."""
         return self._matrices
 
     def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
-        """Return the index of the step before each row, and the matrices F and Q of these steps, which are cached."""
+        """Return the index of the step before each row, and the matrices F and Q of the different steps."""
         lengths, step = elapsed[:1], np.zeros(len(elapsed), np.int32)
         if not (elapsed == lengths).all():
             lengths, rows = np.unique(elapsed, return_inverse=True)
@@ -171,7 +171,7 @@ class StepTable:
 
 
 def packed_settings(settings: ChannelSettings, gap_limit: GapLimit | None = None) -> NDArray[np.void]:
-    """Return the settings of a channel as C's struct; the default `gap_limit` is that of its component."""
+    """Return the settings of a channel as C's struct; by default `gap_limit` follows from the component and R."""
     packed, component, widening = settings.limits.packed(), settings.component, settings.widening
     gap_limit = gap_limit or gap_limit_of(component, settings.noise_variance)
     timed, calibrated = widening.time_std_s is not None, widening.calibration is not None
@@ -252,7 +252,7 @@ def packed_coefficients(component: Component, noise_variance: float, *, disturbe
 
 
 def model_coefficients(model: Model) -> NDArray[np.void]:
-    """Return the coefficients for a model of one channel, as C's struct; the signal is all that is measured.
+    """Return the coefficients for a model of one channel, as C's struct; the signal includes all disturbances.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Filter a record forward: signal, standard uncertainty, innovations, exact likelihood."""
+"""Filter a record forward: estimate signal and uncertainty, and compute innovations and the exact likelihood."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ class Estimate:
     sigma : (N, m) float array
         One standard uncertainty of `signal`, same units; inf while the signal is undetermined.
     log_likelihood : float
-        Exact Gaussian log-likelihood. Without x0 and P0, the first readings, which determine the state, do not
-        count; it is then the likelihood of the later readings, given the first.
+        Exact Gaussian log-likelihood. Without x0 and P0 it is the likelihood of the later readings, given the first
+        readings, which determine the state.
     innovations, innovation_sigma : (N, m) float array
         Reading minus its prediction, and the expected standard deviation of this difference; NaN where the
         reading is missing or there is no prediction yet.
     mean : (N, n) float array or None
         States, on request.
     cov : (N, n, n) float array or None
-        Covariance of the states, on request. For a state that the readings do not determine
-        (`Model.observable_states`) it only carries forward an assumed unit variance at the start.
+        Covariance of the states, on request. The variance of a state that the readings do not determine
+        (`Model.observable_states`) follows from an assumed unit variance at the start.
     used : int
-        Number of readings that entered the likelihood; each channel of a row counts.
+        Number of readings in the likelihood; each channel of a row counts as one.
     settled_row : int or None
         The first row with the steady-state gain; None if the gain did not reach a steady state.
 
     Notes
     -----
-    `sigma`, or `innovations` and `innovation_sigma`, have no rows if the caller did not request them.
+    `sigma`, `innovations` and `innovation_sigma` have no rows if the caller did not request them.
     """
 
     signal: Floats
@@ -68,7 +68,7 @@ class Estimate:
 
 
 class WantedResults(NamedTuple):
-    """Flags for the results that the filter writes; it always writes the likelihood."""
+    """Flags for the results that the caller requests; the likelihood is always computed."""
 
     states: bool = False
     covariances: bool = False
@@ -77,7 +77,7 @@ class WantedResults(NamedTuple):
     signal: bool = True
 
 
-EVERYTHING = WantedResults()
+DEFAULT_RESULTS = WantedResults()
 
 
 def require_model(model: object) -> None:
@@ -127,14 +127,14 @@ def kalman_filter(  # noqa: PLR0913  (one flag for each result)
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step per row.
+        Model of the signal and its sensors, one step per row.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units; NaN or Inf where one is missing. A magnitude beyond 1e100, which no sensor
-        gives, also counts as missing. The array is not modified.
+        Readings in the channels' units; NaN or Inf where a reading is missing. Magnitudes above 1e100, which no sensor
+        gives, also count as missing. The array is not modified.
     states, covariances : bool
         Whether to return `mean` (N, n) and `cov` (N, n, n).
     sigma, innovations : bool
-        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them the filter writes less.
+        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them the filter is faster.
 
     Returns
     -------
@@ -147,8 +147,8 @@ def kalman_filter(  # noqa: PLR0913  (one flag for each result)
 
     Notes
     -----
-    Kalman (1960) with Joseph's update; equations (1) to (8) of `becalm.core.reference.kalman`. Not to be
-    confused with `kalman_smoother`, whose estimates also use the later readings.
+    Kalman (1960) with Joseph's update; equations (1) to (8) of `becalm.core.reference.kalman`. `kalman_smoother` also
+    uses the later readings.
     """
     readings = checked_readings(model, z)
     wanted = WantedResults(states, covariances, sigma, innovations)
@@ -159,11 +159,11 @@ class Run(NamedTuple):
     """The result of a forward pass."""
 
     estimate: Estimate
-    begun: int  # the first row after those that determine the state
+    determined_row: int  # the first row after the rows that determine the state
     cov: Floats  # (n, n) covariance of the state after the last row, if the state is determined
 
 
-def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = EVERYTHING) -> Run:
+def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = DEFAULT_RESULTS) -> Run:
     """Filter z (N, m) over a timeline; see `kalman_filter`."""
     kernel, buffers = new_kernel(model, timeline, wanted), new_buffers(model, len(z), wanted)
     kernel.filter(rows_of(timeline, z), buffers)
@@ -171,7 +171,7 @@ def run_filter(model: Model, timeline: Timeline, z: Floats, wanted: WantedResult
 
 
 def new_kernel(model: Model, timeline: Timeline, wanted: WantedResults) -> Multivariate:
-    """Return a filter before the first row: it starts at x0 and P0, or from the model's prior without them.
+    """Return a filter before the first row; it starts at x0 and P0, or from a flat prior if there are none.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def new_kernel(model: Model, timeline: Timeline, wanted: WantedResults) -> Multi
     root = root_of((prior or flat_prior(model)).Y)
     if x0 is None:
         return Multivariate(H, R, root, np.zeros(n), enough=enough)
-    return Multivariate(H, R, root, root @ x0, foretells=True, enough=enough)
+    return Multivariate(H, R, root, root @ x0, proper_prior=True, enough=enough)
 
 
 def rows_of(timeline: Timeline, z: Floats) -> MeasurementRows:
@@ -221,10 +221,10 @@ def sums_of(kernel: Multivariate) -> Sums:
     return Sums(float(head["squares"]), float(log_det), int(head["used"]))
 
 
-def estimate_of(kernel: Multivariate, beliefs: EstimateBuffers) -> Estimate:
+def estimate_of(kernel: Multivariate, buffers: EstimateBuffers) -> Estimate:
     """Return the results as an `Estimate`; a result that was not requested has no rows, or is None."""
     head = kernel.head
-    signal, sigma, innovation, deviation, mean, cov = beliefs
+    signal, sigma, innovation, deviation, mean, cov = buffers
     no_rows = np.empty((0, kernel.channels))
     return Estimate(
         signal=no_rows if signal is None else signal,

@@ -1,8 +1,8 @@
 """Smooth one channel with a fixed lag of L rows, block by block and in constant memory.
 
-The estimate of row k is that of `SmoothedFlow` on the record that ends at row k + L, except for the gate, which decides
-causally. The cuts between blocks change no bit. The filter is `native/fixed_lag.c`: when later rows arrive, it filters
-the waiting rows again, from the state before them.
+The estimate of row k is that of `SmoothedFlow` on the record that ends at row k + L, except that the gate decides
+causally. The boundaries between blocks change no bit. The filter is `native/fixed_lag.c`: when later rows arrive, it
+filters the waiting rows again, from the state before them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR, Verdict
 from becalm.core.reading_verdicts import judge as judge_readings
 from becalm.core.rows import EstimatedRows, Judge, Rows
 from becalm.errors import ModelError
-from becalm.native.smoothers import LateSmoother
+from becalm.native.smoothers import LagSmoother
 
 # Check the lag of a fixed-lag smoother.
 
@@ -38,7 +38,7 @@ def checked_lag(lag: int) -> int:
     Raises
     ------
     ModelError
-        If it is not a whole number, below 0, or above 2^20.
+        If the lag is not a whole number from 0 to 2^20.
     """
     try:
         rows = index(lag)
@@ -52,7 +52,7 @@ def checked_lag(lag: int) -> int:
 
 
 _MOST_NUMBERS = 1 << 19  # numbers in the state matrices of the rows that are processed at once
-_FEW = 8 * BLOCK  # rows that are processed at once in any case
+_FEW = 8 * BLOCK  # least number of rows that are processed at once
 
 
 class _Steps(Protocol):
@@ -61,24 +61,24 @@ class _Steps(Protocol):
         ...
 
 
-class LateRows:
-    """A fixed-lag smoother of one channel: it estimates each row when the rows up to a lag after it are there.
+class FixedLagSmoother:
+    """A fixed-lag smoother of one channel: it estimates each row once the next `lag` rows are there.
 
     Parameters
     ----------
     settings, coefficients : () structured array
-        Those of the channel, as C's structs.
+        Settings and coefficients of the channel, as C's structs.
     steps : object
-        Its method `before` returns the matrices of steps.
+        An object whose method `before` returns the matrices of the steps before rows.
     lag : int
         Lag in rows, 1 or more.
     split : bool
-        Whether to return the smoothed states, too.
+        Whether to return also the smoothed states.
 
     Attributes
     ----------
     settled_row : int or None
-        The first row with the steady-state gain; None before that.
+        The first row with the steady-state gain; None if there is none yet.
     """
 
     def __init__(
@@ -90,8 +90,8 @@ class LateRows:
         *,
         split: bool = False,
     ) -> None:
-        self._smoother, self._steps, self.lag = LateSmoother(settings, coefficients), steps, lag
-        self._waiting = Rows.nothing()
+        self._smoother, self._steps, self.lag = LagSmoother(settings, coefficients), steps, lag
+        self._waiting = Rows.empty()
         states = int(settings["states"])
         self._at_once = max(_FEW, _MOST_NUMBERS // states**2)
         self._states = states if split else 0
@@ -112,7 +112,7 @@ class LateRows:
         self._smoother.set_history(reading, readings, steps)
 
     def take(self, rows: Rows) -> Iterator[tuple[Estimates, Estimates]]:
-        """Take the next rows in parts; for each part yield the due rows, smoothed, and the new ones, filtered."""
+        """Take the next rows in parts. For each part yield the due rows, smoothed, and the new rows, filtered."""
         for at in range(0, len(rows.z), self._at_once):
             waited = len(self._waiting.z)
             all_rows = Rows.joined([self._waiting, rows.part(slice(at, at + self._at_once))])
@@ -125,12 +125,12 @@ class LateRows:
     def stepper(self) -> Callable[[float], tuple[float, float]]:
         """Return a fast function that takes one reading, one step after the last, and returns signal and sigma.
 
-        Both numbers belong to the oldest waiting row. The function checks nothing. It needs `lag` waiting rows and no
-        gate; once it is in use, rows must not come in another way.
+        The results belong to the oldest waiting row. The function checks nothing. It needs `lag` waiting rows and no
+        gate, and is valid until the next call of `take`.
         """
         now = self._waiting
         z, elapsed, verdicts = np.append(now.z, 0.0), np.append(now.elapsed, 1.0), np.append(now.verdicts, np.int8(0))
-        estimates, self._waiting = Estimates.room(len(z)), Rows(z[:-1], elapsed[:-1], verdicts[:-1])
+        estimates, self._waiting = Estimates.allocate(len(z)), Rows(z[:-1], elapsed[:-1], verdicts[:-1])
         arrays = estimates.outputs() | self._steps.before(elapsed) | {"z": z, "elapsed": elapsed}
         call = self._smoother.caller(self.lag, **arrays)
 
@@ -143,7 +143,7 @@ class LateRows:
 
         return step
 
-    def rest(self) -> Estimates:
+    def estimate_waiting(self) -> Estimates:
         """Return estimates of the waiting rows from the rows so far; the state does not change."""
         state, settled = self._smoother.state, self.settled_row
         self._smoother.state = np.frombuffer(bytearray(state.tobytes()), state.dtype).reshape(())
@@ -168,8 +168,8 @@ class LateRows:
         self._waiting = Rows(z, elapsed, verdicts)
 
     def _smoothed(self, rows: Rows, count: int) -> Estimates:
-        """Filter the waiting rows and the new ones; smooth the first `count` of them."""
-        estimates = Estimates.room(len(rows.z), self._states)
+        """Filter waiting and new rows; smooth the first `count` of them."""
+        estimates = Estimates.allocate(len(rows.z), self._states)
         arrays = estimates.outputs() | self._steps.before(rows.elapsed) | {"z": rows.z, "elapsed": rows.elapsed}
         settled = self._smoother.smooth(self.lag, count, **arrays)
         self.settled_row = settled if self.settled_row is None else self.settled_row
@@ -186,11 +186,11 @@ class FixedLagFlow:
     noise_variance : float
         R, in unit^2; a *small* one trusts the readings.
     lag : int
-        Lag in rows, 1 or more, whatever the time between rows; a *small* lag leaves more noise.
+        Lag in rows, 1 or more, for any time between rows; a *small* lag leaves more noise.
     judge : callable, optional
         It receives the innovations of each push, and their expected standard deviations.
     split : bool
-        Whether to return the contribution of each part of the component, too, disturbances included.
+        Whether to return also the contribution of each part of the component, including disturbances.
     gate : Gate, optional
         The innovation gate, which rejects spikes and follows steps causally; by default every reading is used.
 
@@ -213,15 +213,15 @@ class FixedLagFlow:
         settings = ChannelSettings(component, noise_variance, gate=gate)
         coefficients = packed_coefficients(component, noise_variance, disturbed=settings.disturbed)
         steps = StepTable(component, nearest=False)
-        self._late = LateRows(packed_settings(settings), coefficients, steps, checked_lag(lag), split=split)
+        self._smoother = FixedLagSmoother(packed_settings(settings), coefficients, steps, checked_lag(lag), split=split)
         self._component, self._judge, self._split = component, judge, split
         self._largest, self._has_rows = largest_magnitude_for_noise(noise_variance), False
         self.log_likelihood = 0.0
 
     @property
     def settled_row(self) -> int | None:
-        """Return the first row with the steady-state gain; None before that."""
-        return self._late.settled_row
+        """Return the first row with the steady-state gain; None if there is none yet."""
+        return self._smoother.settled_row
 
     @property
     def shares(self) -> dict[str, float]:
@@ -234,7 +234,7 @@ class FixedLagFlow:
         if len(z) and not self._has_rows:
             elapsed, self._has_rows = np.concatenate([[1.0], elapsed[1:]]), True  # the first row is on time
         judged, output = judge_readings(z, self._largest), list[EstimatedRows]()
-        for due, newest in self._late.take(Rows(judged.readings, elapsed, judged.verdicts)):
+        for due, newest in self._smoother.take(Rows(judged.readings, elapsed, judged.verdicts)):
             self.log_likelihood += float(np.nansum(log_densities(newest.innovation, newest.deviation)))
             if self._judge is not None:
                 self._judge(newest.innovation, newest.deviation)
@@ -242,21 +242,21 @@ class FixedLagFlow:
         return output
 
     def finish(self) -> list[EstimatedRows]:
-        """Return estimates of the waiting rows from the rows so far; the state does not change, rows may follow."""
-        return [self._estimated(self._late.rest())]
+        """Return estimates of the waiting rows from the rows so far; the state does not change, so more may follow."""
+        return [self._estimated(self._smoother.estimate_waiting())]
 
     def set_history(self, reading: float, readings: int, steps: float) -> None:
         """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
-        self._late.set_history(reading, readings, steps)
+        self._smoother.set_history(reading, readings, steps)
         self._has_rows = readings > 0
 
     def saved(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
-        return self._late.saved() | {"lag_begun": np.array(int(self._has_rows))}
+        return self._smoother.saved() | {"lag_begun": np.array(int(self._has_rows))}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Restore the result of `saved`; raise a ModelError if it does not fit this filter and lag."""
-        self._late.restore(arrays)
+        self._smoother.restore(arrays)
         self._has_rows = bool(arrays["lag_begun"])
 
     def _estimated(self, estimates: Estimates) -> EstimatedRows:

@@ -12,8 +12,9 @@ from becalm.core.reading_verdicts import AGREE, AT_MOST
 from becalm.errors import ModelError
 from becalm.native.library import CONSTANTS
 
-GOES_ON, WIDE = CONSTANTS["GOES_ON"], float(CONSTANTS["WIDE"])
-"""`GOES_ON`: a reject after fewer used readings since a jump belongs to the jump, if it is not far larger, and is used.
+JUMP_READINGS, WIDE = CONSTANTS["GOES_ON"], float(CONSTANTS["WIDE"])
+"""`JUMP_READINGS`: while fewer readings than this were used since a jump, a rejected reading counts as part of the jump
+and is used, unless its innovation is far larger than those of the jump.
 `WIDE`: the largest variance that a jump adds, over R; a larger covariance would lose the digits of the readings."""
 
 LEAST_THRESHOLD = 4.0
@@ -26,7 +27,7 @@ def threshold_for(false_alarms_per_hour: float, readings_per_second: float) -> f
     Parameters
     ----------
     false_alarms_per_hour : float
-        Good readings with Gaussian noise that the gate rejects per hour; a *small* rate trusts the readings.
+        Number of good readings with Gaussian noise that the gate rejects per hour; a *small* rate trusts the readings.
     readings_per_second : float
         Rate of the readings, in Hz.
 
@@ -64,10 +65,11 @@ class Gate:
         z: a reading whose innovation exceeds z expected standard deviations is a spike, and counts as missing.
         A *small* threshold trusts the model. `threshold_for` gives the threshold for a rate of false alarms.
     agree : int
-        This many rejects in a row that agree with each other, within z times their noise, are a step, and the filter
-        follows it. With a *small* number it follows sooner, but also follows spikes that agree by chance.
+        This many rejected readings in a row that agree with each other, within z times their noise, are a step, and the
+        filter follows it. With a *small* number it follows a step sooner, but also spikes that agree by chance.
     at_most : int
-        After this many rejects in a row the filter uses the readings in any case, so that it cannot reject for ever.
+        This many rejected readings in a row are accepted in any case, so that the filter cannot reject readings for
+        ever.
         A *small* number trusts the readings.
 
     Raises
@@ -95,6 +97,6 @@ class Gate:
 
 
 def level_of(model: Model) -> int:
-    """Return the index of the level: a measured state that keeps what a jump adds to it; -1 if there is none."""
+    """Return the index of the level, a measured state that a step leaves constant; -1 if there is none."""
     kept = np.all(np.eye(model.states) == model.F, axis=0) & (model.H[0] != 0)
     return int(kept.argmax()) if kept.any() else -1

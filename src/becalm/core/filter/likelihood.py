@@ -1,4 +1,4 @@
-"""Compute the log-likelihood of a record and nothing else; for one channel see also `ChannelRecord.score`."""
+"""Compute only the log-likelihood of a record; for one channel see also `ChannelRecord.score`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from becalm.core.filter.filtering import WantedResults, checked_readings, run_fi
 from becalm.core.model.model import Model
 from becalm.core.model.step_matrices import even_timeline
 
-NOTHING = WantedResults(sigma=False, innovations=False, signal=False)
+LIKELIHOOD_ONLY = WantedResults(sigma=False, innovations=False, signal=False)
 
 
 def log_likelihood(model: Model, z: ArrayLike) -> float:
@@ -17,9 +17,9 @@ def log_likelihood(model: Model, z: ArrayLike) -> float:
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step per row.
+        Model of the signal and its sensors, one step per row.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units, NaN where one is missing.
+        Readings in the channels' units, NaN where a reading is missing.
 
     Raises
     ------
@@ -31,4 +31,4 @@ def log_likelihood(model: Model, z: ArrayLike) -> float:
     Schweppe, IEEE TIT-11 (1965) 61; equation (8) of `becalm.core.reference.kalman`.
     """
     readings = checked_readings(model, z)
-    return run_filter(model, even_timeline(model, len(readings)), readings, NOTHING).estimate.log_likelihood
+    return run_filter(model, even_timeline(model, len(readings)), readings, LIKELIHOOD_ONLY).estimate.log_likelihood

@@ -1,4 +1,4 @@
-"""Restart the filter of a live channel after a gap beyond its limit; `restarting_flow` does so for files."""
+"""Restart the filter of a live channel after a gap beyond its limit; for files see `restarting_flow`."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel_settings import GapLimit
-from becalm.core.filter.restarting_flow import Gaps
+from becalm.core.filter.restarting_flow import GapDetector
 from becalm.core.reading_verdicts import judge as judge_readings
 from becalm.core.rows import EstimatedRows
 
 
 class LiveFlow(Protocol):
-    """The interface of a filter for one part of a stream; the cuts between pushes must change no bit."""
+    """The interface of a filter for one part of a stream; the boundaries between pushes must change no bit."""
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take the next rows; return the rows whose estimates are final."""
@@ -34,12 +34,12 @@ class LiveFlow(Protocol):
         ...
 
 
-class LiveRestarting:
+class LiveRestartingFlow:
     """A filter of one live channel that restarts after a long gap; for the parameters see `RestartingFlow`."""
 
     def __init__(self, open_flow: Callable[[], LiveFlow], gap_limit: GapLimit, largest: float) -> None:
         self._open_flow, self._largest = open_flow, largest
-        self._gaps, self._flow = Gaps(gap_limit), open_flow()
+        self._gaps, self._flow = GapDetector(gap_limit), open_flow()
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take the next rows, readings (B,) and the steps before them; return the rows whose estimates are final."""
@@ -53,7 +53,7 @@ class LiveRestarting:
         return estimates + self._flow.push(z[begin:], elapsed[begin:])
 
     def finish(self) -> list[EstimatedRows]:
-        """Return estimates of the waiting rows from the rows so far; a snapshot from before restores any change."""
+        """Return estimates of the waiting rows from the rows so far; this may change the state, so save it before."""
         return self._flow.finish()
 
     def saved(self) -> dict[str, Any]:

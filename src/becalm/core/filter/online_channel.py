@@ -1,4 +1,4 @@
-"""Filter a stream of one channel, one step per reading, with or without a lag; the kernel is that of files."""
+"""Filter a stream of one channel, one step per reading, with or without a lag; files use the same kernel."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from becalm.core.arrays import Codes, Floats
 from becalm.core.filter.channel import Estimates
 from becalm.core.filter.channel_settings import model_coefficients, model_settings
-from becalm.core.filter.fixed_lag_flow import LateRows
+from becalm.core.filter.fixed_lag_flow import FixedLagSmoother
 from becalm.core.filter.gate import Gate
 from becalm.core.model.model import Model
 from becalm.core.model.parts import largest_magnitude_for_noise
@@ -25,13 +25,13 @@ from becalm.native import DETERMINED, GATHERING, loaded, process, saved, start, 
 
 
 class _ModelSteps(NamedTuple):
-    """The matrices of a model's steps, all of the same length."""
+    """The matrices of a model whose steps all have the same length."""
 
     F: Floats  # (1, n, n)
     Q: Floats  # (1, n, n)
 
     def before(self, elapsed: Floats) -> dict[str, NDArray[np.int32] | Floats]:
-        """Return the index of the step before each row, 0, and the matrices."""
+        """Return the index of the step before each row, always 0, and the matrices of this step."""
         return {"step": np.zeros(len(elapsed), np.int32), "F": self.F, "Q": self.Q}
 
 
@@ -58,12 +58,13 @@ class OnlineChannel:
         self._settings, self._coefficients = model_settings(model, gate), model_coefficients(model)
         self._largest = BEYOND_ANY_SENSOR if gate is None else largest_magnitude_for_noise(float(model.R[0, 0]))
         self._steps = _ModelSteps(*(np.require(A[:1], np.float64, ["C", "A"]) for A in model_system(model)[:2]))
-        self._has_rows, self._rows_to_skip = False, lag
+        self._has_rows = False
+        self._rows_to_skip = lag  # first rows without an estimate: there is no row one lag earlier
         self.verdicts: Codes = np.empty(0, np.int8)
         first_state = self._first_state()
-        self._late = LateRows(self._settings, self._coefficients, self._steps, lag) if lag else None
+        self._smoother = FixedLagSmoother(self._settings, self._coefficients, self._steps, lag) if lag else None
         self._state = start(self._settings)
-        _begin(self._state if self._late is None else self._late.state, first_state)
+        _begin(self._state if self._smoother is None else self._smoother.state, first_state)
 
     def run(self, z: Floats) -> tuple[Floats, Floats]:
         """Take a block, (B, 1); return signal and sigma, (B, 1) each, of the readings one lag earlier."""
@@ -76,34 +77,34 @@ class OnlineChannel:
             elapsed[:1] = 0.0
         self._has_rows = self._has_rows or len(z) > 0
         judged = judge_readings(z, self._largest)
-        if self._late is not None:
-            return self._run_late(Rows(judged.readings, elapsed, judged.verdicts), self._late)
-        estimates = Estimates.room(len(z))
+        if self._smoother is not None:
+            return self._run_with_lag(Rows(judged.readings, elapsed, judged.verdicts), self._smoother)
+        estimates = Estimates.allocate(len(z))
         rows = estimates.outputs() | self._steps.before(elapsed) | {"z": judged.readings, "elapsed": elapsed}
         process(self._settings, self._coefficients, self._state, **rows)
         self.verdicts = np.where(estimates.verdict > Verdict.MISSING, estimates.verdict, judged.verdicts)
         return estimates.signal, estimates.sigma
 
     def stepper(self) -> Callable[[float], tuple[float, float]] | None:
-        """Return a fast function from a reading to signal and sigma; None until the lag is filled, and with a gate."""
+        """Return a fast function from a reading to signal and sigma; None with a gate, or until `lag` readings wait."""
         if not self._has_rows or self._rows_to_skip or self.gate is not None:
             return None
-        if self._late is not None:
-            return self._late.stepper()
+        if self._smoother is not None:
+            return self._smoother.stepper()
         return stepper(self._settings, self._coefficients, self._state, *self._steps)
 
     def finish(self) -> tuple[Floats, Floats]:
         """Return signal and sigma, (rows, 1) each, of the waiting readings; the state does not change."""
-        if self._late is None:
+        if self._smoother is None:
             return np.empty((0, 1)), np.empty((0, 1))
-        estimates = self._late.rest()
+        estimates = self._smoother.estimate_waiting()
         return estimates.signal[:, np.newaxis], estimates.sigma[:, np.newaxis]
 
     def saved(self) -> dict[str, Any]:
         """Return the state, as arrays."""
         counts = {"begun": np.array(self._has_rows), "unwaited": np.array(self._rows_to_skip)}
-        if self._late is not None:
-            return counts | self._late.saved()
+        if self._smoother is not None:
+            return counts | self._smoother.saved()
         return counts | {"live": saved(self._settings, self._state)}
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
@@ -115,19 +116,19 @@ class OnlineChannel:
             If the arrays do not fit this filter.
         """
         self._has_rows, self._rows_to_skip = bool(arrays["begun"]), int(arrays["unwaited"])
-        if self._late is not None:
-            self._late.restore(arrays)
-            if self._rows_to_skip < 0 or self._rows_to_skip + self._late.waiting != self.lag:
+        if self._smoother is not None:
+            self._smoother.restore(arrays)
+            if self._rows_to_skip < 0 or self._rows_to_skip + self._smoother.waiting != self.lag:
                 raise ModelError("The snapshot's waiting rows do not fit its lag; pass what snapshot() returned.")
         else:
             self._state = loaded(self._settings, np.asarray(arrays["live"]))
 
-    def _run_late(self, rows: Rows, late: LateRows) -> tuple[Floats, Floats]:
+    def _run_with_lag(self, rows: Rows, smoother: FixedLagSmoother) -> tuple[Floats, Floats]:
         count, newest = len(rows.z), list[Codes]()
         signal, sigma = np.full(count, np.nan), np.full(count, np.inf)
         at = min(self._rows_to_skip, count)
         self._rows_to_skip -= at
-        for due, new in late.take(rows):
+        for due, new in smoother.take(rows):
             signal[at : at + len(due.signal)], sigma[at : at + len(due.signal)] = due.signal, due.sigma
             at += len(due.signal)
             newest.append(new.verdict)
@@ -137,7 +138,7 @@ class OnlineChannel:
     def _first_state(self) -> tuple[int, Floats, Floats] | None:
         """Return phase, x and P before the first reading; None for a flat prior.
 
-        For a wide prior x and P are the right-hand side and the root of the prior information.
+        For a wide prior, x and P hold the right-hand side and the root of the prior information.
         """
         model, prior = self.model, wide_prior(self.model)
         if prior is not None and model.x0 is not None:
@@ -151,6 +152,7 @@ class OnlineChannel:
 
 
 def _begin(state: NDArray[np.void], first_state: tuple[int, Floats, Floats] | None) -> None:
+    """Write phase, x and P into a new state; leave a flat prior as it is."""
     if first_state is None:
         return
     phase, x, P = first_state

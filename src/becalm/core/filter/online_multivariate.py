@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from becalm.core.arrays import Floats
-from becalm.core.filter.filtering import EVERYTHING, new_kernel, rows_of
+from becalm.core.filter.filtering import DEFAULT_RESULTS, new_kernel, rows_of
 from becalm.core.model.model import Model
 from becalm.core.model.step_matrices import even_timeline
 from becalm.errors import ModelError
@@ -33,7 +33,7 @@ class OnlineMultivariate:
 
     def __init__(self, model: Model, lag: int) -> None:
         self.model, self.lag = model, lag
-        self._kernel = new_kernel(model, even_timeline(model, 1), EVERYTHING)
+        self._kernel = new_kernel(model, even_timeline(model, 1), DEFAULT_RESULTS)
         self._waiting, self._rows_to_skip = np.empty((0, model.channels)), lag
 
     def run(self, z: Floats) -> tuple[Floats, Floats]:
@@ -82,4 +82,4 @@ class OnlineMultivariate:
         return self._kernel.smooth_late(rows_of(self._timeline(len(rows)), rows), self.lag, count)
 
     def _timeline(self, count: int) -> Any:
-        return even_timeline(self.model, count, goes_on=bool(self._kernel.head["rows"]))
+        return even_timeline(self.model, count, continues=bool(self._kernel.head["rows"]))

@@ -1,4 +1,4 @@
-"""Restart the filter of a channel after a gap that is too long for float64; `channel_settings` explains the limit."""
+"""Restart the filter of a channel after a gap that is too long for float64; `channel_settings` derives the limit."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.core.reading_verdicts import judge as judge_readings
 from becalm.core.rows import EstimatedRows
 
-_LOOK = 4096  # rows that are searched at once
-_SHORTEST = 1e-300  # steps: replaces a time of 0, because inf * 0 is NaN
+_ROWS_AT_ONCE = 4096  # rows that are searched for gaps at once
+_SHORTEST = 1e-300  # steps; it replaces a time of 0, because inf * 0 is NaN
 
 
 class PartialFlow(Protocol):
@@ -57,8 +57,8 @@ class PartialFlow(Protocol):
 class _Part(NamedTuple):
     """The results of one part of the record."""
 
-    rows: int
-    weight: int  # rows from the first reading on
+    rows: int  # number of rows
+    weight: int  # number of rows from the first reading on
     log_likelihood: float
     settled_row: int | None
     shares: dict[str, float]  # share of the rows in each mode of an IMM
@@ -67,8 +67,9 @@ class _Part(NamedTuple):
 class RestartingFlow:
     """A filter or smoother of one channel that restarts after a gap beyond its limit.
 
-    Before the first such gap the inner filter gets every push as it is. After it, rows are regrouped into stretches as
-    long as the first push, in whole blocks from the restart, so that the bits are those of a separate record.
+    Until the first such gap, each push goes to the inner filter unchanged. After a restart, rows are collected into
+    stretches, counted from the restart; a stretch is as long as the first push, rounded down to whole blocks. So the
+    estimates of a part have the same bits as if it were a separate record.
 
     Parameters
     ----------
@@ -77,17 +78,17 @@ class RestartingFlow:
     gap_limit : GapLimit
         The gaps that the filter bridges; with a *small* limit the channel restarts more often.
     largest : float
-        Magnitude, in unit, beyond which a value does not count as a reading; the same as in the inner filter.
+        Magnitude, in unit, beyond which a value is not a reading; the inner filter must have the same limit.
     """
 
     def __init__(
         self, open_flow: Callable[[], PartialFlow], gap_limit: GapLimit, largest: float = BEYOND_ANY_SENSOR
     ) -> None:
         self._open_flow, self._largest = open_flow, largest
-        self._gaps = Gaps(gap_limit)
+        self._gaps = GapDetector(gap_limit)
         self._flow = open_flow()
         self._finished: list[_Part] = []
-        self._rows = self._weight = 0  # of the current part
+        self._rows = self._weight = 0  # numbers of rows in the current part, see `_Part`
         self._stretch: int | None = None  # rows in a stretch; None before the first row
         self._incomplete = np.empty((2, 0))  # readings, and the steps before them, of an incomplete stretch
 
@@ -100,7 +101,7 @@ class RestartingFlow:
         for row in self._gaps.starts(arrived, elapsed):
             if row > begin:
                 estimates += self._take(z[begin:row], elapsed[begin:row], arrived[begin:row])
-            estimates += self._start_anew()
+            estimates += self._restart()
             begin = row
         return estimates + self._take(z[begin:], elapsed[begin:], arrived[begin:])
 
@@ -136,7 +137,7 @@ class RestartingFlow:
 
     @property
     def log_likelihood(self) -> float:
-        """Return the log-likelihood of all measurements so far, except the first of each part."""
+        """Return the log-likelihood of all measurements so far; the first of each part does not count."""
         return sum(part.log_likelihood for part in self._parts())
 
     @property
@@ -177,54 +178,54 @@ class RestartingFlow:
             estimates += self._flow.push(rows[0].copy(), rows[1].copy())
         return estimates
 
-    def _start_anew(self) -> list[EstimatedRows]:
+    def _restart(self) -> list[EstimatedRows]:
         estimates = self.finish()
         self._finished = self._parts()
         self._flow, self._rows, self._weight = self._open_flow(), 0, 0
         return estimates
 
 
-class Gaps:
+class GapDetector:
     """A detector of gaps beyond the limit.
 
-    It sums times row by row from each start, so that the cuts between blocks do not change them.
+    It sums times row by row from each restart, so that the boundaries between blocks do not change the sums.
     """
 
     def __init__(self, gap_limit: GapLimit) -> None:
         self._limit = gap_limit
-        # Steps from the first reading since the start: to the last row, and to the last reading.
+        # Times since the first reading after a restart, in steps: of the last row, and of the last reading.
         self._now = self._last = 0.0
-        self._readings = 0
+        self._readings = 0  # number of readings since a restart
 
     def starts(self, arrived: Booleans, elapsed: Floats) -> Iterator[int]:
-        """Yield the rows, of the next B rows, at which the filter restarts."""
+        """Take the next B rows; yield the index of each row at which the filter restarts."""
         unusual = np.append(np.flatnonzero(~arrived | (elapsed != 1.0)), len(arrived))
         begin = 0
         while begin < len(arrived):
             usual = int(unusual[np.searchsorted(unusual, begin)])
-            if (usual == len(arrived) or usual - begin > _LOOK) and self._bridges(usual - begin):
+            if (usual == len(arrived) or usual - begin > _ROWS_AT_ONCE) and self._advance_evenly(usual - begin):
                 begin = usual
                 continue
-            rows = slice(begin, begin + _LOOK)
+            rows = slice(begin, begin + _ROWS_AT_ONCE)
             start = self._first_start(arrived[rows], elapsed[rows])
             if start is not None:
                 yield begin + start
                 begin += start + 1
             else:
-                begin += _LOOK
+                begin += _ROWS_AT_ONCE
 
     def saved(self) -> Floats:
         """Return the state (3,): time of the last row and of the last reading, in steps, and the number of readings."""
         return np.array([self._now, self._last, float(self._readings)])
 
-    def restore(self, moved: Floats) -> None:
+    def restore(self, state: Floats) -> None:
         """Restore the result of `saved`."""
-        self._now, self._last, self._readings = float(moved[0]), float(moved[1]), int(moved[2])
+        self._now, self._last, self._readings = float(state[0]), float(state[1]), int(state[2])
 
-    def _bridges(self, rows: int) -> bool:
-        """Advance over rows in even time, none of them missing, if no step can be too long; return whether it did."""
+    def _advance_evenly(self, rows: int) -> bool:
+        """Count `rows` readings one step apart, if no such step can be too long; return whether they were counted."""
         near = min(self._limit.longest, self._limit.spans * self._last) >= 1.0 and self._now.is_integer()
-        in_gap = self._now != self._last  # the last rows had no reading
+        in_gap = self._now != self._last  # the last row had no reading
         if in_gap or not (near and self._readings >= self._limit.readings):
             return False
         self._now += rows
@@ -232,7 +233,7 @@ class Gaps:
         return True
 
     def _first_start(self, arrived: Booleans, elapsed: Floats) -> int | None:
-        """Return the first row at which the filter restarts, and count the readings up to it; None if there is none."""
+        """Return the first row at which the filter restarts, or None; count the readings before this row."""
         rows = np.flatnonzero(arrived)
         times = np.append(self._now, elapsed)
         if not self._readings:  # time begins with the first reading

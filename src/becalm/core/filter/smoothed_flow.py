@@ -1,9 +1,10 @@
 """Smooth one channel of any length in constant memory.
 
-The forward pass works on stretches of one length, counted from the first row, so that the cuts between pushes change no
-bit. A stretch is smoothed once enough later rows are there that no further row can change the result. This is measured:
-two backward passes start after the last row with the two most different futures possible, and must agree at the end
-of the stretch. The filter, its gate and its restarts are in `native/smoother.c`.
+The forward pass filters stretches with a fixed number of rows, counted from the first row, so that the boundaries
+between pushes change no bit. A stretch is smoothed once so many later rows are there that further rows cannot change
+the result. To test this, two backward passes start at a later row, one without information on the state there and one
+with nearly full information. They must agree at the end of the stretch. The filter, its gate and its restarts are in
+`native/smoother.c`.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ from becalm.native.smoothers import ForwardPass, Smoother
 
 _LONGEST = 1 << 14  # largest number of rows in a stretch
 _MOST_NUMBERS = 1 << 21  # numbers in a stretch's step matrices, if each row has its own
-_DIFFERENT = 1e14  # two futures start this far apart ...
-_SAME = 1e-12  # ... and must come this close; the ratio is the square of `NEGLIGIBLE_SHARE`
-_STRETCHES = 4  # least number of stretches that are held before a backward pass
-_FAR = 1 << 40  # rows; in place of an endless memory
+_DIFFERENT = 1e14  # information with which the second backward pass starts, over that of the forward pass
+_SAME = 1e-12  # largest relative difference of the passes; _SAME / _DIFFERENT is `NEGLIGIBLE_SHARE` squared
+_STRETCHES = 4  # least number of stretches that wait before a backward pass
+_FAR = 1 << 40  # rows; it replaces an infinite memory of the filter
 
 
 class _Stretch(NamedTuple):
     forward_pass: ForwardPass
     estimates: Estimates
     verdicts: Codes  # (B,)
-    determined: bool  # whether the state after the stretch is determined
+    determined: bool  # whether the measurements determine the state after the stretch
     variances: Floats  # (n,) variances of the state after the stretch
 
 
@@ -56,7 +57,7 @@ class SmoothedFlow:
     judge : callable, optional
         It receives the innovations of each stretch, and their expected standard deviations.
     split : bool
-        Whether to return the contribution of each part of the component, too, disturbances included.
+        Whether to return also the contribution of each part of the component, including disturbances.
     gate : Gate, optional
         The innovation gate: it rejects spikes, and follows a step from the first reading after it. By default every
         reading is used.
@@ -64,7 +65,7 @@ class SmoothedFlow:
     Attributes
     ----------
     log_likelihood : float
-        Log-likelihood of the readings so far that had a prediction.
+        Log-likelihood of all readings so far for which there was a prediction.
     """
 
     def __init__(
@@ -86,14 +87,14 @@ class SmoothedFlow:
         self._length = max(BLOCK, min(_LONGEST, _MOST_NUMBERS // states**2 // BLOCK * BLOCK))
         self._incomplete, self._count = list[Rows](), 0  # rows of an incomplete stretch, and their number
         self._wanted = self._length  # rows that complete the stretch
-        self._held: list[_Stretch] = []  # filtered stretches, until enough later rows are there
+        self._held: list[_Stretch] = []  # filtered stretches that wait for later rows
         self._has_rows = False
-        self._reach = 0  # rows that a backward pass starts ahead of a stretch; 0 before it is needed
+        self._reach = 0  # rows after a stretch that a test of the future passes back over; 0 until the first test
         self.log_likelihood = 0.0
 
     @property
     def settled_row(self) -> int | None:
-        """Return the first row with the steady-state gain; None before that."""
+        """Return the first row with the steady-state gain; None if there is none yet."""
         row = int(self._smoother.state["settled_row"])
         return None if row < 0 else row
 
@@ -131,7 +132,7 @@ class SmoothedFlow:
         if self._count:
             self._filter(Rows.joined(self._incomplete), ends=True)
         self._incomplete, self._count = [], 0
-        return self._smoothed(len(self._held), self._smoother.nothing())
+        return self._smoothed(len(self._held), self._smoother.no_later_rows())
 
     def set_history(self, reading: float, readings: int, steps: float) -> None:
         """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
@@ -139,8 +140,8 @@ class SmoothedFlow:
         self._has_rows = readings > 0
 
     def _filter(self, rows: Rows, *, ends: bool) -> Rows:
-        """Filter a stretch forward; return the rows whose gating is still undecided."""
-        estimates = Estimates.room(len(rows.z), self._model.states if self._split else 0)
+        """Filter a stretch forward; return its last rows if the gate cannot decide on them yet."""
+        estimates = Estimates.allocate(len(rows.z), self._model.states if self._split else 0)
         steps = self._steps.before(rows.elapsed)
         forward = self._smoother.forward(ends=ends, **estimates.outputs(), **steps, z=rows.z, elapsed=rows.elapsed)
         taken, left = slice(forward.taken), rows.part(slice(forward.taken, None))
@@ -163,7 +164,7 @@ class SmoothedFlow:
             return []
         self._reach = self._reach or self._usual_reach
         after = rows[::-1].cumsum()[::-1] - rows  # number of rows after each stretch
-        if rows.sum() < self._reach + max(self._reach, _STRETCHES * self._length):  # keeps the backward passes rare
+        if rows.sum() < self._reach + max(self._reach, _STRETCHES * self._length):  # so that tests are rare
             return []
         cuts = [k for k, stretch in enumerate(self._held) if stretch.determined and after[k] >= self._reach]
         if not cuts:
@@ -190,20 +191,20 @@ class SmoothedFlow:
         return rows._replace(parts=parts_of(self._component, estimates)) if self._split else rows
 
     def _future_of(self, later: Sequence[_Stretch]) -> NDArray[np.void] | None:
-        """Return the information of the later rows on the end of a stretch; None if more rows are needed."""
+        """Return the information of the later rows on the state before them; None if more rows are needed."""
         variances = [stretch.variances for stretch in later if stretch.determined]
         if not variances:
             return None
-        n, future, other = self._model.states, self._smoother.nothing(), self._smoother.nothing()
+        n, future, other = self._model.states, self._smoother.no_later_rows(), self._smoother.no_later_rows()
         other["M"][: n * n : n + 1] = _DIFFERENT / np.min(variances, axis=0)
         for one in (future, other):
-            self._look_back(later, one)
+            self._pass_back(later, one)
         M, other_M = (one["M"][: n * n].reshape(n, n) for one in (future, other))
         scale = np.sqrt(np.diag(M))
         return future if np.all(np.abs(other_M - M) <= _SAME * np.outer(scale, scale)) else None
 
-    def _look_back(self, later: Sequence[_Stretch], future: NDArray[np.void]) -> None:
-        """Pass back from `_reach` rows ahead to the first row of the later stretches."""
+    def _pass_back(self, later: Sequence[_Stretch], future: NDArray[np.void]) -> None:
+        """Pass back over the first `_reach` rows of the later stretches."""
         reach, parts = self._reach, list[tuple[_Stretch, int]]()
         for stretch in later:
             count = min(stretch.forward_pass.taken, max(reach, 0))
@@ -211,7 +212,7 @@ class SmoothedFlow:
             reach -= count
         for stretch, count in reversed(parts):
             if count:
-                self._smoother.look_back(stretch.forward_pass, future, count)
+                self._smoother.add_information(stretch.forward_pass, future, count)
 
     @cached_property
     def _usual_reach(self) -> int:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import (
-    EVERYTHING,
+    DEFAULT_RESULTS,
     Estimate,
     WantedResults,
     checked_readings,
@@ -34,13 +34,13 @@ def kalman_smoother(  # noqa: PLR0913  (one flag for each result)
     Parameters
     ----------
     model : Model
-        The signal and its sensors, one step per row.
+        Model of the signal and its sensors, one step per row.
     z : (N,) or (N, m) array_like
-        Readings in the channels' units; NaN or Inf where one is missing. The array is not modified.
+        Readings in the channels' units; NaN or Inf where a reading is missing. The array is not modified.
     states, covariances : bool
         Whether to return `mean` (N, n) and `cov` (N, n, n).
     sigma, innovations : bool
-        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them the smoother does less.
+        Whether to return `sigma`, and `innovations` with `innovation_sigma`; without them the smoother is faster.
         `covariances` implies `sigma`.
 
     Returns
@@ -55,16 +55,16 @@ def kalman_smoother(  # noqa: PLR0913  (one flag for each result)
 
     Notes
     -----
-    Bryson and Frazier (1963) in Bierman's form (1973), which gives the same as Rauch, Tung and
-    Striebel (1965) without inverting a covariance; equations (9) to (12) of
-    `becalm.core.reference.kalman`. With a flat prior the mean is that of penalised least squares.
+    The smoother is that of Bryson and Frazier (1963) in Bierman's form (1973), equations (9) to (12) of
+    `becalm.core.reference.kalman`. It gives the same result as that of Rauch, Tung and Striebel (1965), without
+    the inverse of a covariance. With a flat prior the mean is that of penalised least squares.
     """
     readings = checked_readings(model, z)
     wanted = WantedResults(states, covariances, sigma or covariances, innovations)
     return run_smoother(model, even_timeline(model, len(readings)), readings, wanted)
 
 
-def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = EVERYTHING) -> Estimate:
+def run_smoother(model: Model, timeline: Timeline, z: Floats, wanted: WantedResults = DEFAULT_RESULTS) -> Estimate:
     """Smooth z (N, m) over a timeline; see `kalman_smoother`."""
     kernel, buffers = new_kernel(model, timeline, wanted), new_buffers(model, len(z), wanted)
     innovation = np.empty(z.shape) if buffers.innovation is None else buffers.innovation

@@ -1,7 +1,7 @@
 """Detect faults of readings as they arrive: clipped, stuck, late, repeated, after a gap.
 
-The verdicts depend only on the channel's limits, not on a filter. Time since the first row is counted in whole parts of
-a step, so that sums are exact: the cuts between blocks do not change the verdicts.
+The verdicts depend only on the channel's limits, not on a filter. The time since the first row is rounded to multiples
+of 1/1024 step, so that sums are exact and the boundaries between blocks do not change the reported times.
 """
 
 from __future__ import annotations
@@ -19,19 +19,20 @@ from becalm.native.scans import LIMITS, new_limits, reduced_limits, restored, sc
 
 # Detect faults of the rows' times as rows arrive: late, repeated, after a gap.
 #
-# Time is counted in whole parts of a step, so that sums are exact: the cuts between blocks do not change the verdicts.
+# Times are rounded to multiples of 2^-20 step, so that sums are exact and the boundaries between blocks do not change
+# the verdicts.
 
 LONGEST = float(1 << 31)
-"""Longest step between two rows; longer ones are reduced to it."""
+"""Longest step between two rows; longer steps are reduced to this."""
 
-_TICKS = 1 << 20  # ticks in a step; deviations from even time are counted in them
-_LATEST = 0.75  # of a step: a row that is later than this is the next one, and the expected one was lost
-_REFERENCES = (16, 32, 48)  # rows back: the median of the deviations of these three rows is the even time
-_ON_TIME = 0.1  # steps: a row this close to the even time of another row is not late
+_TICKS = 1 << 20  # number of ticks in a step; a tick is the unit of deviations from even time
+_LATEST = 0.75  # after a gap, a row that is later than this, in steps, counts as the next row: another row was lost
+_REFERENCES = (16, 32, 48)  # rows back: the median deviation of these three rows is the deviation of even time
+_ON_TIME = 0.1  # a row this close to the even time of another row, in steps, is not late
 
 
 def possible_steps(elapsed: Floats) -> Floats:
-    """Return the steps between rows (B,) with possible values: 1 in place of NaN, otherwise from 0 to LONGEST."""
+    """Return the steps between rows (B,), with 1 in place of NaN, and limited to the range from 0 to LONGEST."""
     if ((elapsed >= 0.0) & (elapsed <= LONGEST)).all():
         return elapsed
     steps: Floats = np.clip(np.nan_to_num(elapsed, nan=1.0), 0.0, LONGEST)
@@ -44,12 +45,12 @@ class TimeFaults:
     Parameters
     ----------
     limits : Limits
-        They define a gap, and whether time is even.
+        Limits that define a gap, and whether time is even.
 
     Attributes
     ----------
     offsets : (48,) int64 array
-        The state: deviations of the last rows from even time, in ticks.
+        Deviations of the last rows from even time, in ticks; this is the whole state.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -62,7 +63,7 @@ class TimeFaults:
         return not self.offsets.any()
 
     def write(self, codes: Codes, elapsed: Floats) -> None:
-        """Write verdicts on the times of the next rows into `codes` (B,); `elapsed` (B,) are the steps before them."""
+        """Write verdicts on the times of the next rows into `codes` (B,); `elapsed` (B,) has the steps before them."""
         if self._limits.even:
             codes[self._is_late(elapsed)] = Verdict.LATE
         codes[elapsed > self._limits.gap_steps] = Verdict.GAP
@@ -71,8 +72,8 @@ class TimeFaults:
     def _is_late(self, elapsed: Floats) -> Booleans:
         """Return which rows deviate from even time by more than half a step, but not by whole steps.
 
-        Lost rows before a row are no deviation. Even time follows the median of earlier rows, so that a clock may run a
-        little fast or slow.
+        Lost rows before a row are not a deviation. Even time follows the median of earlier rows, so that the clock may
+        run slightly fast or slow.
         """
         due = np.where(elapsed > self._limits.gap_steps, np.ceil(elapsed - _LATEST), 1.0)
         off = np.where(elapsed > 0, elapsed - due, 0.0)
@@ -91,15 +92,15 @@ def _middle(three: list[Integers]) -> Integers:
     return np.asarray(np.maximum(least, np.minimum(most, three[2])))
 
 
-_TIME = 1 << 10  # parts of a step in which the time since the first row is counted
+_TIME = 1 << 10  # number of units in a step, for the time since the first row
 
 
 class FaultCount(NamedTuple):
-    """How often, and where first, a fault was detected."""
+    """The number of readings with a fault, and the place of the first one."""
 
     readings: int  # number of readings with the fault
-    first_row: int  # row of the first one; 0 is the first row pushed
-    first_step: float  # steps from the first row to there
+    first_row: int  # row of the first such reading; 0 is the first row pushed
+    first_step: float  # time of this row, in steps from the first row pushed
 
 
 class Faults:
@@ -117,9 +118,9 @@ class Faults:
 
     Notes
     -----
-    A run of 0 is not stuck, however long, if 0 is the least or the greatest reading so far: speeds and loads rest
-    there. A 0 held for 128 readings is not stuck either, if the plausible range is known and its middle third does not
-    include 0.
+    A run of 0 of any length is not stuck if 0 is the least or the greatest reading so far, because speeds and loads
+    rest there. A run of 128 or more readings of 0 is also not stuck if the plausible range is known and its middle
+    third does not include 0.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -127,10 +128,10 @@ class Faults:
         self.found: dict[Verdict, FaultCount] = {}
         self._settings, self._state = limits.packed(), new_limits()
         self._rows = 0
-        self._ticks = 0  # from the first row
+        self._ticks = 0  # time since the first row, in units of 1/1024 step
         self._rhythm = TimeFaults(limits)
 
-    def push(self, z: Floats, elapsed: Floats, beside: Codes | None = None) -> Codes:
+    def push(self, z: Floats, elapsed: Floats, neighbour_verdicts: Codes | None = None) -> Codes:
         """Take the next rows and return a verdict for each.
 
         Parameters
@@ -139,13 +140,13 @@ class Faults:
             Readings, in unit; NaN where missing.
         elapsed : (B,) float array
             Steps since the row before; ignored for the very first row.
-        beside : (B,) int8 array, optional
+        neighbour_verdicts : (B,) int8 array, optional
             Verdicts of `LookAhead`, from neighbours on both sides; 0 where the reading is good.
 
         Returns
         -------
         (B,) int8 array
-            `USED` where there is no fault. A fault of the reading takes precedence over one of its time.
+            `USED` where there is no fault. A fault of a reading takes precedence over a fault of its time.
 
         Raises
         ------
@@ -163,9 +164,9 @@ class Faults:
         if not even or not self._rhythm.undisturbed:
             self._rhythm.write(codes, elapsed)
         fault_count = scan_faults(self._settings, self._state, input_of(z), input_of(elapsed), codes)
-        if beside is not None and beside.any():
-            worse = (beside > 0) & (codes != Verdict.CLIPPED)
-            codes[worse] = beside[worse]
+        if neighbour_verdicts is not None and neighbour_verdicts.any():
+            worse = (neighbour_verdicts > 0) & (codes != Verdict.CLIPPED)
+            codes[worse] = neighbour_verdicts[worse]
             fault_count = 1
         ticks = np.full(1, _TIME) if even else np.rint(elapsed * _TIME).astype(np.int64)
         self._count(codes if fault_count else codes[:0], np.broadcast_to(ticks, z.shape))
@@ -190,23 +191,23 @@ class Faults:
         self._rows, self._ticks = arrays["faults_told"].tolist()
 
     def comparable_state(self) -> dict[str, Any]:
-        """Return only what later verdicts depend on, so that two states can be compared."""
+        """Return only the state that later verdicts depend on, for the comparison of two states."""
         offsets = self._rhythm.offsets
         readings = np.frombuffer(reduced_limits(self._settings, self._state), np.int8)
         return {"readings": readings, "rhythm": np.asarray(offsets - offsets[-1], np.float64)}
 
     def _count(self, codes: Codes, ticks: Integers) -> None:
         """Count each verdict and note its first row; time begins with the very first row."""
-        begun = 0 if self._rows else -int(ticks[0])
+        offset = 0 if self._rows else -int(ticks[0])
         counts = np.bincount(codes, minlength=len(Verdict))
         for code in np.flatnonzero(counts[1:]) + 1:
             verdict = Verdict(int(code))
             before = self.found.get(verdict)
             if before is None:
                 at = int(np.argmax(codes == verdict))
-                before = FaultCount(0, self._rows + at, (self._ticks + begun + int(ticks[: at + 1].sum())) / _TIME)
+                before = FaultCount(0, self._rows + at, (self._ticks + offset + int(ticks[: at + 1].sum())) / _TIME)
             self.found[verdict] = before._replace(readings=before.readings + int(counts[verdict]))
-        self._ticks += begun + int(ticks.sum())
+        self._ticks += offset + int(ticks.sum())
         self._rows += len(ticks)
 
 
@@ -220,7 +221,7 @@ def require_steps(elapsed: Floats, rows: int) -> None:
 
 
 def fault_messages(found: Mapping[Verdict, FaultCount], limits: Limits, step_s: float) -> list[str]:
-    """Return a sentence or two for each detected fault: what, how often, where first, and what to do.
+    """Return a message for each detected fault: its kind, how often and where first it occurred, and what to do.
 
     Parameters
     ----------
@@ -234,7 +235,7 @@ def fault_messages(found: Mapping[Verdict, FaultCount], limits: Limits, step_s: 
     Returns
     -------
     list of str
-        The sentences, in the order of the verdicts.
+        The messages, in the order of the verdicts.
     """
     return [
         f"{_description(verdict, found[verdict].readings, limits)}, first at {found[verdict].first_step * step_s:.6g} s"

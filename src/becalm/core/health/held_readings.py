@@ -1,8 +1,8 @@
 """Detect channels that repeat their last reading while there is no new one: a slow sensor in a fast log, or lost rows.
 
-With noise, equal neighbours come about as often as neighbours one code apart, (N(+1) + N(-1)) / 2. A coarse converter
-at rest has more of them, but leaves its code by a step of one. A repeated reading ends with a step as large as the
-noise of single readings.
+With noise, two consecutive readings are equal about as often as they differ by one code, (N(+1) + N(-1)) / 2 times. A
+coarse converter at rest has more equal readings, but leaves its code by a step of one code. After a repeated reading
+the step is as large as the steps between single readings.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import numpy as np
 from becalm.core.arrays import Floats, Integers
 from becalm.core.health.saturation import is_noisy
 
-_FEWEST = 30  # least number of runs, single readings included
-_FEWEST_REPEATED = 10  # least number of runs of equal readings; as many of the longest may be rests or faults
-_SHARE = 0.05  # least share of readings that repeat the one before
-_SMALLEST = 0.01  # share of the smallest steps, whose median is about one code
-_ONE_CODE = 1.5  # codes: a step up to this size counts as one code
-_OFTENER = 3.0  # least number of equal neighbours, over that expected by chance
-_CODES = 3.0  # codes: least median step between different readings
+_FEWEST = 30  # least number of runs; a single reading is also a run
+_FEWEST_REPEATED = 10  # least number of runs of equal readings; this many of the longest runs may be rests or faults
+_SHARE = 0.05  # least share of readings that equal the previous reading
+_SMALLEST = 0.01  # the median of this share of the smallest steps is about one code
+_ONE_CODE = 1.5  # a step of up to this many codes counts as one code
+_OFTENER = 3.0  # least number of equal consecutive readings, over the number expected by chance
+_CODES = 3.0  # least median step between different readings, in codes
 _MOST_ALIKE = 0.25  # largest share of runs with the same value
-_SINGLE = 0.1  # least share of single readings among the runs, for a comparison with their steps
+_SINGLE = 0.1  # least share of single readings among the runs, for a comparison with the steps between them
 _LIKE_SINGLES = 0.5  # least step at the end of a run, over the median step of single readings
-_REGULAR = 1.5  # largest ratio of long runs to short ones, for a sensor that is slower than its log
+_REGULAR = 1.5  # largest ratio of a long run to a short run, for a sensor that is slower than its log
 
 
 def repeats_readings(z: Floats, resolution: float) -> bool:

@@ -1,10 +1,10 @@
 """Find the limits of a healthy channel from a record: saturation limits, resolution, longest run of equal readings.
 
-The lengths of runs of equal readings have a geometric tail. With noise, a reading equals the one before with a
-probability p of about LSB / (2 sqrt(pi) sigma), and a slow signal leaves its code at about one rate. So the runs beyond
-a threshold give p, and p^n is the probability of a run of n more. Coarse codes hide the worst case: a level in the
-middle of a code stays there longer than one at its edge. The spread of the codes gives sigma, and sigma gives the
-length of such runs.
+The lengths of runs of equal readings have a geometric tail. With noise, a reading equals the previous reading with a
+probability p of about LSB / (2 sqrt(pi) sigma), and a slow signal leaves its code at a nearly constant rate. So the
+runs longer than a threshold give p, and p^n is the probability that a run lasts n readings longer. With coarse codes
+the record may not contain the worst case: a level in the middle of a code stays there longer than a level at its edge.
+The spread of the codes gives sigma, and sigma gives the length of such runs.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from becalm.errors import UsageError
 from becalm.native.library import SETTINGS
 from becalm.native.scans import EVERY_REPEAT
 
-_MARGIN = 2.0  # a limit over the longest run, or the longest usual wait, in the record
-_WIDE_MARGIN = 10.0  # the same, where only the signal ends a run
-_FEWEST_RUNS = 50  # least number of runs, single readings included, that determine the tail
-_MOST_FAULTS = 10  # stretches of a record in which the channel may have been stuck
+_MARGIN = 2.0  # a limit over the longest run, or over the longest usual step, in the record
+_WIDE_MARGIN = 10.0  # a limit over the longest run, if only the signal ends runs
+_FEWEST_RUNS = 50  # least number of runs that determine the tail; a single reading is also a run
+_MOST_FAULTS = 10  # largest number of runs of a record in which the channel may have been stuck
 _TAIL, _FEWEST_IN_TAIL = 0.05, 20  # share and least number of the runs that make the tail
-_UNSEEN = 3.0  # 95 % limit of Poisson's law for the number of events if none was seen
-_FEWEST_OF_A_SIDE = 5  # readings on either side of a code's edge that determine its place
-_LATTICE = 1e-5  # of a step: text and arithmetic may round a reading off its code by this much
-_ROUNDED = 1e-4  # of a step: the same for a distance, while the step is not yet accurate
-_FEWEST_CODES = 3  # two codes lie on any lattice
-_MOST_CODES = 1 << 16  # values that are searched for a lattice
-_MOST_ALIKE = 0.95  # least share of readings whose value comes more than once; then only such values give the step
-_EVEN, _EVEN_SHARE = 0.1, 0.95  # in even time: distance from whole steps, and least share of rows within it
-_SLOW = 1e-3  # of a step: largest mean deviation from whole steps, in even time
-_LEAVES = 1 / 36  # share of the plausible range: if noise leaves a value by larger jumps, it marks missing readings
-_ENDLESS = 1 << 53  # equal readings in a row: more than any record has
+_UNSEEN = 3.0  # upper 95 % limit of the Poisson mean if no event was observed
+_FEWEST_OF_A_SIDE = 5  # least number of readings on each side of the edge between two codes, to locate the edge
+_LATTICE = 1e-5  # largest distance of a reading from its code, over the step: rounding of text and arithmetic
+_ROUNDED = 1e-4  # largest error of a distance, over the step, while the step is not yet accurate
+_FEWEST_CODES = 3  # least number of codes; two codes always form a lattice
+_MOST_CODES = 1 << 16  # largest number of values in the search for a lattice
+_MOST_ALIKE = 0.95  # least share of readings with repeated values for which only repeated values give the step
+_EVEN, _EVEN_SHARE = 0.1, 0.95  # in even time this share of rows is this close to whole steps (in steps) or closer
+_SLOW = 1e-3  # largest mean deviation from whole steps in even time, in steps
+_LEAVES = 1 / 36  # jump over the plausible range: a value that noise leaves by larger jumps marks missing readings
+_ENDLESS = 1 << 53  # number of equal readings in a row that no record reaches
 
 
 class Limits(NamedTuple):
@@ -49,16 +49,16 @@ class Limits(NamedTuple):
     Attributes
     ----------
     low, high : float
-        Saturation limits (rails), in unit: readings there or beyond are clipped. -inf, inf: unknown.
+        Saturation limits (rails), in unit: readings at a limit or beyond are clipped; -inf and inf if unknown.
     resolution : float
         The step between two codes, in unit; 0 if the readings do not lie on a lattice.
     stuck_readings : int or None
-        This many equal readings in a row mean that the channel is stuck; None: never. A *small* number detects a
-        fault sooner, but calls slow signals stuck.
+        This many equal readings in a row mean that the channel is stuck; None if any number may be equal. A *small*
+        number detects a fault sooner, but also flags slow signals.
     gap_steps : float
         More steps than this since the row before are a gap.
     even : bool
-        Whether rows come in even time; only then a row can be late.
+        Whether rows come at even times; only then a row can be late.
     largest : float
         Readings of a greater magnitude, in unit, are impossible.
     outliers : Outliers
@@ -107,7 +107,7 @@ def find_limits(
     elapsed : (N,) float array
         Steps since the row before; 0 for the first.
     false_alarms_per_hour : float
-        Rate at which healthy stretches may be called stuck; a *small* rate trusts the sensor.
+        Rate at which healthy readings may be flagged as stuck; a *small* rate trusts the sensor.
     step_s : float
         One step, in seconds.
     sensor_range : (float, float), optional
@@ -116,8 +116,8 @@ def find_limits(
     Returns
     -------
     Limits
-        Without saturation limits, or without a limit of equal readings, if the record does not determine them. A
-        record cannot show runs far longer than its own, so it should include the slowest motion of the signal.
+        The limits of the channel; those that the record does not determine are infinite or None. A record cannot show
+        how long the runs of a slower signal are, so it should include the slowest motion of the signal.
 
     Raises
     ------
@@ -151,9 +151,9 @@ def find_limits(
 
 
 def _isolated(steps: Floats) -> Booleans:
-    """Return which readings, at times `steps` (N,), have a gap on both sides; they cannot be compared with others.
+    """Return which readings, at times `steps` (N,), have a gap on both sides, so that they have no near neighbours.
 
-    If there are many of them, such gaps are the normal rhythm of the channel, and no reading counts as isolated.
+    If many readings have such gaps, the gaps are normal for the channel, and no reading counts as isolated.
     """
     waits = np.diff(steps)
     if not len(waits):
@@ -163,19 +163,19 @@ def _isolated(steps: Floats) -> Booleans:
 
 
 def stuck_at_once(limits: Limits) -> int:
-    """Return how many equal readings in a row are stuck from the first one on, if rows may wait; 0: any may be equal.
+    """Return the length of a run in which even the first reading is stuck, for a test with a delay; 0 if there is none.
 
-    This applies to a channel that hardly ever repeats a reading. In other channels the first of them may be good.
+    Only a channel that hardly ever repeats a reading has such a length. In others the first reading may be good.
     """
     stuck = limits.stuck_readings or 0
     return stuck if limits.outliers.repeats_are_one and stuck > EVERY_REPEAT else 0
 
 
 def find_resolution(z: Floats) -> float:
-    """Return the step of the lattice that finite readings (N,) lie on, in unit; 0 if there is no lattice.
+    """Return the step of the lattice on which finite readings (N,) lie, in unit; 0 if there is no lattice.
 
-    A few readings that come only once, such as outliers, need not lie on it. Steps below a billionth of the largest
-    reading cannot be distinguished from rounding.
+    A few unique readings, such as outliers, need not lie on the lattice. Steps below a billionth of the largest reading
+    cannot be distinguished from rounding.
     """
     values, counts = np.unique(z, return_counts=True)
     often = counts > 1
@@ -184,7 +184,7 @@ def find_resolution(z: Floats) -> float:
 
 
 def _step_of(values: Floats) -> float:
-    """Return the step of the lattice of sorted values, by Euclid's algorithm on their distances; 0 for none."""
+    """Return the step of the lattice of sorted values, by Euclid's algorithm on their distances; 0 if there is none."""
     values = values[:: -(-len(values) // _MOST_CODES) or 1]
     if len(values) < _FEWEST_CODES:
         return 0.0
@@ -213,8 +213,8 @@ def run_lengths(z: Floats) -> Integers:
 def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outliers) -> int | None:
     """Return the run length that healthy readings (N,) exceed less than `alarms` times; None if it is unknown.
 
-    A few of the longest runs are first compared with the others: if they are far longer, they are faults and are left
-    out. If the noise is smaller than a code, only the signal ends a run, with an unknown law; then the margin is wider.
+    Up to ten of the longest runs are faults, and are left out, if they are far longer than the other runs. If the noise
+    is smaller than a code, only the signal ends a run, at an unknown rate; then the margin is wider.
     """
     runs = run_lengths(z)
     if len(runs) < _FEWEST_RUNS or not alarms > 0:
@@ -237,8 +237,8 @@ def _stuck_readings(z: Floats, resolution: float, alarms: float, outliers: Outli
 def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outliers: Outliers) -> bool:
     """Return whether the runs that end at the rows `last` (k,) are faults and not a signal at rest.
 
-    A 0 at an end of the range is rest if 0 is a reading. So is a value that several runs share, unless the readings are
-    noisy and leave it by jumps: then it marks missing readings.
+    A run of 0 at an end of the range is a signal at rest, if 0 can be a reading. So are several runs of one value,
+    unless the readings are noisy and leave this value by jumps: then the value marks missing readings.
     """
     run_values = z[last]
     if 0.0 in run_values and (z.min() == 0 or z.max() == 0) and not outliers.far_from_0:
@@ -250,7 +250,7 @@ def _are_faults(z: Floats, last: Integers, lengths: Integers, noisy: bool, outli
 
 
 def _longest_run(runs: Integers, alarms: float) -> float:
-    """Return the length that sorted runs exceed `alarms` times in a record like this, by their geometric tail."""
+    """Return the length that runs exceed `alarms` times per record, by the geometric tail of the sorted lengths."""
     count = max(_FEWEST_IN_TAIL, int(_TAIL * len(runs)))
     threshold = int(runs[-count])
     tail = runs[np.searchsorted(runs, threshold) :]
@@ -262,7 +262,7 @@ def _longest_run(runs: Integers, alarms: float) -> float:
 def _longest_hold(z: Floats, alarms: float) -> float:
     """Return the run length that a noisy level in the middle of a code exceeds `alarms` times; inf if unknown.
 
-    The edges of a code are LSB / sigma apart in quantiles of the normal distribution; motion only brings them closer.
+    The two edges of a code are normal quantiles whose difference is LSB / sigma; motion only reduces the difference.
     """
     from scipy.special import ndtr, ndtri
 
@@ -284,10 +284,10 @@ def _times(p: float, count: float) -> float:
 
 
 def _rhythm(elapsed: Floats) -> tuple[float, bool]:
-    """Return the number of steps beyond which rows were lost, and whether time is even.
+    """Return the number of steps between two rows beyond which rows were lost, and whether time is even.
 
-    In even time nearly all rows come a whole number of steps after the one before, and other deviations cancel. In
-    uneven time the number follows from the longest usual steps.
+    In even time nearly all rows come a whole number of steps after the previous row, and the deviations cancel. In
+    uneven time the number is twice the 99 % quantile of the steps.
     """
     off = elapsed - np.maximum(np.round(elapsed), 1.0)
     near = np.abs(off[elapsed > 0])

@@ -9,26 +9,26 @@ import numpy as np
 
 from becalm.core.arrays import BLOCK, Codes, Floats
 from becalm.core.health.limits import Limits, stuck_at_once
-from becalm.core.health.outlier_rule import plausible
+from becalm.core.health.outlier_rule import packed_rule
 from becalm.errors import ModelError
 from becalm.native.scans import REACH, SIDE, scan_outliers
 
-_SMOOTHED_BY = 10  # first rows of a lag that only the smoother uses: there they help more than in outlier tests
+_SMOOTHED_BY = 10  # first rows of a lag: only the smoother uses them, because they help there more than in the test
 
 
 def rows_ahead(lag: int | None) -> int:
-    """Return how many rows the outlier test may wait for, of a lag in rows; `REACH` for a full smoother, lag None."""
+    """Return for how many of the `lag` rows the outlier test may wait; lag None, a smoother, gives `REACH`."""
     if lag is None:
         return REACH
     return min(SIDE, max(lag - _SMOOTHED_BY, 0))
 
 
 class LookAhead:
-    """A buffer that holds the rows of one channel until the later rows needed to detect outliers are there.
+    """A buffer that holds the rows of one channel until it has the later rows that the outlier test needs.
 
-    For a smoother, a row waits for three readings or `REACH` rows, and a run of equal readings until it is known to be
-    stuck or not; rows leave in whole blocks. For a fixed lag, a row waits for `ahead` rows. The cuts between pushes
-    change nothing.
+    For a smoother, a row waits for three readings or `REACH` rows, and a run of equal readings waits until the test can
+    tell whether it is stuck; rows are returned in whole blocks. For a fixed lag, a row waits for `ahead` rows. The
+    boundaries between pushes have no influence.
 
     Parameters
     ----------
@@ -40,12 +40,12 @@ class LookAhead:
 
     def __init__(self, limits: Limits, ahead: int = REACH) -> None:
         self._rule, self._largest, self._stuck = limits.outliers, limits.largest, stuck_at_once(limits)
-        self._settings, self._ahead = plausible(self._rule), ahead
-        # Readings, readings that are possible, and verdicts of the last returned and of the waiting rows; the steps
+        self._settings, self._ahead = packed_rule(self._rule), ahead
+        # Readings, possible readings (otherwise NaN) and verdicts of the last returned and the waiting rows; the steps
         # before the waiting rows only.
         self._z = self._seen = np.empty(0)
         self._codes, self._elapsed = np.empty(0, np.int8), np.empty(0)
-        self._returned = 0  # how many of the rows in `_z` were returned
+        self._returned = 0  # number of rows in `_z` that were already returned
 
     def push(self, z: Floats, elapsed: Floats) -> tuple[Floats, Floats, Codes]:
         """Take readings (B,) and the steps before them.
@@ -98,7 +98,7 @@ class LookAhead:
             self._codes,
             distance=self._rule.distance,
             stuck=self._stuck,
-            begun=self._returned,
+            judged_rows=self._returned,
             whole=whole,
             ahead=self._ahead,
         )

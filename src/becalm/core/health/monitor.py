@@ -1,7 +1,7 @@
 """Monitor innovations, which should stay white noise of variance 1: detect drift, a dead sensor, a change of noise.
 
-Innovations are rounded to whole parts of a sigma, so that all sums are exact: the cuts between blocks do not change the
-alarms. One pass sums each hop (16 innovations); later steps use only these sums as long as there is no alarm.
+Innovations are rounded to multiples of 2^-16 sigma, so that all sums are exact and the boundaries between blocks do not
+change the alarms. One pass sums each hop (16 innovations); without an alarm, all further steps use only these sums.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from becalm.native.scans import HOP, KEPT_HOPS, PARTS, WATCHED, WINDOW, Hops, ne
 
 # Detect a change of the noise from mean squares of innovations, for a record of any length, in constant memory.
 #
-# A change is reported only if the mean squares vary no more than those of noise, both before the change and after it.
-# This excludes motion that comes and goes.
+# A change is reported only if, both before and after it, the mean squares vary no more than those of stationary noise.
+# So motion that comes and goes is not reported as a change of the noise.
 
-_LEAST = 4  # hops in a block at first
-_MOST = 2048  # number of blocks at which each two become one
-_FEWEST = 8  # smallest number of blocks on either side of a change
+_LEAST = 4  # number of hops in a block at the start
+_MOST = 2048  # number of blocks at which neighbouring blocks are merged in pairs
+_FEWEST = 8  # least number of blocks before a change, and after it
 _RATIO = 1.5  # smallest ratio of standard deviations that is reported
-_UNEVEN = 4.0  # largest variance of block means, over that of Gaussian noise; heavy tails have up to three
+_UNEVEN = 4.0  # largest variance of block means, over that of Gaussian noise; noise with heavy tails has up to 3
 
 
 class NoiseChanged(NamedTuple):
     """A change of noise."""
 
-    step: float  # time of the change, in steps from the first row, to within a block
+    step: float  # time of the change, in steps from the first row; its resolution is one block
     ratio: float  # standard deviation of the innovations after the change, over that before
 
 
@@ -59,14 +59,14 @@ class NoiseHistory:
         self._powers, self._steps = powers.copy(), steps.copy()
 
     def _mean(self, powers: Floats) -> Floats:
-        """Return the mean squares of blocks; halving repeatedly makes them independent of when blocks grow."""
+        """Return the mean squares of blocks, averaged in pairs, so that the time of merging does not change them."""
         means = powers / HOP
         for _ in range(self._size.bit_length() - 1):
             means = (means[::2] + means[1::2]) / 2
         return means
 
     def change(self) -> NoiseChanged | None:
-        """Return the change that splits the record best; None without a change, or if a side varies more than noise.
+        """Return the change that splits the record best; None if there is none, or if a side varies more than noise.
 
         The split maximises the likelihood of Gaussian noise with two variances.
         """
@@ -98,18 +98,19 @@ def noise_change_message(change: NoiseChanged | None, step_s: float) -> list[str
     ]
 
 
-# Check that a sensor is surely alive: no window of its innovations is as quiet as that of a dead one.
+# Check that a sensor is surely alive: no window of its innovations is as quiet as a window of a dead sensor.
 #
-# A monitor tests windows of whole hops, and where hops begin depends on all innovations before. Any 64 innovations in
-# a row include three whole hops, 48 innovations. Their sum of squares about their own mean is at most that of the
-# window. So if it is above the threshold for every three hops, no window can be dead, wherever the hops begin.
+# A monitor tests windows of whole hops. The rows at which hops begin depend on all earlier innovations. Any 64
+# innovations in a row include three whole hops (48 innovations), whose sum of squares about their own mean is at most
+# that of the window. So if this sum is above the threshold for every three hops in a row, no window can look dead, at
+# whichever rows the hops begin.
 
 _WHOLE = WINDOW // HOP - 1
 """Number of whole hops within any 64 innovations in a row."""
 
 
 class Aliveness:
-    """A check that no window of a channel's innovations can have been that of a dead sensor.
+    """A check that no window of a channel's innovations is as quiet as that of a dead sensor.
 
     Parameters
     ----------
@@ -119,42 +120,42 @@ class Aliveness:
     Attributes
     ----------
     sure : bool
-        True if no window so far can have been that of a dead sensor, wherever hops begin.
+        True if no window so far is that quiet, at whichever rows the hops begin.
     """
 
     def __init__(self, dead_variance: float) -> None:
         self._least, self.sure = dead_variance * (WINDOW - 1) * PARTS**2, True
 
     def add(self, sums: Integers) -> None:
-        """Take the sums and the sums of squares of hops in a row, (2, H): the last three known ones, then new ones."""
+        """Take sums and sums of squares of consecutive hops, (2, H): up to three earlier hops, then the new ones."""
         count = sums.shape[1] - _WHOLE + 1
         if count > 0 and self._least > 0.0 and self.sure:
             total, squares = np.sum([sums[:, k : k + count] for k in range(_WHOLE)], axis=0)
             self.sure = bool(np.all(squares - total / (_WHOLE * HOP) * total > self._least))
 
 
-# Delay and false alarms of the cumulative sum that detects a small lasting shift of white noise.
+# Delay and false alarms of the cumulative sum (CUSUM), which detects a small lasting shift of white noise.
 #
 # S_i = max(0, S_{i-1} + x_i - k); when S reaches h there is an alarm, and S restarts at 0 (Page 1954).
-# `native/monitor.h` computes it. For noise of mean mu, the mean time to an alarm is (exp(-2 d b) + 2 d b - 1) / (2
-# d^2) with d = mu - k and b = h + 1.166: Siegmund, Sequential Analysis (1985), chapter 10; accurate to a few per cent
-# here.
+# `native/monitor.h` computes S. For noise of mean mu, the mean time to an alarm is
+# (exp(-2 d b) + 2 d b - 1) / (2 d^2) with d = mu - k and b = h + 1.166, accurate to a few per cent here. Source:
+# Siegmund, Sequential Analysis (1985), chapter 10.
 
 SLACK = 0.5
-"""k, in sigma: half of the shift that is detected soonest."""
+"""k, in sigma. The sum is optimal for a shift of 2 k."""
 
-_OVERSHOOT = 1.166  # a discrete walk overshoots by 0.583 at either end
+_OVERSHOOT = 1.166  # sigma: a discrete random walk overshoots each of the two limits by 0.583
 
 
 def cusum_delay(threshold: float, shift: float) -> float:
-    """Return the mean number of readings until the alarm of a one-sided sum.
+    """Return the mean number of readings until a one-sided sum raises an alarm.
 
     Parameters
     ----------
     threshold : float
         h, in sigma.
     shift : float
-        Mean of the noise, in sigma; 0 gives the time between false alarms.
+        Mean of the noise, in sigma; 0 gives the mean number of readings between false alarms.
     """
     d, b = shift - SLACK, threshold + _OVERSHOOT
     if d == 0:
@@ -171,14 +172,14 @@ def cusum_threshold(readings: float) -> float:
 
 
 HOPS = "hops"
-"""Key in `comparable_state` of the part that matters only if the sensor may be dead."""
+"""Key in `comparable_state` of the part of the state that matters only if the sensor may be dead."""
 
 NEVER = 1e12
 """Threshold, in sigma, that no cumulative sum reaches."""
 
-_DEAD = 0.05  # largest variance of a dead window, over the expected one; with more a sensor may be at rest
-_THAN_REST = 0.25  # the same, over the variance of the quietest window of a healthy record
-_ALARMS = 3  # divides the rate of false alarms: one part for drift to both sides, one for dead sensors
+_DEAD = 0.05  # largest variance of a dead window, over the expected one; a sensor at rest may have more
+_THAN_REST = 0.25  # largest variance of a dead window, over that of the quietest window of a healthy record
+_ALARMS = 3  # number of alarms that share the rate of false alarms: drift to either side, and dead sensors
 
 
 class Alarms(NamedTuple):
@@ -189,8 +190,8 @@ class Alarms(NamedTuple):
     drift_threshold : float
         h of the cumulative sum, in sigma; a *small* one detects a drift sooner, with more false alarms.
     dead_variance : float
-        Variance of a window, in sigma^2, below which the sensor counts as dead; a *small* one tolerates a sensor at
-        rest, and 0 switches the alarm off.
+        Variance of a window, in sigma^2, below which the sensor counts as dead. A *small* one tolerates a sensor at
+        rest; 0 switches the alarm off.
     """
 
     drift_threshold: float
@@ -203,7 +204,7 @@ class Alarms(NamedTuple):
 
     @property
     def dead_delay(self) -> int:
-        """Return the largest number of readings without noise until a sensor is dead, if the signal rests."""
+        """Return the largest number of readings without noise until a sensor counts as dead, if the signal rests."""
         return WINDOW + HOP
 
 
@@ -212,17 +213,17 @@ NO_ALARMS = Alarms(NEVER, 0.0)
 
 
 def find_alarms(false_alarms_per_hour: float, step_s: float, healthy: Floats | None = None) -> Alarms:
-    """Choose thresholds for a rate of false alarms, for white innovations of variance 1.
+    """Choose the thresholds for a rate of false alarms on white innovations of variance 1.
 
     Parameters
     ----------
     false_alarms_per_hour : float
-        Largest rate of false alarms, all kinds together; a *small* rate trusts the sensor.
+        Largest rate of false alarms of all kinds together; a *small* rate trusts the sensor.
     step_s : float
         One step, in seconds.
     healthy : (N,) float array, optional
         Normalised innovations of a healthy record. A filter tuned on motion expects more noise than a sensor at rest
-        has; with this record, only a window far quieter than the quietest of the record counts as dead.
+        has. With this record, a window counts as dead only if it is far quieter than all windows of the record.
 
     Returns
     -------
@@ -268,13 +269,13 @@ class _Watch:
 
 
 def _hops_of(normalised: Floats) -> Integers:
-    """Return the sums and the sums of squares of all H hops of a record, (2, H)."""
+    """Return the sums and the sums of squares of the H hops of a record, (2, H)."""
     rows = len(normalised)
     return np.array(_Watch(NEVER).push(normalised, np.ones(rows), np.zeros(rows, dtype=np.int8))[:2])
 
 
 def _window_spreads(sums: Integers) -> Integers:
-    """Return WINDOW^2 times the variance of each window of hops (2, H), in parts^2; empty if H is too small."""
+    """Return WINDOW^2 times the mean square of each window about its mean, in parts^2, from hops (2, H)."""
     hops = WINDOW // HOP
     count = max(sums.shape[1] - hops + 1, 0)
     total, squares = sum((sums[:, k : k + count] for k in range(1, hops)), start=sums[:, :count])
@@ -289,12 +290,12 @@ def _variances(spreads: Integers) -> Floats:
 class InnovationMonitor:
     """A monitor of the normalised innovations nu / sqrt(S) of one channel, in constant memory.
 
-    A two-sided cumulative sum detects drift; its k = 0.5 is the best choice for a shift of one sigma (Page, Biometrika
-    41 (1954) 100). The alarm repeats as long as the drift lasts. Innovations only show what the filter does *not*
-    follow: every model whose level may move follows the slow drift of a strain gauge as signal, and its innovations
-    stay white. Such a drift shows only against a reference without drift: push (reading - reference) / sigma instead,
-    where the reference is a value known at rest (a tare), or a slow second sensor. If the model does not fit,
-    innovations are coloured, and there are more false alarms of drift than stated.
+    A two-sided cumulative sum detects drift; its k = 0.5 is optimal for a shift of one sigma (Page, Biometrika 41
+    (1954) 100). The alarm repeats as long as the drift lasts. Innovations show only what the filter does *not* follow.
+    A model whose level may move follows a slow drift, such as that of a strain gauge, as if it were signal, and the
+    innovations stay white. Only a reference without drift shows it: push (reading - reference) / sigma instead, where
+    the reference is a value known at rest (a tare) or a slow second sensor. If the model does not fit, innovations are
+    coloured, and there are more false alarms of drift than stated.
 
     Parameters
     ----------
@@ -308,9 +309,9 @@ class InnovationMonitor:
     history : NoiseHistory
         Mean squares of the innovations over time.
     powers : (up to 32,) float array
-        Sums of squares of the last hops of 16 innovations, in sigma^2.
+        Sums of squares of the innovations in the last hops, in sigma^2.
     aliveness : Aliveness
-        The check that the sensor is surely alive, wherever hops begin.
+        The check that the sensor is surely alive.
     """
 
     def __init__(self, alarms: Alarms) -> None:
@@ -322,7 +323,7 @@ class InnovationMonitor:
         self._watch = _Watch(alarms.drift_threshold)
         self._rows = 0
         self._hops = np.zeros((2, 0), dtype=np.int64)  # sums, and sums of squares, of the last hops
-        self._silent = False  # whether the last window was that of a dead sensor
+        self._silent = False  # whether the last window was as quiet as that of a dead sensor
 
     @property
     def drift_since(self) -> int | None:
@@ -336,7 +337,7 @@ class InnovationMonitor:
         Parameters
         ----------
         normalised : (B,) float array
-            Innovations over their standard deviations; NaN where there is none.
+            Innovations over their standard deviations; NaN where there is no innovation.
         elapsed : (B,) float array, optional
             Steps since the row before; one by default. Ignored for the very first row.
 
@@ -372,11 +373,11 @@ class InnovationMonitor:
 
     @property
     def is_silent(self) -> bool:
-        """Return whether the last window was that of a dead sensor."""
+        """Return whether the last window was as quiet as that of a dead sensor."""
         return self._silent
 
     def set_history(self, innovations: int, rows: int, steps: float) -> None:
-        """Set the number of earlier innovations, rows and steps: hops and rows then count as in the whole record."""
+        """Set the numbers of earlier innovations, rows and steps; hops and rows then count as in the whole record."""
         state = self._watch.state
         self._rows = state["rows"] = rows
         state["hop_count"], state["now"] = innovations % HOP, steps
@@ -405,7 +406,7 @@ class InnovationMonitor:
         self._rows, self._silent = rows, bool(silent)
 
     def comparable_state(self) -> dict[str, Floats]:
-        """Return only what later alarms depend on; the entry `HOPS` matters only if the sensor may be dead."""
+        """Return only the state that later alarms depend on; `HOPS` matters only if the sensor may be dead."""
         state, never = self._watch.state, self.alarms.drift_threshold >= NEVER
         sums = [] if never else [state["above"], state["below"]]
         hop = [state["hop_count"], state["hop_total"], state["hop_squares"]]
@@ -420,7 +421,7 @@ class InnovationMonitor:
         self.found[verdict] = before._replace(readings=before.readings + len(rows))
 
     def _mark(self, codes: Codes, rows: Integers, open_before: int, silent: Booleans) -> None:
-        """Write DEAD into the codes of `rows` where the last complete window was that of a dead sensor."""
+        """Write DEAD into the codes of `rows` for which the last complete window was that of a dead sensor."""
         dead = np.append(self._silent, silent)[(open_before + 1 + np.arange(len(rows))) // HOP]
         codes[rows[dead]] = Verdict.DEAD
         self._silent = bool(dead[-1]) if len(dead) else self._silent

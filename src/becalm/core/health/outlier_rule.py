@@ -1,6 +1,6 @@
-"""Find from a record how far the readings of a channel jump: gross outliers jump farther.
+"""Find a rule for gross outliers from a record: how far the readings of a channel jump; outliers jump farther.
 
-C code judges each reading by this rule: `native/outliers.c` for a file, `native/limits.h` for a stream.
+C code applies the rule to each reading: `native/outliers.c` for a file, `native/limits.h` for a stream.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from becalm.native.scans import (
 
 # Find the value that marks missing readings in a log.
 
-_FEWEST_MARKED, _SHARE = 20, 0.05  # least number and share of readings that equal the marker
+_FEWEST_MARKED, _SHARE = 20, 0.05  # least number and least share of readings that equal the marker
 _FEWEST_VALUES = 16  # least number of different readings
-_OFTENER, _NEIGHBOURS = 10.0, 5  # least count of the marker, over the median count of this many values on each side
-_RUN = 3  # rows: nine in ten runs of the marker are no longer
-_MARKER_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around it, over their noise and their difference
+_OFTENER, _NEIGHBOURS = 10.0, 5  # least count of the marker, over the median count of the 5 next values on each side
+_RUN = 3  # nine in ten runs of the marker have this many rows or fewer
+_MARKER_NOISES, _SPREADS = 4.0, 2.0  # least distance from readings around a marker, over their noise and difference
 _PAIR_OF_NOISE = 0.6745 * np.sqrt(2.0)  # median distance of two readings, for white noise of variance 1
 
 
 def find_blank(z: Floats) -> float:
-    """Return the value that stands in for single missing readings; inf if there is none.
+    """Return the value that marks single missing readings; inf if there is none.
 
-    It comes far more often than neighbouring values. The readings before and after it mostly agree with each other, and
-    not with it.
+    The marker is far more frequent than the values next to it. The readings before and after a marker mostly agree with
+    each other, and differ from the marker.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def find_blank(z: Floats) -> float:
 
 
 def _runs_inside(is_marker: Booleans) -> tuple[Integers, Integers]:
-    """Return the first and the last rows of runs of True (N,) that touch neither end of the record."""
+    """Return the first and the last row of each run of True (N,) that touches no end of the record."""
     edges = np.diff(is_marker.astype(np.int8), prepend=0, append=0)
     first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
     inner = (first > 0) & (last < len(is_marker) - 1)
@@ -71,21 +71,22 @@ def _runs_inside(is_marker: Booleans) -> tuple[Integers, Integers]:
 class Outliers(NamedTuple):
     """A rule for gross outliers: readings far from the median of six neighbours that lie close together.
 
-    The neighbours of a peak of motion, a shock or a step lead up to it, so that they spread as wide. The lowest and the
-    highest neighbour do not count for the spread, so that another outlier does not hide the first.
+    The neighbours of a reading in a peak, a shock or a step are themselves part of this motion, so that their spread is
+    as large as its distance from them. The spread leaves out the lowest and the highest neighbour, so that one outlier
+    among them does not hide another.
     """
 
     distance: float = np.inf  # from the median of neighbours on both sides, in unit; inf: no outliers
     causal_distance: float = np.inf  # from the median of neighbours before, in unit; inf: no outliers
-    low: float = -np.inf  # lowest plausible estimate, and reading without neighbours, in unit
-    high: float = np.inf  # the highest ones, in unit
+    low: float = -np.inf  # lowest plausible value of an estimate, and of a reading without neighbours, in unit
+    high: float = np.inf  # highest plausible value, in unit
     repeats_are_one: bool = False  # whether equal readings in a row count as one
     blank: float = np.inf  # value that marks a missing reading, in unit; inf: no such value
-    far_from_0: float = 0.0  # in unit: a 0 with all neighbours farther from 0 is not a reading; 0: every 0 is one
+    far_from_0: float = 0.0  # a 0 whose neighbours are all farther from 0 is not a reading, in unit; 0: every 0 is one
 
     @property
     def without_neighbours(self) -> Outliers:
-        """Return the part of the rule without neighbours: the plausible range, and the marker of missing readings."""
+        """Return the part of the rule that needs no neighbours: plausible range, and marker of missing readings."""
         return NO_OUTLIERS._replace(low=self.low, high=self.high, blank=self.blank)
 
 
@@ -93,36 +94,36 @@ NO_OUTLIERS = Outliers()
 """A rule that detects no outliers."""
 
 MOST_OUTLIERS = 0.1
-"""Largest share of outliers; readings that come more often are not exceptions."""
+"""Largest share of outliers; more frequent readings are not exceptions."""
 
-_FEWEST = 8  # readings needed to measure jumps
-_IMPOSSIBLE, _MOST_IMPOSSIBLE = 1000.0, 0.2  # interquartile ranges that no motion reaches; largest share beyond them
-_ALIKE = 2.0  # largest ratio of the 90 % and 10 % quantiles of sizes for which far readings are pulses of a signal
-_UNLIKELY = 3.0  # sigmas above the expected number of far readings in a row: by chance there are no more
+_FEWEST = 8  # least number of readings to measure jumps
+_IMPOSSIBLE, _MOST_IMPOSSIBLE = 1000.0, 0.2  # distance beyond motion, over the interquartile range; largest share
+_ALIKE = 2.0  # far readings are pulses of a signal if the ratio of the 90 % and 10 % quantiles of size is below this
+_UNLIKELY = 3.0  # largest number of far readings in a row by chance, in sigmas above the expected number
 _NOISES = 30.0  # smallest distance of a gross outlier, in standard deviations of the noise
 _OF_NOISE, _LARGE_OF_NOISE = 0.745, 1.82  # median and 90 % quantile of the distance from neighbours, over noise sigma
-_AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # share of an outlier's distance; most moving readings beyond it, per outlier as far
-_NEARLY = 0.8  # of the neighbours' spread: least distance of a moving reading that could pass for an outlier
-_MANY, _NEARER = 8, 3.0  # with this many outliers, others are expected to be nearer by this factor
-_JUMPS = 2.0  # limit for a causal jump, over the largest jump in the record
+_AS_FAR, _MOST_MOVE = 1 / 3, 0.1  # per outlier at a distance, at most 0.1 readings of motion reach a third of it
+_NEARLY = 0.8  # least distance of a moving reading that may look like an outlier, over its neighbours' spread
+_MANY, _NEARER = 8, 3.0  # with this many outliers, others may be nearer by this factor
+_JUMPS = 2.0  # limit of a jump from earlier readings, over the largest such jump in the record
 _HIDDEN = 0.1  # assumed number of outliers hidden in equally large motion, over the number detected
-_RARE = 0.05  # largest number of runs of equal readings, over that of different ones, if each run counts as one
-_FAR, _MOVES = 1 / 12, 6.0  # least `far_from_0`, over the range of the bulk, and over the median step
+_RARE = 0.05  # largest number of runs of equal readings, over that of different readings, if a run counts as one
+_FAR, _MOVES = 1 / 12, 6.0  # least `far_from_0`, over the range of the bulk of readings, and over the median step
 _BULK = 0.01, 0.99  # quantiles that bound the bulk of the readings
 _BY_CHANCE = 0.05  # largest expected number of readings rounded to 0, if 0 is not a reading
 _SECOND = 1.732  # size of the second differences of white noise, over that of the first
-_SEVERAL = 4  # returns from 0 that suffice to compare the readings around it
-_AGREE, _MOSTLY = 0.25, 0.75  # largest difference of readings around a fill, over their mean; least share within it
+_SEVERAL = 4  # least number of runs of 0 for the comparison of the readings before and after them
+_AGREE, _MOSTLY = 0.25, 0.75  # largest difference of readings around runs of 0, over their mean; least share
 
 
 def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0) -> Outliers:
-    """Find how far the readings of a channel jump.
+    """Find the rule for gross outliers of a channel.
 
     Parameters
     ----------
     z : (N,) float array
-        Finite readings, in unit, in order. Up to one in ten may be an outlier, up to one in five if no motion reaches
-        them; one value may mark missing readings.
+        Finite readings, in unit, in order. Up to one in ten may be an outlier, or one in five if the outliers are
+        beyond any motion. One value may mark missing readings.
     held : bool
         Whether the channel repeats its last reading while there is no new one.
     resolution : float
@@ -131,7 +132,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     Returns
     -------
     Outliers
-        A rule that detects no outliers if the record does not determine one.
+        The rule; it detects no outliers if the record does not determine a distance.
     """
     blank = find_blank(z)
     seen = z[z != blank]
@@ -144,7 +145,7 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
     if len(values) < _FEWEST:
         return NO_OUTLIERS
     impossible = _find_impossible(values)
-    if np.count_nonzero(impossible) > MOST_OUTLIERS / 2 * len(values):  # so many distort the distances of others
+    if np.count_nonzero(impossible) > MOST_OUTLIERS / 2 * len(values):  # so many distort other distances
         values = values[~impossible]
     distance, kept = _separate_outliers(values)
     if not distance:
@@ -161,9 +162,9 @@ def find_outlier_rule(z: Floats, *, held: bool = False, resolution: float = 0.0)
 
 
 def _separate_outliers(values: Floats) -> tuple[float, Floats]:
-    """Return the smallest distance of an outlier from its neighbours, in unit, and the readings that are none.
+    """Return the smallest distance of an outlier from its neighbours, in unit, and the readings without outliers.
 
-    The distance is 0 if readings (N,) do not determine it, or if more are outliers than can be exceptions.
+    The distance is 0 if the readings (N,) do not determine it, or if there are too many outliers for exceptions.
     """
     if len(values) < _FEWEST:
         return 0.0, values
@@ -175,10 +176,11 @@ def _separate_outliers(values: Floats) -> tuple[float, Floats]:
 
 
 def _find_impossible(values: Floats) -> Booleans:
-    """Return which readings (N,) no motion reaches: those a thousand interquartile ranges from the median.
+    """Return which readings (N,) are beyond any motion: a thousand interquartile ranges from the median.
 
-    They come as single readings, with no more in a row than by chance, and their sizes differ. Pulses of a signal have
-    similar sizes or last longer. With such pulses, or with too many far readings, no reading counts.
+    Such outliers are single readings with different sizes, and are not in a row more often than by chance. Pulses of a
+    signal have similar sizes, or last longer than a reading. If the far readings are pulses, or too many, the result is
+    all False.
     """
     low, middle, high = np.quantile(values, (0.25, 0.5, 0.75)).tolist()
     away = np.abs(values - middle)
@@ -192,7 +194,7 @@ def _find_impossible(values: Floats) -> Booleans:
 
 
 def _rests_at_0(z: Floats) -> bool:
-    """Return whether 0 is too frequent for an exception, and outside the middle third of the range of the others."""
+    """Return whether 0 is too frequent for an exception, and outside the middle third of the other readings' range."""
     others = z[z != 0]
     if not len(others) or len(z) - len(others) <= MOST_OUTLIERS * len(z):
         return False
@@ -201,10 +203,11 @@ def _rests_at_0(z: Floats) -> bool:
 
 
 def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
-    """Return the distance from 0, in unit, beyond which neighbours show that a 0 is not a reading; 0: every 0 is one.
+    """Return `Outliers.far_from_0`, in unit: a 0 whose neighbours are all farther from 0 is not a reading.
 
-    Every 0 is a reading if there are few different readings; if readings lie on both sides of 0, lead up to it, or
-    mostly differ before and after it; if rounding may produce it; or if readings repeat and 0 comes several times.
+    The result is 0, and every 0 a reading, in each of these cases: there are few different readings; readings lie on
+    both sides of 0; a reading before a 0 is near 0; the readings before and after several runs of 0 mostly differ;
+    rounding may produce a 0; or equal readings do not count as one, and a reading is near 0 or 0 comes several times.
 
     Parameters
     ----------
@@ -237,7 +240,7 @@ def _far_from_0(z: Floats, kept: Floats, resolution: float) -> float:
 
 
 def _usual_step(z: Floats) -> float:
-    """Return the median step between readings (N,), in unit, without the part of a steady motion."""
+    """Return the median step between readings (N,), in unit, without the contribution of a steady motion."""
     steps = np.diff(z)
     first, second = np.abs(steps[steps != 0]), np.abs(np.diff(steps)) / _SECOND
     usual = float(np.median(first))
@@ -245,14 +248,14 @@ def _usual_step(z: Floats) -> float:
 
 
 def _without_repeats(z: Floats, repeats: Booleans) -> Floats:
-    """Return the readings without repeats and without long runs; the jump at the end of a run is not motion."""
+    """Return the readings without repeats and long runs, because the jump at the end of a long run is not motion."""
     first = np.flatnonzero(~repeats)
     rows = np.diff(np.append(first, len(z)))
     return z[first[rows < SHORTEST_FILL]]
 
 
 def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distance: float) -> Floats:
-    """Return the readings without outliers; they are removed in rounds, because one may hide another next to it."""
+    """Return the readings without outliers; outliers are removed repeatedly, because one may hide its neighbour."""
     while (out := (distances > distance) & (distances > SPREADS * spreads)).any():
         values = values[~out]
         distances, spreads = distances_of(values)
@@ -260,7 +263,7 @@ def _without_outliers(values: Floats, distances: Floats, spreads: Floats, distan
 
 
 def is_outlier(z: Floats, rule: Outliers) -> Booleans:
-    """Return which readings (N,), NaN where missing, are gross outliers among their neighbours, or the marker."""
+    """Return which readings (N,), NaN where missing, are gross outliers or equal the marker of missing readings."""
     return np.asarray((verdicts_from_neighbours(z, rule) == Verdict.OUTLIER) | (z == rule.blank))
 
 
@@ -277,11 +280,11 @@ def verdicts_from_neighbours(z: Floats, rule: Outliers, stuck: int = 0) -> Codes
         This many equal readings in a row are stuck; 0: any number may be equal.
     """
     codes, seen = np.zeros(len(z), np.int8), input_of(np.where(z == rule.blank, np.nan, z))
-    scan_outliers(plausible(rule), seen, codes, distance=rule.distance, stuck=stuck, begun=0, whole=True)
+    scan_outliers(packed_rule(rule), seen, codes, distance=rule.distance, stuck=stuck, judged_rows=0, whole=True)
     return codes
 
 
-def plausible(rule: Outliers) -> NDArray[np.void]:
+def packed_rule(rule: Outliers) -> NDArray[np.void]:
     """Return the rule in C's settings struct."""
     settings = np.zeros((), SETTINGS)
     settings["plausible_low"], settings["plausible_high"] = rule.low, rule.high
@@ -291,16 +294,16 @@ def plausible(rule: Outliers) -> NDArray[np.void]:
 
 
 def distances_of(z: Floats) -> tuple[Floats, Floats]:
-    """Return the distance of readings (N,) from the median of six neighbours, and the spread of these, in unit."""
+    """Return the distance of readings (N,) from the median of six neighbours, and the neighbours' spread, in unit."""
     return measure_distances(input_of(z))
 
 
 def _least_distance(distances: Floats, spreads: Floats) -> float:
-    """Return the least distance of an outlier from its neighbours, in unit, beyond noise and motion; 0: unknown.
+    """Return the least distance of an outlier from its neighbours, in unit, beyond noise and motion; 0 if unknown.
 
-    An impact may also be far from neighbours that lie close together. But other impacts, and the motion that follows,
-    are as far from neighbours that spread wide; such distances are not evidence of outliers. A record with many
-    outliers also has nearer ones, so the distance is smaller there.
+    A reading of an impact may also be far from neighbours with a small spread. But then other impacts, and the motion
+    after them, have similar distances from neighbours with a large spread; so such distances are not evidence of
+    outliers. If a record has many outliers, some are nearer to their neighbours, so the distance is reduced.
     """
     some = distances[distances > 0]
     if not len(some):

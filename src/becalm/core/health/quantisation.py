@@ -1,14 +1,12 @@
-"""Estimate the effect of a converter's step: a noise that averaging reduces, and an error that it does not.
+"""Estimate the rounding error of a converter that remains after averaging.
 
-`limits.find_resolution` finds the step.
-
-Source: Widrow and Kollar, Quantization Noise (2008), chapters 4 and 9. The mean of many readings of x with a Gaussian
-noise of standard deviation s errs, by a step h, by
+`limits.find_resolution` finds the converter's step. Source: Widrow and Kollar, Quantization Noise (2008), chapters 4
+and 9. Let readings of x have Gaussian noise of standard deviation s, and be rounded to steps of h. The mean of many
+readings has the error
 
     sum over k of (-1)^k h / (pi k) sin(2 pi k x / h) exp(-2 pi^2 k^2 s^2 / h^2)
 
-`residual_std` is the root mean square of this error over x: h / sqrt(12) without noise, and almost 0 for a noise of
-half a step.
+`residual_std` is the root mean square of this error over x: h / sqrt(12) for s = 0, and almost 0 for s = h / 2.
 """
 
 from __future__ import annotations
@@ -19,15 +17,15 @@ from becalm.core.arrays import Floats
 from becalm.core.health.limits import find_resolution
 
 _TERMS = np.arange(1.0, 4097.0)  # k in the sum above
-_MOST_REST = 0.5  # largest share of readings that equal the one before, in measured values
-_SET_CODES = 1.5  # codes: in set values, a quarter of the steps that are not 0 are larger
-_OF_NOISE = 0.455  # square of the median distance of two readings of variance 1/2 each
+_MOST_REST = 0.5  # largest share of readings that equal the previous one, if the values were measured
+_SET_CODES = 1.5  # codes: in set values, a quarter of the steps other than 0 are larger than this
+_OF_NOISE = 0.455  # square of the median distance between two readings with a variance of 1/2 each
 
 
 def converter_step(z: Floats) -> float:
     """Return the converter's step of finite readings (N,), in unit; 0 if they show none.
 
-    Values that rest and then change by several codes were set, not rounded by a converter.
+    Values that stay constant and then change by several codes were set by a program, not rounded by a converter.
     """
     step = find_resolution(z)
     if not step > 0:

@@ -1,9 +1,9 @@
-"""Find the saturation limits of a sensor: extreme readings that come far more often than a signal would reach them.
+"""Find the saturation limits of a sensor: extreme readings that are far more frequent than a signal makes them.
 
-A signal rarely reaches its extremes: the last codes of white noise are the rarest, and a smooth peak holds its last
-code at most about four times as long as each of the ten codes before. A saturated sensor shows its limit for everything
-beyond. A record cannot distinguish a limit from a level that the signal keeps without noise. So the search is skipped
-for a record without visible noise, or with only a few codes.
+A signal rarely reaches its extremes: the most extreme codes of white noise are the rarest, and a smooth peak holds its
+last code at most about four times as long as each of the ten codes before it. A saturated sensor returns its limit for
+all values beyond the limit. A record cannot distinguish a limit from a level that the signal keeps without noise. So
+there is no search in a record without visible noise or with only a few codes.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats, Integers
 
-_FEWEST_CODES = 16  # with fewer codes the last one is not rare
-_NEIGHBOURS = 10  # different readings next to the extreme one
-_OFTENER = 8  # least count of the extreme, over the mean count of these; up to 4.3 for a smooth peak ...
-_THAN_NEXT = 4  # ... and over the count of the next one; up to 2.4 for a smooth peak, 1 for a level between two codes
-_TURNS_BACK = 0.22  # least share of steps that turn back: white noise of 1/3 code has it, noise of 1/5 code has less
-_ROUGH = 0.4  # codes: least standard deviation of noise; rounding of a moving signal alone has 0.29
+_FEWEST_CODES = 16  # with fewer codes the extreme code is not rare
+_NEIGHBOURS = 10  # number of different readings next to the extreme reading
+_OFTENER = 8  # least count of a limit, over the mean count of these neighbours; a smooth peak has up to 4.3
+_THAN_NEXT = 4  # least count of a limit, over that of the next reading; a peak has up to 2.4, a level between codes 1
+_TURNS_BACK = 0.22  # least share of steps that change direction: that of white noise with a sigma of 1/3 code
+_ROUGH = 0.4  # least standard deviation of noise, in codes; the rounding of a moving signal has 0.29
 _FOURTH = 0.6745 * np.sqrt(70.0)  # median of the fourth differences of white noise of variance 1
 
 
@@ -47,8 +47,8 @@ def find_saturation(z: Floats, resolution: float) -> SaturationLimits:
     Returns
     -------
     SaturationLimits
-        The limits that the record reached at least twice. Smooth clipping, or clipping before a source of noise,
-        repeats no reading and is not detected. Neither is clipping at 0, where speeds and loads rest.
+        The limits that the record reached at least twice. Smooth clipping, and clipping before noise is added, repeat
+        no reading and are not detected. Clipping at 0 is not reported, because speeds and loads rest there.
     """
     values, counts = np.unique(z, return_counts=True)
     if len(values) < _FEWEST_CODES or not is_noisy(z[(z > values[0]) & (z < values[-1])], resolution):
@@ -61,21 +61,22 @@ def find_saturation(z: Floats, resolution: float) -> SaturationLimits:
 
 
 def _is_piled_up(counts: Integers) -> bool:
-    """Return whether the first of the counts of different readings is far above the next ones."""
+    """Return whether the first count is far above those of the next readings; counts are in the order of readings."""
     neighbours = counts[1 : 1 + _NEIGHBOURS]
     return bool(counts[0] >= max(_OFTENER * neighbours.mean(), _THAN_NEXT * neighbours[0]))
 
 
 def _comes_back(at_extreme: Booleans) -> bool:
-    """Return whether the record reaches an extreme more than once, and once for two readings or more."""
+    """Return whether the record reaches an extreme more than once, and at least once for several readings in a row."""
     visits = int(at_extreme[0]) + int(np.count_nonzero(at_extreme[1:] & ~at_extreme[:-1]))
     return 1 < visits < int(np.count_nonzero(at_extreme))
 
 
 def is_noisy(z: Floats, resolution: float) -> bool:
-    """Return whether readings (N,) show enough noise that they cannot stay on one level or one code.
+    """Return whether readings (N,) have enough noise that they cannot stay at one level or code.
 
-    Noise often turns back. In a fast signal it makes the fourth differences rougher than rounding alone.
+    Noise often changes the direction of the steps. In a fast signal, noise makes the fourth differences larger than
+    rounding does.
     """
     if len(z) < _FEWEST_CODES:
         return False

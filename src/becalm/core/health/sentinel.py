@@ -1,13 +1,14 @@
-"""Remove estimates that ran away, and estimates within long holes, from the output of a filter.
+"""Remove runaway estimates, and estimates within long holes, from the output of a filter.
 
-In a causal channel `native/sensor.h` does the same, row by row.
+In a causal channel `native/sensor.h` does this row by row.
 
-A runaway is an alarm for unexpected faults. An estimate is a runaway if it lies outside the plausible bounds and is
-farther from the last used reading than these bounds are apart. The bounds are those of the record that the filter was
-tuned on, extended by its range on both sides; the second condition allows for a sensor that was zeroed since.
+A runaway means an unexpected fault. An estimate is a runaway if it lies outside the plausible bounds and its distance
+from the last used reading is larger than the distance between the bounds. The bounds are those of the record on which
+the filter was tuned, extended by its range on both sides. The second condition allows for a sensor that was zeroed
+after the tuning.
 
-A hole begins with the second missing row: during violent motion sigma may be large after a single missing reading, but
-no better estimate of that row is possible. The rows before the first reading also count as missing.
+A hole begins with the second missing row in a row. After one missing reading, sigma may also be large during violent
+motion, but the estimate of that row is kept. The rows before the first reading count as missing.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ class Sentinel:
     Parameters
     ----------
     limits : Limits
-        They hold the plausible bounds; infinite bounds, the default, make every estimate plausible.
+        Limits with the plausible bounds; with infinite bounds, the default, every estimate is plausible.
     unknown_from : float
-        Sigma from which on estimates within a hole are removed, in unit; inf keeps all.
+        Estimates within a hole are removed if sigma is at least this, in unit; with inf none are removed.
     """
 
     def __init__(self, limits: Limits, unknown_from: float = np.inf) -> None:
@@ -40,11 +41,11 @@ class Sentinel:
         self._last_used, self._missed, self._waiting = np.nan, True, np.empty(0)
 
     def push(self, usable: Floats) -> None:
-        """Take the readings (B,) of the next rows, NaN where none may enter the filter, before their estimates."""
+        """Take the readings (B,) of the next rows, before their estimates; NaN where a reading was left out."""
         self._waiting = np.append(self._waiting, usable)
 
     def mark_implausible(self, rows: EstimatedRows) -> EstimatedRows:
-        """Return the rows with NaN in place of runaways and of unknown estimates in holes, and with their verdicts."""
+        """Return the rows with NaN in place of runaways and of uncertain estimates in holes, and with new verdicts."""
         count = len(rows.signal)
         readings, self._waiting = self._waiting[:count], self._waiting[count:]
         if not count:

@@ -1,1 +1,1 @@
-"""Interacting multiple models (IMM): filters and smoothers with several modes, one of which is in force at a time."""
+"""Interacting multiple models (IMM): filters and smoothers with several modes, of which one is in force at a time."""

@@ -1,8 +1,9 @@
-"""Fixed-lag smoothing by interacting multiple models: estimate each row when the L rows after it are there.
+"""Fixed-lag smoothing by interacting multiple models: estimate each row from at most L later rows.
 
-The information of later readings on a mode has no forward recursion. So a backward pass over L rows runs each time that
-L/4 new rows have come. Each estimate then uses at least three quarters of the L rows after it, at four times the cost
-of a smoother, for any L. For each waiting row, the flow keeps the filtered states and the likelihoods of its reading.
+The information of later readings on a mode has no forward recursion. So a backward pass over L rows or more runs after
+every L/4 new rows. Each estimate uses at least three quarters of the L rows after it, and the cost is about four times
+that of a smoother for any L. For each waiting row, the flow keeps the filtered states and the likelihoods of its
+reading.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from becalm.core.imm.forward import ForwardImm, ImmFlowBase, with_spikes
 from becalm.core.imm.modes import InteractingModels, numbered_steps
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.errors import ModelError
-from becalm.native.imm import Bank, State, Steps, Trace, note_size, smooth_late
+from becalm.native.imm import ImmBuffers, ModeMatrices, State, Steps, note_size, smooth_late
 
-_BACKWARD_PASSES = 4  # per lag
+_BACKWARD_PASSES = 4  # number of backward passes per lag
 PIECE = 4096  # rows that are filtered at once
 
 
 def rows_between(lag: int) -> int:
-    """Return the number of rows between backward passes; a run that starts at a multiple of it gives the same bits."""
+    """Return the number of rows between backward passes; a run that starts at a multiple of it has the same bits."""
     return max(1, (lag + 1) // _BACKWARD_PASSES)
 
 
@@ -42,28 +43,28 @@ class WaitingRows:
 
     def __init__(self, states: int, modes: int, lag: int) -> None:
         self.lag = lag
-        self.every = rows_between(lag)
-        self.width = note_size(states, modes)  # K, how many numbers are kept for each row
+        self.every = rows_between(lag)  # number of rows between backward passes
+        self.width = note_size(states, modes)  # K, number of floats in the note on a row
         self._notes = np.empty((0, self.width))
-        self._turn = self.every  # rows from the first waiting row to the start of the next backward pass
+        self._turn = self.every  # number of waiting rows at which the next backward pass runs
 
     def __len__(self) -> int:
         """Return the number of waiting rows."""
         return len(self._notes)
 
-    def take(self, notes: Floats, bank: Bank, state: State, steps: Steps, room: Trace) -> int:
-        """Take the next filtered rows and write the estimates of the rows that are due.
+    def take(self, notes: Floats, matrices: ModeMatrices, state: State, steps: Steps, buffers: ImmBuffers) -> int:
+        """Take the next filtered rows; write the estimates of the rows that are due.
 
         Parameters
         ----------
         notes : (B, K) float array
-            The notes of `filter_rows` on the new rows.
-        bank, steps : Bank, int array
-            The modes and the steps for the waiting rows and the new ones.
+            The notes on the new rows, which `filter_rows` wrote.
+        matrices, steps : ModeMatrices, int array
+            The matrices of the modes, and the index of the step before each waiting and each new row.
         state : () structured array
             The state after the new rows.
-        room : Trace
-            Arrays for the waiting rows and the new ones; the first rows are written.
+        buffers : ImmBuffers
+            Output arrays for the waiting and the new rows; the first rows are written.
 
         Returns
         -------
@@ -74,17 +75,17 @@ class WaitingRows:
         if self._turn > len(notes):
             self._notes = notes
             return 0
-        smooth_late(bank, state, steps, notes, room, turn=self._turn, every=self.every, lag=self.lag)
+        smooth_late(matrices, state, steps, notes, buffers, turn=self._turn, every=self.every, lag=self.lag)
         last = self._turn + (len(notes) - self._turn) // self.every * self.every
         due = max(0, last - 1 - self.lag + self.every)
         self._notes, self._turn = notes[due:].copy(), last + self.every - due
         return due
 
-    def estimate_all(self, bank: Bank, state: State, steps: Steps, room: Trace) -> None:
-        """Write estimates of all waiting rows from the rows so far; the rows still wait."""
+    def estimate_waiting(self, matrices: ModeMatrices, state: State, steps: Steps, buffers: ImmBuffers) -> None:
+        """Write estimates of all waiting rows from the rows so far; the rows continue to wait."""
         count = len(self._notes)
         if count:
-            smooth_late(bank, state, steps, self._notes, room, turn=count, every=count, lag=count)
+            smooth_late(matrices, state, steps, self._notes, buffers, turn=count, every=count, lag=count)
 
     def snapshot(self) -> dict[str, Floats]:
         """Return the state, as arrays."""
@@ -113,13 +114,13 @@ class FixedLagImmFlow(ImmFlowBase):
     switching : InteractingModels
         The modes, in steps.
     lag : int
-        Lag in rows, 1 or more, whatever the time between rows; a *small* lag leaves more noise.
+        Lag in rows, 1 or more, for any time between rows; a *small* lag leaves more noise.
     judge : callable, optional
         It receives the innovations of each push, for the mixture of all modes, and their standard deviations.
     split : bool
-        Whether to return the contribution of each part of the component, followed by the probability of each mode.
+        Whether to return also the contribution of each part of the component, then the probability of each mode.
     with_probabilities : bool
-        If `split` is False: whether to return the probabilities alone.
+        Whether to return the probabilities without the contributions; used only if `split` is False.
 
     Raises
     ------
@@ -152,9 +153,9 @@ class FixedLagImmFlow(ImmFlowBase):
     def finish(self) -> list[EstimatedRows]:
         """Return estimates of the waiting rows from the rows so far."""
         lengths, steps = numbered_steps(self._elapsed)
-        room = self._filter.room(len(self._waiting))
-        self._waiting.estimate_all(self.switching.bank(lengths), self._filter.state, steps, room)
-        return [self._filter.estimates_from(room, self._verdicts)]
+        buffers = self._filter.new_buffers(len(self._waiting))
+        self._waiting.estimate_waiting(self.switching.matrices(lengths), self._filter.state, steps, buffers)
+        return [self._filter.estimates_from(buffers, self._verdicts)]
 
     def saved(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
@@ -170,15 +171,15 @@ class FixedLagImmFlow(ImmFlowBase):
     def _take(self, z: Floats, elapsed: Floats, verdicts: Codes) -> EstimatedRows:
         elapsed, waited = np.concatenate([self._elapsed, elapsed]), len(self._waiting)
         lengths, steps = numbered_steps(elapsed)
-        bank, notes = self.switching.bank(lengths), np.empty((len(z), self._waiting.width))
-        trace = self._filter.run(np.ascontiguousarray(z), bank, steps[waited:], notes=notes)
-        room = self._filter.room(len(elapsed))
-        count = self._waiting.take(notes, bank, self._filter.state, steps, room)
-        verdicts = np.concatenate([self._verdicts, with_spikes(verdicts, trace)])
+        matrices, notes = self.switching.matrices(lengths), np.empty((len(z), self._waiting.width))
+        filtered = self._filter.run(np.ascontiguousarray(z), matrices, steps[waited:], notes=notes)
+        buffers = self._filter.new_buffers(len(elapsed))
+        count = self._waiting.take(notes, matrices, self._filter.state, steps, buffers)
+        verdicts = np.concatenate([self._verdicts, with_spikes(verdicts, filtered)])
         self._elapsed, self._verdicts = elapsed[count:], verdicts[count:]
-        return self._filter.estimates_from(first_rows(room, count), verdicts[:count])
+        return self._filter.estimates_from(first_rows(buffers, count), verdicts[:count])
 
 
-def first_rows(trace: Trace, count: int) -> Trace:
-    """Return the first `count` rows of each array of a trace."""
-    return Trace(*(np.ascontiguousarray(array[..., :count]) for array in trace))
+def first_rows(buffers: ImmBuffers, count: int) -> ImmBuffers:
+    """Return the first `count` rows of each array."""
+    return ImmBuffers(*(np.ascontiguousarray(array[..., :count]) for array in buffers))

@@ -1,8 +1,8 @@
 """Filter or smooth one channel of any length by interacting multiple models, block by block and in constant memory.
 
-The filter continues from the state after the block before. The smoother works on groups of one length, counted from the
-start, so that the cuts between pushes change no bit. It smooths a group when the next one is complete. Groups are so
-long that even in the calmest mode the rows after the next group have no influence.
+The filter continues from the state after the previous block. The smoother works on groups with a fixed number of rows,
+counted from the first row, so that the boundaries between pushes change no bit. It smooths a group once the next group
+is complete. Groups are so long that the rows after the next group have no influence, even in the calmest mode.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from becalm.core.rows import EstimatedRows, Judge, Rows
 from becalm.core.steady.steady_filter import NEGLIGIBLE_SHARE, rows_until_decayed
 from becalm.native.imm import (
     BLOCK,
-    NOTHING_WANTED,
-    Bank,
+    NO_BUFFERS,
+    ModeMatrices,
     Steps,
     blocks_before,
     nothing_later,
@@ -36,7 +36,7 @@ _MOST_GROUP = 1 << 22  # rows: a mode with a longer memory is almost a constant
 class _Stretch(NamedTuple):
     """Filtered rows, with all that the smoother needs."""
 
-    bank: Bank
+    matrices: ModeMatrices
     z: Floats  # (B,)
     steps: Steps  # (B,)
     before: Floats  # (blocks, K) filter states before each block
@@ -55,9 +55,9 @@ class ImmFlow(ImmFlowBase):
     judge : callable, optional
         It receives the innovations of each block, for the mixture of all modes, and their standard deviations.
     split : bool
-        Whether to return the contribution of each part of the component, followed by the probability of each mode.
+        Whether to return also the contribution of each part of the component, then the probability of each mode.
     with_probabilities : bool
-        If `split` is False: whether to return the probabilities alone.
+        Whether to return the probabilities without the contributions; used only if `split` is False.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class ImmFlow(ImmFlowBase):
         self._causal = causal
         super().__init__(ForwardImm(switching, judge, split=split, with_probabilities=with_probabilities))
         self._group = _LEAST_GROUP if causal else _group_rows(switching)
-        self._incomplete = Rows.nothing()
+        self._incomplete = Rows.empty()
         self._held: _Stretch | None = None
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
@@ -91,35 +91,35 @@ class ImmFlow(ImmFlowBase):
     def finish(self) -> list[EstimatedRows]:
         """End the record; return the rows that were waiting."""
         estimates = self._take_group(self._incomplete) if len(self._incomplete.z) else []
-        self._incomplete = Rows.nothing()
+        self._incomplete = Rows.empty()
         if self._held is not None:
-            estimates.append(self._smooth(self._held, nothing_later(self._held.bank)))
+            estimates.append(self._smooth(self._held, nothing_later(self._held.matrices)))
             self._held = None
         return estimates
 
     def _take_group(self, rows: Rows) -> list[EstimatedRows]:
-        """Filter a group, and smooth the one before it."""
+        """Filter a group, and smooth the previous group."""
         stretch, _ = self._take(rows)
         before, self._held = self._held, stretch
         if before is None:
             return []
-        later = nothing_later(stretch.bank)
-        smooth_rows(stretch.bank, self._filter.state, stretch.z, stretch.steps, stretch.before, later, NOTHING_WANTED)
+        later = nothing_later(stretch.matrices)
+        smooth_rows(stretch.matrices, self._filter.state, stretch.z, stretch.steps, stretch.before, later, NO_BUFFERS)
         return [self._smooth(before, later)]
 
     def _take(self, rows: Rows) -> tuple[_Stretch, EstimatedRows]:
         lengths, steps = numbered_steps(rows.elapsed)
-        bank, z = self.switching.bank(lengths), np.ascontiguousarray(rows.z)
-        before = blocks_before(bank, 0 if self._causal else len(z))
-        trace = self._filter.run(z, bank, steps, before=None if self._causal else before)
-        verdicts = with_spikes(rows.verdicts, trace)
-        return _Stretch(bank, z, steps, before, verdicts), self._filter.estimates_from(trace, verdicts)
+        matrices, z = self.switching.matrices(lengths), np.ascontiguousarray(rows.z)
+        before = blocks_before(matrices, 0 if self._causal else len(z))
+        buffers = self._filter.run(z, matrices, steps, before=None if self._causal else before)
+        verdicts = with_spikes(rows.verdicts, buffers)
+        return _Stretch(matrices, z, steps, before, verdicts), self._filter.estimates_from(buffers, verdicts)
 
     def _smooth(self, stretch: _Stretch, later: Floats) -> EstimatedRows:
         """Smooth a stretch with the information of the rows after it."""
-        trace = self._filter.room(len(stretch.z))
-        smooth_rows(stretch.bank, self._filter.state, stretch.z, stretch.steps, stretch.before, later, trace)
-        return self._filter.estimates_from(trace, stretch.verdicts)
+        buffers = self._filter.new_buffers(len(stretch.z))
+        smooth_rows(stretch.matrices, self._filter.state, stretch.z, stretch.steps, stretch.before, later, buffers)
+        return self._filter.estimates_from(buffers, stretch.verdicts)
 
 
 def _group_rows(switching: InteractingModels) -> int:
@@ -129,14 +129,14 @@ def _group_rows(switching: InteractingModels) -> int:
     return max(_LEAST_GROUP, int(min(longest, _MOST_GROUP)) // BLOCK * BLOCK)
 
 
-# The part of a causal filter's state that later estimates depend on, so that two filters can be compared.
+# The part of a causal filter's state that later estimates depend on, for the comparison of two filters.
 #
-# Two filters that started in different rows of a record give equal estimates for every later row if these numbers are
-# bitwise equal. A checkpoint has more: counts since the first row, which matter only until they are large.
+# Two filters that started at different rows of a record give equal estimates for every later row if these numbers are
+# bitwise equal. A checkpoint also has counts since the first row, which matter only while they are small.
 
 
 def comparable_state(saved: Mapping[str, Any], gap_limit: GapLimit) -> dict[str, Floats]:
-    """Return the part that later rows depend on from the saved state of a `RestartingFlow` with an `ImmFlow` in it.
+    """Return the part of a saved state that later rows depend on, for a `RestartingFlow` with an inner `ImmFlow`.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def comparable_state(saved: Mapping[str, Any], gap_limit: GapLimit) -> dict[str,
     """
     return {
         "filter": saved["flow_modes"],
-        "gaps": _of_gaps(saved["parted_gaps"], gap_limit),
+        "gaps": _comparable_gaps(saved["parted_gaps"], gap_limit),
     }
 
 
@@ -160,11 +160,11 @@ def same_state(one: Mapping[str, Floats], other: Mapping[str, Floats], *, alive:
     return all(np.array_equal(one[name], other[name], equal_nan=True) for name in compared)
 
 
-def _of_gaps(gaps: Floats, gap_limit: GapLimit) -> Floats:
-    """Return the time since the last reading, the time that readings span, and their number.
+def _comparable_gaps(gaps: Floats, gap_limit: GapLimit) -> Floats:
+    """Return the time since the last reading, the time that the readings span, and their number.
 
-    The last two are inf once they are so large that the filter bridges every gap within the limit.
+    The time span and the number are inf once they are so large that they do not reduce the longest gap.
     """
     now, last, readings = gaps
-    far = readings >= gap_limit.readings and gap_limit.spans * last >= gap_limit.longest
-    return np.array([now - last, np.inf if far else last, np.inf if far else readings])
+    saturated = readings >= gap_limit.readings and gap_limit.spans * last >= gap_limit.longest
+    return np.array([now - last, np.inf if saturated else last, np.inf if saturated else readings])

@@ -13,11 +13,11 @@ from becalm.core.model.parts import largest_magnitude_for_noise, level_from_firs
 from becalm.core.reading_verdicts import Judged, Verdict, judge
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.errors import ModelError
-from becalm.native.imm import Bank, Steps, Trace, filter_rows, new_state, restored
+from becalm.native.imm import ImmBuffers, ModeMatrices, Steps, filter_rows, new_state, restored
 
 
 class ForwardImm:
-    """The forward pass, which continues from the state after the block before.
+    """The forward pass, which continues from the state after the previous block.
 
     Parameters
     ----------
@@ -26,9 +26,9 @@ class ForwardImm:
     judge : callable, optional
         It receives the innovations of each block, for the mixture of all modes, and their standard deviations.
     split : bool
-        Whether to return the contribution of each part of the component, followed by the probability of each mode.
+        Whether to return also the contribution of each part of the component, then the probability of each mode.
     with_probabilities : bool
-        If `split` is False: whether to return the probabilities alone.
+        Whether to return the probabilities without the contributions; used only if `split` is False.
 
     Attributes
     ----------
@@ -45,13 +45,13 @@ class ForwardImm:
         with_probabilities: bool = False,
     ) -> None:
         self.switching, self._judge, self._split, self._with_probabilities = switching, judge, split, with_probabilities
-        self.state = new_state(switching.bank(np.ones(1)), keeps_level=switching.component.keeps_level)
+        self.state = new_state(switching.matrices(np.ones(1)), keeps_level=switching.component.keeps_level)
         self._shares = np.zeros(len(switching.modes))
         self.log_likelihood = 0.0
 
     @property
     def shares(self) -> dict[str, float]:
-        """Return the share of the rows so far in each mode: the mean of its filtered probability."""
+        """Return the share of the rows so far in each mode: the mean of the mode's filtered probability."""
         total = max(float(self._shares.sum()), 1.0)
         return {mode.name: float(share) / total for mode, share in zip(self.switching.modes, self._shares, strict=True)}
 
@@ -61,13 +61,13 @@ class ForwardImm:
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
         """Restore the result of `saved`; raise a ModelError if it does not fit these modes."""
-        state = restored(self.switching.bank(np.ones(1)), arrays["flow_modes"])
+        state = restored(self.switching.matrices(np.ones(1)), arrays["flow_modes"])
         if state is None:
             raise ModelError("The snapshot's state does not fit its modes; pass what snapshot() returned.")
         self.state = state
 
     def judged(self, z: Floats) -> Judged:
-        """Return readings (B,) with NaN in place of impossible ones, and their verdicts."""
+        """Return readings (B,) with NaN in place of impossible values, and their verdicts."""
         return judge(z, largest_magnitude_for_noise(self.switching.least_noise_variance))
 
     def set_level(self, reading: float) -> None:
@@ -79,25 +79,25 @@ class ForwardImm:
     def run(
         self,
         z: Floats,
-        bank: Bank,
+        matrices: ModeMatrices,
         steps: Steps,
         *,
         before: Floats | None = None,
         notes: Floats | None = None,
-    ) -> Trace:
-        """Filter readings (B,); fill `before` and `notes`, if given, as `filter_rows` does."""
-        trace = self.room(len(z), innovations=self._judge is not None)
-        self.log_likelihood += filter_rows(bank, self.state, z, steps, trace, before=before, notes=notes)
-        self._shares += trace.probability.sum(axis=1)
+    ) -> ImmBuffers:
+        """Filter readings (B,); write `before` and `notes`, if they are given, as `filter_rows` does."""
+        buffers = self.new_buffers(len(z), innovations=self._judge is not None)
+        self.log_likelihood += filter_rows(matrices, self.state, z, steps, buffers, before=before, notes=notes)
+        self._shares += buffers.probability.sum(axis=1)
         if self._judge is not None:
-            self._judge(trace.innovation, trace.innovation_sigma)
-        return trace
+            self._judge(buffers.innovation, buffers.innovation_sigma)
+        return buffers
 
-    def room(self, rows: int, *, innovations: bool = False) -> Trace:
+    def new_buffers(self, rows: int, *, innovations: bool = False) -> ImmBuffers:
         """Allocate arrays for the results of `rows` rows; sigma is inf until it is written."""
         modes, means = len(self.switching.modes), (self.switching.states if self._split else 0, rows)
         wanted = rows if innovations else 0
-        return Trace(
+        return ImmBuffers(
             signal=np.full(rows, np.nan),
             sigma=np.full(rows, np.inf),
             innovation=np.full(wanted, np.nan),
@@ -107,16 +107,16 @@ class ForwardImm:
             mean=np.full(means, np.nan),
         )
 
-    def estimates_from(self, trace: Trace, verdicts: Codes) -> EstimatedRows:
-        """Return the results of a trace as `EstimatedRows`, with these verdicts."""
-        parts = np.empty((0, len(trace.signal)))
+    def estimates_from(self, buffers: ImmBuffers, verdicts: Codes) -> EstimatedRows:
+        """Return the contents of the buffers as `EstimatedRows`, with these verdicts."""
+        parts = np.empty((0, len(buffers.signal)))
         if self._split:
-            shares = np.array([output[0] @ trace.mean for _, output in self.switching.component.outputs()])
+            shares = np.array([output[0] @ buffers.mean for _, output in self.switching.component.outputs()])
             shares[0] += self.state["level"]
-            parts = np.vstack([shares, trace.probability])
+            parts = np.vstack([shares, buffers.probability])
         elif self._with_probabilities:
-            parts = trace.probability
-        return EstimatedRows(trace.signal, trace.sigma, parts, verdicts)
+            parts = buffers.probability
+        return EstimatedRows(buffers.signal, buffers.sigma, parts, verdicts)
 
 
 class ImmFlowBase:
@@ -124,15 +124,15 @@ class ImmFlowBase:
 
     Parameters
     ----------
-    passes : ForwardImm
+    forward : ForwardImm
         The forward pass.
     """
 
     settled_row: int | None = None
     """Always None: an IMM has no steady-state gain."""
 
-    def __init__(self, passes: ForwardImm) -> None:
-        self._filter = passes
+    def __init__(self, forward: ForwardImm) -> None:
+        self._filter = forward
 
     @property
     def switching(self) -> InteractingModels:
@@ -141,16 +141,16 @@ class ImmFlowBase:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Return the share of the rows so far in each mode: the mean of its filtered probability."""
+        """Return the share of the rows so far in each mode: the mean of the mode's filtered probability."""
         return self._filter.shares
 
     @property
     def log_likelihood(self) -> float:
-        """Return the log-likelihood of all measurements so far, except the first."""
+        """Return the log-likelihood of all measurements so far; the first does not count."""
         return self._filter.log_likelihood
 
     def saved(self) -> dict[str, Any]:
-        """Return the state that later rows depend on, as arrays; for a filter or a fixed-lag smoother."""
+        """Return the state that later rows depend on, as arrays; only for a filter or a fixed-lag smoother."""
         return dict(self._filter.saved())
 
     def restore(self, arrays: Mapping[str, Any]) -> None:
@@ -162,9 +162,9 @@ class ImmFlowBase:
         self._filter.set_level(reading)
 
 
-def with_spikes(verdicts: Codes, trace: Trace) -> Codes:
-    """Return the verdicts with SPIKE for each reading that was rejected because it is more probably wild than not."""
-    if not len(trace.wild):
+def with_spikes(verdicts: Codes, buffers: ImmBuffers) -> Codes:
+    """Return the verdicts with SPIKE for each rejected reading: its probability of being wild is above one half."""
+    if not len(buffers.wild):
         return verdicts
-    spikes = (trace.wild > 0.5) & (verdicts == Verdict.USED)
+    spikes = (buffers.wild > 0.5) & (verdicts == Verdict.USED)
     return np.where(spikes, Verdict.SPIKE, verdicts).astype(verdicts.dtype)

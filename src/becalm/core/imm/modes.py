@@ -1,4 +1,4 @@
-"""The modes of interacting multiple models (IMM): each is a model of its own, and one is in force at a time.
+"""The modes of interacting multiple models (IMM): each mode is a model, and one mode is in force at a time.
 
 A fixed gain must trade noise against lag. An IMM has little noise while the signal rests and little lag while it moves.
 Each mode has its component, its measurement noise, and a mean duration. The filter estimates the probability of each
@@ -17,11 +17,11 @@ from becalm.core.model.components import Component
 from becalm.core.model.parts import largest_level, largest_magnitude_for_noise
 from becalm.core.steady.steady_filter import steady
 from becalm.errors import ModelError
-from becalm.native.imm import MOST_MODES, Bank, Steps
+from becalm.native.imm import MOST_MODES, ModeMatrices, Steps
 
 _WIDE = 1e6  # initial variance of the slopes, over that of the steady-state filter
 _ASLEEP = 1e-6  # variance of an inactive state, over the process noise of one step
-_MOST_BANKS = 16  # number of banks in the cache
+_MOST_CACHED = 16  # largest number of `ModeMatrices` in the cache
 _MOST_KEPT = 256  # number of matrices of modes in each cache: a search asks for the same ones again and again
 _TERMS = 16  # terms of a series whose argument is at most 1/4
 
@@ -35,17 +35,18 @@ class Mode:
     name : str
         Name of the mode, such as "still" or "moving".
     component : Component
-        The signal's model, in steps. If it has fewer states than the largest mode, it has the first of those states;
-        the others are inactive: they are almost 0, and start with the process noise of a step when they are needed.
+        The signal's model, in steps. If it has fewer states than the largest mode, they are the first states of that
+        mode. The other states are inactive: almost 0, with a tiny variance, until a mode with these states comes.
     noise_variance : float
         R, the variance of a reading's noise, in unit^2.
     lasts : float
         Mean duration of the mode, in steps; a *large* one trusts the mode to stay.
     then : str
-        The mode that follows; "" for any other mode, with equal probabilities.
+        Name of the mode that follows; "" if any other mode may follow, with equal probabilities.
     wild_share : float
-        Share of wild readings in this mode; their variance is larger by `InteractingModels.wild_variance`. With a
-        *small* share the filter assumes a change of mode rather than a wild reading.
+        Share of wild readings, which are outliers, in this mode; their variance is larger by
+        `InteractingModels.wild_variance`. With a *small* share the filter explains a large innovation by a change of
+        mode rather than by a wild reading.
     """
 
     name: str
@@ -65,10 +66,10 @@ class InteractingModels:
     modes : tuple of Mode
         One to eight modes, the calmest first.
     wild_variance : float
-        Extra variance of a wild reading, in unit^2.
+        Variance of a wild reading in excess of R, in unit^2.
     rejects : bool
-        Whether the estimate leaves out wild readings; otherwise they enter it, but hardly change the probabilities of
-        modes.
+        Whether wild readings are left out of the estimate; otherwise they enter it, but hardly change the
+        probabilities of the modes.
 
     Raises
     ------
@@ -113,7 +114,7 @@ class InteractingModels:
 
     @cached_property
     def start(self) -> Floats:
-        """Return the start of each mode at the first reading, (M, 1 + n): its probability and its states' variances."""
+        """Return for each mode its probability and its states' variances at the first reading, (M, 1 + n)."""
         lasts = np.array([mode.lasts for mode in self.modes])
         spread = _WIDE * self._settled_variances if self.states > 1 else np.empty(1)
         own = [
@@ -128,27 +129,28 @@ class InteractingModels:
         mode = max(self.modes, key=lambda mode: len(mode.component.drift))
         return _settled_variances(mode.component, mode.noise_variance)
 
-    def bank(self, lengths: Floats) -> Bank:
+    def matrices(self, lengths: Floats) -> ModeMatrices:
         """Return the matrices of all modes for the C kernel, for steps of several lengths (u,)."""
-        key, cache = lengths.tobytes(), self._banks
+        key, cache = lengths.tobytes(), self._matrix_cache
         if key not in cache:
-            if len(cache) >= _MOST_BANKS:
+            if len(cache) >= _MOST_CACHED:
                 cache.clear()
-            cache[key] = self._new_bank(lengths)
+            cache[key] = self._new_matrices(lengths)
         return cache[key]
 
     @cached_property
-    def _banks(self) -> dict[bytes, Bank]:
-        """Return a cache of banks, by the lengths of their steps."""
+    def _matrix_cache(self) -> dict[bytes, ModeMatrices]:
+        """Return the cache of matrices; its keys are the lengths of the steps, as bytes."""
         return {}
 
-    def _new_bank(self, lengths: Floats) -> Bank:
+    def _new_matrices(self, lengths: Floats) -> ModeMatrices:
         key = lengths.tobytes()
         F, Q = (
-            np.stack(parts, axis=1) for parts in zip(*(_over(mode.component, self.component, key) for mode in self.modes), strict=True)
+            np.stack(parts, axis=1)
+            for parts in zip(*(_over(mode.component, self.component, key) for mode in self.modes), strict=True)
         )
         n, count = self.states, len(lengths) * len(self.modes)
-        return Bank(
+        return ModeMatrices(
             np.ascontiguousarray(F).reshape(count, n, n),
             np.ascontiguousarray(Q).reshape(count, n, n),
             self.transitions(lengths),
@@ -210,7 +212,7 @@ def _over(component: Component, largest: Component, length_bytes: bytes) -> tupl
 def _exponentials(rates: Floats, lengths: Floats) -> Floats:
     """Return exp(rates t) for several t, (u, M, M), by scaling and squaring of a Taylor series."""
     most = float(np.abs(np.diag(rates)).max(initial=0.0)) * lengths
-    halvings = np.maximum(np.ceil(np.log2(np.maximum(most, 1e-300))) + 2, 0)  # for each t: others have no effect
+    halvings = np.maximum(np.ceil(np.log2(np.maximum(most, 1e-300))) + 2, 0)  # per t: other lengths have no effect
     part = np.multiply.outer(lengths / 2.0**halvings, rates)
     term = result = np.broadcast_to(np.eye(len(rates)), part.shape)
     for k in range(1, _TERMS):

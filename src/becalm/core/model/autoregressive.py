@@ -1,8 +1,8 @@
 """Coloured noise: the noise of a measurement is correlated with that of the measurements before it.
 
-Autoregressive noise of order p is e[k] = phi_1 e[k-1] + ... + phi_p e[k-p] + w[k], w white. It is defined
-only at the measurements, so its steps are even; a missing reading counts as a step. The noise is stationary if and
-only if all its partial autocorrelations are below 1 in size; Levinson's recursion, run backwards, computes them.
+Autoregressive noise of order p is e[k] = phi_1 e[k-1] + ... + phi_p e[k-p] + w[k], with white noise w. It is defined
+only at the measurements, so its steps are even; a missing reading also counts as a step. The noise is stationary if and
+only if all its partial autocorrelations are below 1 in size; Levinson's recursion computes them in reverse order.
 Sources: Levinson, J. Math. Phys. 25 (1947) 261; Durbin, Rev. Int. Stat. Inst. 28 (1960) 233; Barndorff-Nielsen and
 Schou, J. Multivariate Analysis 3 (1973) 408.
 """
@@ -27,7 +27,7 @@ class ColouredNoise(NamedTuple):
     Attributes
     ----------
     coefficients : tuple of float
-        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; *small* ones mean a short correlation time, so
+        phi_1 to phi_p of e[k] = sum phi_i e[k-i] + w[k]; *small* ones mean a short correlation time, so that
         longer deviations count as signal.
     variance : float
         Variance of e, in unit^2; a *small* one attributes more of the readings to the other components.
@@ -43,7 +43,7 @@ class ColouredNoise(NamedTuple):
 
 
 def autoregressive(coefficients: Sequence[float], std: float = 1.0, step_s: float = 1.0) -> Component:
-    """Return autoregressive noise, a disturbance that is defined only over whole numbers of steps.
+    """Return autoregressive noise as a component; it is a disturbance, and is defined only over whole steps.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def autoregressive(coefficients: Sequence[float], std: float = 1.0, step_s: floa
     Raises
     ------
     ModelError
-        If all coefficients are zero, the noise is not stationary, a number is not finite, or `std` or
-        `step_s` is not positive.
+        If all coefficients are zero, the noise is not stationary, a number is not finite, or `std` or `step_s` is not
+        positive.
 
     Notes
     -----

@@ -33,7 +33,7 @@ __all__ = [
     "with_walking_level",
 ]
 
-HIGHEST_ORDER = 5  # of a motion
+HIGHEST_ORDER = 5  # highest order of a motion
 
 LEVEL_RATE = 0.1
 """Rate at which the level of a returning motion follows the signal, as a fraction of its damping."""
@@ -46,12 +46,12 @@ EVERY_ORDER = tuple(range(1, HIGHEST_ORDER + 1))
 
 
 def level(noise_density: float = 1.0) -> Component:
-    """Return a random walk: a level that drifts.
+    """Return a random walk, a level that drifts.
 
     Parameters
     ----------
     noise_density : float
-        Growth of its variance, in unit^2/s; a *small* one trusts the level to stay constant and smooths more.
+        Growth of the level's variance, in unit^2/s; a *small* one trusts the level to stay constant and smooths more.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def motion(order: int, noise_density: float = 1.0) -> Component:
     return _motion(checked_whole("order", order, refusal, HIGHEST_ORDER), _density(noise_density))
 
 
-@lru_cache(maxsize=256)  # a search asks for the same ones again and again
+@lru_cache(maxsize=256)  # a search needs the same components many times
 def _motion(order: int, noise_density: float) -> Component:
     drift = np.eye(order, k=1)
     enters, sees = np.zeros((order, 1)), np.zeros((1, order))
@@ -97,7 +97,7 @@ def _motion(order: int, noise_density: float) -> Component:
 
 
 def returning_motion(order: int, noise_density: float, damping: float) -> Component:
-    """Return a kinematic model of order n that is damped towards a level of its own, a mean of its past.
+    """Return a kinematic model of order n that is damped towards a level, a mean of the past signal.
 
     Without readings the signal returns to the level, and its variance about the level is bounded.
 
@@ -106,10 +106,10 @@ def returning_motion(order: int, noise_density: float, damping: float) -> Compon
     order : int
         n, the number of integrations of the white noise, 1 to 5.
     noise_density : float
-        Two-sided density of that noise, in unit^2/s^(2n-1); a *small* one trusts the model and smooths more.
+        Two-sided density of the noise, in unit^2/s^(2n-1); a *small* one trusts the model and smooths more.
     damping : float
-        Cut-off a, in rad/s: slower motion is damped; with a *small* one the signal returns late. The limit for a = 0
-        is `motion`.
+        Cut-off a, in rad/s: motion at lower frequencies is damped; with a *small* one the signal returns slowly. For
+        a towards 0 the model becomes `motion`.
 
     Raises
     ------
@@ -118,11 +118,13 @@ def returning_motion(order: int, noise_density: float, damping: float) -> Compon
 
     Notes
     -----
-    Its power is q (w^2 + b^2) / (w^2 (w^2n + a^2n)): about its level it is white noise after a Butterworth low-pass.
-    At frequencies above a the power is that of `motion`, so both smooth alike. The level follows the
-    signal with the rate b = a / 10: it is a mean of the past signal, whose weights decay ten times as slowly as a.
+    The power of the model is q (w^2 + b^2) / (w^2 (w^2n + a^2n)): its distance from the level is white noise after a
+    Butterworth low-pass. At frequencies above a the power is that of `motion`, so that both models smooth equally. The
+    level follows the signal with the rate b = a / 10: it is a mean of the past signal with weights exp(-b t).
     """
-    return _returning(motion(order, noise_density), checked_number("damping", damping, "a damping", "a positive number"))
+    return _returning(
+        motion(order, noise_density), checked_number("damping", damping, "a damping", "a positive number")
+    )
 
 
 @lru_cache(maxsize=256)
@@ -147,8 +149,8 @@ def oscillator(frequency_hz: float, bandwidth_hz: float = 0.0, noise_density: fl
     frequency_hz : float
         Centre frequency, in hertz.
     bandwidth_hz : float
-        Width of the resonance at half its power, in hertz; 0 is undamped: a tone whose amplitude and phase drift.
-        A *small* one trusts the tone to keep its phase.
+        Width of the resonance at half its power, in hertz. A *small* one trusts the tone to keep its phase. With 0 the
+        oscillator is undamped: a tone whose amplitude and phase drift.
     noise_density : float
         Two-sided density of the noise on each of its two states, in unit^2/s; a *small* one trusts
         the tone and lets amplitude and phase change slowly. The standard deviation of a damped oscillator is
@@ -174,7 +176,7 @@ def oscillator(frequency_hz: float, bandwidth_hz: float = 0.0, noise_density: fl
 
 
 def hum(mains_hz: float = 50.0, harmonics: int = 3, noise_density: float = 1.0) -> Component:
-    """Return mains hum, a disturbance: undamped oscillators at the mains frequency and its harmonics.
+    """Return mains hum: undamped oscillators at the mains frequency and its harmonics; it is a disturbance.
 
     Parameters
     ----------
@@ -218,12 +220,12 @@ def gauss_markov(correlation_s: float, std: float = 1.0) -> Component:
 
 
 def bias(noise_density: float = 1.0) -> Component:
-    """Return the bias of a sensor, a disturbance: a random walk.
+    """Return the bias of a sensor as a random walk; it is a disturbance.
 
     Parameters
     ----------
     noise_density : float
-        Growth of its variance, in unit^2/s; a *small* one trusts the bias to stay constant.
+        Growth of the variance of the bias, in unit^2/s; a *small* one trusts the bias to stay constant.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """The covariance after a prediction and after an update; equations as in `core/reference/kalman.py`.
 
-They serve all that can be computed before the first row: tables of gains, steady-state filters, limits of gaps.
+These functions are for results that do not depend on readings: tables of gains, steady-state filters, gap limits.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from becalm.core.model.model import Model
 
 
 def covariance_ahead(P: Floats, model: Model) -> Floats:
-    """Return the covariance (..., n, n) of a prediction over one step, F P F' + Q (2)."""
+    """Return the covariance (..., n, n) of a prediction over one step, F P F' + Q: equation (2)."""
     F = model.F
     ahead: Floats = F @ P @ F.T + model.process_covariance
     return ahead
 
 
 def covariance_after(P: Floats, K: Floats, model: Model) -> Floats:
-    """Return the covariance (n, n) after an update with any gain K (n, m), in Joseph's form (7)."""
+    """Return the covariance (n, n) after an update with any gain K (n, m), in Joseph's form: equation (7)."""
     A = np.eye(model.states) - K @ model.H
     after: Floats = A @ P @ A.T + K @ model.R @ K.T
     return after
 
 
 def gain_before(P: Floats, model: Model) -> Floats:
-    """Return the gain (n, m) of an update from the prior covariance P (n, n): (4), (5)."""
+    """Return the gain (n, m) of an update, for the prior covariance P (n, n): equations (4) and (5)."""
     PH = P @ model.H.T
     return np.asarray(np.linalg.solve(model.H @ PH + model.R, PH.T).T, dtype=np.float64)

@@ -14,11 +14,11 @@ from becalm.errors import ModelError
 _TERMS = 24  # terms of a series whose argument is at most 1
 _CACHED_SIZE = 1 << 13  # matrices with more numbers in total are not cached
 _MOST_STEPS = 2.0**53  # above it float64 cannot hold every whole number
-_WHOLE = 1e-9  # largest distance from a whole number of steps, over that number (or over 1 if it is 0)
+_WHOLE = 1e-9  # largest distance from a whole number of steps, over this number, or over 1 if the number is 0
 
 
 class Recursion(NamedTuple):
-    """One step of a process without continuous time: x[k] = F x[k-1] + w."""
+    """One step of a process in discrete time: x[k] = F x[k-1] + w."""
 
     F: Floats  # (n, n)
     Q: Floats  # (n, n) covariance of w
@@ -76,7 +76,7 @@ def repeat(one: Recursion, steps_s: Floats) -> tuple[Floats, Floats]:
     F : (u, n, n) float array
         F^k for each length of k steps.
     Q : (u, n, n) float array
-        Covariance of the noise over the length, the sum of F^j Q F^j' for j < k; as a sum, it loses no digits.
+        Covariance of the noise over the length, the sum of F^j Q F^j' for j < k; no digits cancel in this sum.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def balancing(A: Floats) -> Floats:
     """Return the scale (n,) of each state that balances A (n, n): its entries become similar in size."""
     from scipy.linalg import matrix_balance
 
-    with np.errstate(invalid="ignore"):  # from the permutation, which is not used
+    with np.errstate(invalid="ignore"):  # the permutation, which is not used, may give this warning
         _, (scale, _) = matrix_balance(A, permute=False, separate=True)
     return np.asarray(scale)
 
@@ -151,7 +151,8 @@ def _integrate_series(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Fl
     """Sum both series: F = sum of A^k T^k / k!, Q = sum of L^k(W) T^(k+1) / (k+1)!, with L(X) = A X + X A'.
 
     The states are balanced first, so that every entry keeps its digits, even for a chain of integrators with weak
-    damping. A step is halved until it is short, and its matrices are doubled again: F <- F F, Q <- F Q F' + Q.
+    damping. The step is halved until the series converge; then the matrices are combined to those of the whole step
+    by repeated doubling: F <- F F, Q <- F Q F' + Q.
     """
     scale = balancing(A)
     balanced, integrand = A / scale[:, np.newaxis] * scale, W / np.outer(scale, scale)
@@ -166,8 +167,8 @@ def _integrate_series(A: Floats, W: Floats, steps_s: Floats) -> tuple[Floats, Fl
         Q += integrand * term
         power, integrand = power @ balanced, balanced @ integrand + integrand @ balanced.T
     for k in range(int(halvings.max(initial=0))):
-        late = halvings > k
-        Q[late] = F[late] @ Q[late] @ np.swapaxes(F[late], 1, 2) + Q[late]
-        F[late] = F[late] @ F[late]
+        more = halvings > k
+        Q[more] = F[more] @ Q[more] @ np.swapaxes(F[more], 1, 2) + Q[more]
+        F[more] = F[more] @ F[more]
     Q *= np.outer(scale, scale)
     return F * scale[:, np.newaxis] / scale, (Q + np.swapaxes(Q, 1, 2)) / 2

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from becalm.core.arrays import Floats, frozen, real
 from becalm.errors import ModelError
 
-_SEMIDEFINITE = 1e-10  # size of negative eigenvalues that may come from rounding, over the largest entry
+_SEMIDEFINITE = 1e-10  # largest magnitude of a negative eigenvalue from rounding, over the largest entry
 
 
 class Model:
@@ -28,7 +28,7 @@ class Model:
         more. Without `G`, p = n.
     R : (m, m) array_like
         Covariance of the measurement noise v, in unit^2; a *small* R trusts the readings and
-        smooths less. Zero is allowed where x0 and P0 are given.
+        smooths less. Zero is allowed if x0 and P0 are given.
     G : (n, p) array_like, optional
         Input matrix of the process noise; the identity by default.
     x0 : (n,) array_like, optional
@@ -37,14 +37,14 @@ class Model:
         Covariance of x0; may be singular. Give both x0 and P0, or neither. With neither, the filter
         starts from the first readings alone (a flat prior), with a correct variance.
     known : (n, n) array_like, optional
-        Prior information without x0 and P0: the inverse covariance of the states that have the mean 0, such as
-        stationary noise, and 0 for the other states.
+        Prior information, instead of x0 and P0: the inverse covariance of the states that have a prior with mean 0,
+        such as stationary noise, and 0 for all other states.
 
     Raises
     ------
     ModelError
         If a shape does not fit, a number is not finite, a covariance is not symmetric and semidefinite, or x0, P0 and
-        `known` do not go together.
+        `known` contradict each other.
     """
 
     def __init__(  # noqa: PLR0913  (the letters of one textbook equation)
@@ -112,7 +112,7 @@ class Model:
         return tuple(bool(abs(row).max(initial=0.0) < 1e-9) for row in self.unobservable)
 
     def __repr__(self) -> str:
-        """Return a text with the size of the model."""
+        """Return a text with the numbers of states and channels."""
         return f"Model({self.states} states, {self.channels} channels)"
 
 
@@ -122,7 +122,7 @@ def checked_covariance(name: str, values: ArrayLike, size: int) -> Floats:
     Raises
     ------
     ModelError
-        If the shape is wrong, a number is not finite, or it is not symmetric and semidefinite.
+        If the shape is wrong, a number is not finite, or the matrix is not symmetric and semidefinite.
     """
     own = np.array(_matrix(name, values))
     hint = f"For equal, independent noise pass {name} = variance * np.eye({size})."
@@ -169,7 +169,7 @@ def _require_shape(name: str, own: Floats, shape: tuple[int, int], wanted: str) 
         raise ModelError(f"{name} has shape {own.shape}; it needs {wanted}.")
 
 
-# The matrices that a filter needs: those of its steps and those of its sensors.
+# The matrices that a filter needs: matrices of its steps, and matrices of its sensors.
 
 
 class System(NamedTuple):

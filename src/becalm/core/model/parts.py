@@ -1,8 +1,8 @@
 """Components of a model in continuous time: each has parts with named states; `+` joins components.
 
-A component is dx/dt = A x + B w, y = C x, with white noise w of two-sided spectral density W, in unit^2/s^(2d - 1)
-where it drives the d-th derivative of y. `to_model` makes a `Model` for a step length. A part may also be a recursion
-over even steps, without continuous time.
+A component is dx/dt = A x + B w, y = C x, with white noise w of two-sided spectral density W. If the noise drives the
+d-th derivative of y, W is in unit^2/s^(2d - 1). `to_model` makes a `Model` for a step length. A part may also be a
+recursion in discrete time, with even steps.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class Part:
     name : str
         Name of the part, such as "motion" or "oscillator at 3 Hz".
     state_names : tuple of str
-        Name of each of its states.
+        Names of the states of the part.
     disturbance : bool
         True if the part is in the readings but not in the signal.
     recursion : Recursion or None
-        The step of a part without continuous time; its blocks of drift and density are zero.
+        The step of a part in discrete time; the blocks of this part in drift and density are zero.
     """
 
     name: str
@@ -54,8 +54,8 @@ class Component:
     noise_input : (n, p) float array
         B: input matrix of the white noise w.
     noise_density : (p, p) float array
-        W: two-sided spectral density of w, in unit^2/s^(2d - 1) where it drives the d-th derivative;
-        a *small* one trusts the model and smooths more.
+        W: two-sided spectral density of w, in unit^2/s^(2d - 1) if w drives the d-th derivative; a *small* one
+        trusts the model and smooths more.
     output : (1, n) float array
         C in y = C x.
     parts : tuple of Part
@@ -93,7 +93,7 @@ class Component:
     def level_direction(self) -> Floats | None:
         """Return the constant change of the states (n,) that adds a constant 1 to y; None if there is none."""
         states, n = self._slices()[0], len(self.drift)
-        for last in dict.fromkeys((0, states.stop - 1)):  # the level alone, then with the one it returns to
+        for last in dict.fromkeys((0, states.stop - 1)):  # the level; then also the level that it returns to
             direction = np.zeros(n)
             direction[[0, last]] = 1.0
             constant = self.parts[0].recursion is None and not (self.drift @ direction).any()
@@ -108,21 +108,21 @@ class Component:
 
     @property
     def returns(self) -> bool:
-        """Return whether the first part, a motion, is damped towards its last state, a level of its own."""
+        """Return whether the first part is a motion that is damped towards its last state, the level."""
         last = self._slices()[0].stop - 1
         return bool(last > 0 and self.drift[last, last] < 0.0 and self.keeps_level)
 
     @property
     def has_recursion(self) -> bool:
-        """Return whether a part is defined at whole steps only."""
+        """Return whether a part is defined only at whole steps."""
         return any(part.recursion is not None for part in self.parts)
 
     @cached_property
     def known(self) -> Floats | None:
         """Return the prior information on the states, an inverse covariance (n, n); None if there is none.
 
-        A recursion is known to be stationary; without this, the first readings could not distinguish it from a
-        motion. The distance of a motion from the level that it returns to is stationary as well.
+        A recursion is stationary; without this information, the first readings could not distinguish it from a motion.
+        The distance of a motion from the level to which it returns is also stationary.
         """
         if not (self.has_recursion or self.returns):
             return None
@@ -175,7 +175,7 @@ class Component:
     def over(self, steps_s: Floats) -> tuple[Floats, Floats]:
         """Integrate exactly over steps of several lengths (u,), in seconds; return F and Q, (u, n, n) each.
 
-        Each part is integrated on its own, so that it keeps its digits when its noise is much smaller than another's.
+        Each part is integrated separately, so that a part keeps its digits if the noise of another is much larger.
 
         Raises
         ------
@@ -228,9 +228,9 @@ class Component:
 
 
 def _about_level(A: Floats, W: Floats) -> Floats:
-    """Return the prior information (n + 1, n + 1) of a motion that is stationary about its last state, a free level.
+    """Return the prior information (n + 1, n + 1) of a motion that is stationary about its last state, the level.
 
-    It is zero if the stationary covariance cannot be computed.
+    There is no information on the level itself. All is zero if the stationary covariance cannot be computed.
     """
     from scipy.linalg import solve_continuous_lyapunov
 
@@ -247,7 +247,7 @@ def _about_level(A: Floats, W: Floats) -> Floats:
 
 
 def checked_number(name: str, value: object, what: str, needed: str, *, zero: bool = False) -> float:
-    """Return a finite number above zero, or at least zero if that is allowed, as float.
+    """Return a finite number above zero, or at least zero if zero is allowed, as float.
 
     Parameters
     ----------
@@ -256,7 +256,7 @@ def checked_number(name: str, value: object, what: str, needed: str, *, zero: bo
     value : object
         The value to check.
     what, needed : str
-        For the message: what the value should be, and what to give; "or 0" is added if zero is allowed.
+        Words for the message: what the value should be, and what to give; "or 0" is added if zero is allowed.
     zero : bool
         True if zero is allowed.
 
@@ -284,7 +284,7 @@ def checked_step(step_s: object) -> float:
 
 
 def checked_whole(name: str, value: object, refusal: str, highest: float = np.inf) -> int:
-    """Return a whole number from 1 to `highest`; `refusal` is the end of the error message.
+    """Return a whole number from 1 to `highest` as int; `refusal` is the end of the error message.
 
     Raises
     ------
@@ -298,9 +298,9 @@ def checked_whole(name: str, value: object, refusal: str, highest: float = np.in
 
 # Limits of magnitude beyond which a value is not a reading: from a record, from the noise, and from float64.
 
-_FACTOR = 1e9  # largest reading over the spread: more than any converter spans, about 30 bits
-_QUANTILE = 0.9  # of the distances from the median: the spread
-_ROUNDING = 1e3  # coarsest rounding of a reading by float64, over the standard deviation of the noise
+_FACTOR = 1e9  # largest distance of a reading from the median, over the spread: 30 bits, more than a converter has
+_QUANTILE = 0.9  # quantile of the distances from the median that gives the spread
+_ROUNDING = 1e3  # largest rounding error of a reading in float64, over the standard deviation of the noise
 
 
 def find_largest(z: Floats) -> float:
@@ -313,7 +313,7 @@ def find_largest(z: Floats) -> float:
 
     Notes
     -----
-    The limit finds values that mean "none", such as 1e30 in a file, and broken digits. Gates reject spikes.
+    The limit detects values that mark missing readings, such as 1e30, and damaged digits. Gates reject spikes.
     """
     usable = z[np.abs(z) <= BEYOND_ANY_SENSOR]
     distances = np.abs(usable - np.median(usable)) if len(usable) else usable
@@ -342,10 +342,10 @@ def largest_magnitude_for_noise(noise_variance: float) -> float:
 
 
 def largest_level(noise_variance: float) -> float:
-    """Return the largest level that float64 rounds no more coarsely than the noise, whose variance is in unit^2."""
+    """Return the largest level whose rounding in float64 is smaller than the noise of this variance, in unit^2."""
     return largest_magnitude_for_noise(noise_variance) / _ROUNDING
 
 
 def level_from_first_reading(reading: float, noise_variance: float) -> float:
-    """Return the first reading, the level to subtract from all others; 0 if its rounding would hide their noise."""
+    """Return the level to subtract from readings: the first reading, or 0 if its rounding would hide the noise."""
     return reading if abs(reading) <= largest_level(noise_variance) else 0.0

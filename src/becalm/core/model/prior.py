@@ -1,8 +1,8 @@
 """The prior of a filter in information form, for a start from the first readings alone.
 
-Information is Y = P^-1 and y = P^-1 x; a flat prior is exactly Y = 0. The filter adds the information of readings
-until they determine the state (`native/opening.h`). Sources of the information form: Fraser and Potter, IEEE TAC-14
-(1969) 387; Anderson and Moore 1979, section 6.3.
+The information on a state is Y = P^-1 and y = P^-1 x; for a flat prior, Y is exactly 0. The filter adds the information
+of readings until the sum determines the state (`native/opening.h`). Sources of the information form: Fraser and
+Potter, IEEE TAC-14 (1969) 387; Anderson and Moore 1979, section 6.3.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def arrived(readings: Floats) -> Booleans:
 
 
 def flat_prior(model: Model) -> PriorInformation:
-    """Return the flat prior plus `model.known`; unobservable directions have the mean 0 and unit variance."""
+    """Return `model.known`, or no information; unobservable directions get the mean 0 and unit variance."""
     Y = model.unobservable @ model.unobservable.T
     return PriorInformation(Y if model.known is None else Y + model.known, np.zeros(len(Y)))
 
@@ -62,7 +62,7 @@ def wide_prior(model: Model) -> PriorInformation | None:
 
 
 def root_of(Y: Floats) -> Floats:
-    """Return the upper triangular root U of a semidefinite Y = U' U; the scales of its rows may differ widely."""
+    """Return the upper triangular root U of a semidefinite Y = U' U; the scales of the states may differ widely."""
     scale = np.sqrt(np.diag(Y))
     scale[scale == 0] = 1.0
     values, vectors = np.linalg.eigh(Y / np.outer(scale, scale))
@@ -87,7 +87,7 @@ def refuse_singular(system: System) -> None:
 
 
 def _unit_diagonal(R: Floats) -> Floats:
-    """Return a covariance as correlations, independent of units; rows without variance stay zero."""
+    """Return the correlation matrix of a covariance; rows without variance stay zero."""
     sigma = np.sqrt(np.diag(R))
     scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
     return R * scale[:, np.newaxis] * scale

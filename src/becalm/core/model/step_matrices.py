@@ -19,7 +19,7 @@ class StepMatrices:
     Parameters
     ----------
     component : Component
-        A component whose time unit is the step.
+        A component whose unit of time is one step.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Timeline(NamedTuple):
 
     system: System
     first: Integers  # (runs + 1,) the last entry is the number of rows
-    step: Integers  # (runs,) -1: no step, as before the first row
+    step: Integers  # (runs,) index of a step; -1: no step, as before the first row
     lengths: Floats  # (u,) lengths of the steps, in the model's time unit
 
     def step_before(self, row: int) -> int:
@@ -66,34 +66,34 @@ def model_system(model: Model) -> System:
     return System(model.F[np.newaxis], model.process_covariance[np.newaxis], model.H, model.R)
 
 
-def even_timeline(model: Model, count: int, *, goes_on: bool = False) -> Timeline:
-    """Return a timeline with the step of the model before each row; before the first only if `goes_on`."""
-    return Timeline(model_system(model), *_runs([0, 1, count], [0 if goes_on else -1, 0]), np.ones(1))
+def even_timeline(model: Model, count: int, *, continues: bool = False) -> Timeline:
+    """Return a timeline with the model's step before each row; the first row has one only if `continues`."""
+    return Timeline(model_system(model), *_runs([0, 1, count], [0 if continues else -1, 0]), np.ones(1))
 
 
 def elapsed_timeline(
-    component: Component | StepMatrices, noise_variance: float, elapsed: Floats, *, goes_on: bool = False
+    component: Component | StepMatrices, noise_variance: float, elapsed: Floats, *, continues: bool = False
 ) -> Timeline:
     """Return a timeline whose steps span the exact time since the row before.
 
     Parameters
     ----------
     component : Component or StepMatrices
-        Model of the signal, in the time unit of `elapsed`, or the cache of its step matrices.
+        Model of the signal, with the time unit of `elapsed`, or the cache of the model's step matrices.
     noise_variance : float
         R, in unit^2.
     elapsed : (N,) float array
         Time since the row before, 0 or more.
-    goes_on : bool
+    continues : bool
         True if earlier rows were already filtered; otherwise the first entry of `elapsed` is not used.
     """
-    begin = 0 if goes_on else 1
+    begin = 0 if continues else 1
     rest = elapsed[begin:]
     first = np.concatenate([[0], np.flatnonzero(rest[1:] != rest[:-1]) + 1]) if len(rest) else np.zeros(0, np.int64)
     lengths, step = np.unique(rest[first], return_inverse=True)
     F, Q = component.over(lengths if len(lengths) else np.ones(1))
     system = System(F, Q, component.output.copy(), np.array([[noise_variance]], dtype=np.float64))
-    if goes_on:
+    if continues:
         return Timeline(system, *_runs([*first, len(elapsed)], step), lengths)
     return Timeline(
         system, *_runs(np.concatenate([[0], first + 1, [len(elapsed)]]), np.concatenate([[-1], step])), lengths

@@ -1,1 +1,1 @@
-"""The reference filters in plain NumPy with numbered equations; never optimised."""
+"""The reference filters: plain NumPy with numbered equations, which is never optimised."""

@@ -2,10 +2,10 @@
 
 This module is never optimised. It computes in the precision of its input arrays, which may be long double. The kernels
 must agree with it to 1e-10. The filter is the interacting multiple model of Blom and Bar-Shalom, IEEE TAC-33 (1988)
-780, with a second, wider distribution for outliers, which are called wild readings; all others are called tame. The
+780, with a second, wider distribution for outliers. Outliers are called wild readings, all other readings tame. The
 smoother is the two-filter smoother of Fraser and Potter, IEEE TAC-14 (1969) 387, for every pair of modes before and
-after a step. It combines the filtered state with the likelihood of the later readings, which is
-exp(g + r' (h - c) - (h - c)' Y (h - c) / 2) as a function of the state h in each mode.
+after a step. It combines the filtered state with the likelihood of the later readings. As a function of
+the state h in each mode this likelihood is exp(g + r' (h - c) - (h - c)' Y (h - c) / 2).
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from becalm.core.arrays import Floats
-from becalm.native.imm import Bank, Steps
+from becalm.native.imm import ModeMatrices, Steps
 
-_READABLE = 1e100  # no sensor measures larger magnitudes
+_READABLE = 1e100  # largest magnitude of a reading; no sensor measures more
 _UNLIKELY = 1e-100  # lower limit of the probability of a mode
-_NEGLIGIBLE = 1e-8  # smaller weights are not mixed in
+_NEGLIGIBLE = 1e-8  # a mixture leaves out parts with a smaller weight
 
 
 class ModeStates(NamedTuple):
@@ -32,7 +32,7 @@ class ModeStates(NamedTuple):
 
 
 class BackwardLikelihood(NamedTuple):
-    """Likelihood of the readings from a row on, as a function of the state in each mode; see the module."""
+    """Likelihood of the readings from a row on, as a function of the state in each mode; see the module docstring."""
 
     c: Floats  # (M, n) centre
     r: Floats  # (M, n) gradient at c
@@ -41,13 +41,13 @@ class BackwardLikelihood(NamedTuple):
 
 
 class Row(NamedTuple):
-    """The posterior after a reading, and what the reading contributed."""
+    """The posterior after a reading, and quantities that depend on the reading."""
 
-    beliefs: ModeStates
-    said: BackwardLikelihood  # likelihood of this reading alone, about the posterior mean
-    log_likelihood: float  # 0 for a missing reading and for the first one
+    posterior: ModeStates
+    likelihood: BackwardLikelihood  # likelihood of this reading, with the posterior mean as centre
+    log_likelihood: float  # 0 for a missing reading and for the first reading
     wild: float  # probability that the reading is wild; NaN if there was no update
-    innovation: float  # of the mixture: normal score times innovation_sigma; NaN if there was no update
+    innovation: float  # normal score of the reading times innovation_sigma; NaN if there was no update
     innovation_sigma: float  # standard deviation of the predicted mixture; NaN if there was no update
 
 
@@ -59,10 +59,10 @@ class Modes(NamedTuple):
     T: Floats  # (M, M) probability of going from mode i to mode j
 
 
-def modes_over(bank: Bank, step: int) -> Modes:
+def modes_over(matrices: ModeMatrices, step: int) -> Modes:
     """Return the matrices of the modes for the step with a given index."""
-    own = slice(step * len(bank.R), (step + 1) * len(bank.R))
-    return Modes(bank.F[own], bank.Q[own], bank.T[step])
+    own = slice(step * len(matrices.R), (step + 1) * len(matrices.R))
+    return Modes(matrices.F[own], matrices.Q[own], matrices.T[step])
 
 
 def begin(z: float, start: Floats) -> ModeStates:
@@ -80,7 +80,7 @@ def collapse(weights: Floats, x: Floats, P: Floats) -> tuple[Floats, Floats]:
 
 
 def mix(now: ModeStates, T: Floats) -> ModeStates:
-    """Return the mixed state of each mode before a step: all modes, weighted by their transitions into it."""
+    """Return the mixed state of each mode before a step: all modes, weighted by their transitions into this mode."""
     c = now.mu @ T  # (1)
     weights = [_without_negligible(now.mu * T[:, j] / c[j] if c[j] > _UNLIKELY else now.mu) for j in range(len(c))]
     parts = [collapse(weight, now.x, now.P) for weight in weights]  # (2), (3)
@@ -95,15 +95,15 @@ def _without_negligible(weights: Floats) -> Floats:
 
 
 def predict(mixed: ModeStates, modes: Modes) -> ModeStates:
-    """Predict each mode over the step."""
+    """Predict the state of each mode over a step."""
     x = np.array([F @ own for F, own in zip(modes.F, mixed.x, strict=True)])  # (4)
     P = np.array([F @ own @ F.T + Q for F, Q, own in zip(modes.F, modes.Q, mixed.P, strict=True)])
     return ModeStates(x, P, mixed.mu)
 
 
-def update(before: ModeStates, bank: Bank, z: float) -> Row:
+def update(before: ModeStates, matrices: ModeMatrices, z: float) -> Row:
     """Update all modes with a reading that may be tame or wild."""
-    H, R, tail, (V, rejects) = bank.H[0], bank.R, bank.tail, bank.wild
+    H, R, tail, (V, rejects) = matrices.H[0], matrices.R, matrices.tail, matrices.wild
     nu, S = z - before.x @ H, np.einsum("a,jab,b->j", H, before.P, H) + R  # (5)
     tame, wild = (1 - tail) * normal(nu, S), tail * normal(nu, S + V)  # (6)
     likelihood = tame + wild
@@ -114,16 +114,16 @@ def update(before: ModeStates, bank: Bank, z: float) -> Row:
     expected = before.mu @ (before.x @ H)
     spread = before.mu @ (S + (before.x @ H - expected) ** 2)
     after = ModeStates(np.array([x for x, _ in parts]), np.array([P for _, P in parts]), mu)
-    outlook = reading_likelihood(after, bank, z, w / R)
-    fit = np.array([evidence(before.x[j], before.P[j], outlook, j) for j in range(len(R))])
-    outlook = outlook._replace(g=np.log(likelihood) - fit)  # makes its evidence equal to the likelihood of the reading
-    below, above = (float(before.mu @ foretold(side * nu, S, V, tail)) for side in (1, -1))
+    of_reading = reading_likelihood(after, matrices, z, w / R)
+    fit = np.array([evidence(before.x[j], before.P[j], of_reading, j) for j in range(len(R))])
+    of_reading = of_reading._replace(g=np.log(likelihood) - fit)  # its evidence is now `likelihood`
+    below, above = (float(before.mu @ predicted_probability(side * nu, S, V, tail)) for side in (1, -1))
     score = float(ndtri(below)) if below < above else -float(ndtri(above))
     judged = float(mu @ (wild / likelihood)), score * float(spread**0.5), float(spread**0.5)
-    return Row(after, outlook, float(np.log(total)), *judged)
+    return Row(after, of_reading, float(np.log(total)), *judged)
 
 
-def foretold(nu: Floats, S: Floats, V: float, tail: Floats) -> Floats:
+def predicted_probability(nu: Floats, S: Floats, V: float, tail: Floats) -> Floats:
     """Return the predicted probability of a smaller innovation in each mode, (M,)."""
     tame, wild = (np.asarray(nu / np.sqrt(variance), np.float64) for variance in (S, S + V))  # ndtr takes float64 only
     probability: Floats = (1 - tail) * ndtr(tame) + tail * ndtr(wild)
@@ -146,38 +146,38 @@ def normal(nu: Floats, S: Floats) -> Floats:
     return density
 
 
-def filter_readings(bank: Bank, start: Floats, z: Floats, steps: Steps) -> list[Row]:
+def filter_readings(matrices: ModeMatrices, start: Floats, z: Floats, steps: Steps) -> list[Row]:
     """Filter z (N,); `steps` (N,) holds the index of the step before each row, -1 for none."""
     rows: list[Row] = []
-    beliefs: ModeStates | None = None
+    states: ModeStates | None = None
     for reading, step in zip(z, steps, strict=True):
         arrived = bool(np.abs(reading) <= _READABLE)
-        if beliefs is None:
-            beliefs = begin(reading, start) if arrived else None
+        if states is None:
+            states = begin(reading, start) if arrived else None
             unknown = ModeStates(*(np.full_like(a, np.nan) for a in begin(0.0, start)))
-            row = _without_update(unknown if beliefs is None else beliefs)
+            row = _without_update(unknown if states is None else states)
         else:
             if step >= 0:
-                modes = modes_over(bank, step)
-                beliefs = predict(mix(beliefs, modes.T), modes)
-            row = update(beliefs, bank, reading) if arrived else _without_update(beliefs)
-            beliefs = row.beliefs
+                modes = modes_over(matrices, step)
+                states = predict(mix(states, modes.T), modes)
+            row = update(states, matrices, reading) if arrived else _without_update(states)
+            states = row.posterior
         rows.append(row)
     return rows
 
 
-def _without_update(beliefs: ModeStates) -> Row:
+def _without_update(states: ModeStates) -> Row:
     """Return a row without an update."""
-    return Row(beliefs, _no_information(beliefs), 0.0, np.nan, np.nan, np.nan)
+    return Row(states, _no_information(states), 0.0, np.nan, np.nan, np.nan)
 
 
 def _no_information(now: ModeStates) -> BackwardLikelihood:
     return BackwardLikelihood(now.x, np.zeros_like(now.x), np.zeros_like(now.P), np.zeros_like(now.mu))
 
 
-def reading_likelihood(after: ModeStates, bank: Bank, z: float, W: Floats) -> BackwardLikelihood:
+def reading_likelihood(after: ModeStates, matrices: ModeMatrices, z: float, W: Floats) -> BackwardLikelihood:
     """Return the likelihood of a reading about the posterior mean; W (M,) is the probability of its use over R."""
-    H = bank.H[0]
+    H = matrices.H[0]
     r = np.array([H * own * (z - H @ x) for own, x in zip(W, after.x, strict=True)])
     Y = np.array([np.outer(H, H) * own for own in W])
     return BackwardLikelihood(after.x, r, Y, np.zeros_like(W))  # (9)
@@ -197,7 +197,7 @@ def solve(A: Floats, B: Floats) -> tuple[Floats, Any]:
 
 
 def evidence(x: Floats, P: Floats, ahead: BackwardLikelihood, i: int) -> Any:
-    """Return the log-likelihood of the later readings for a state x, P in mode i."""
+    """Return the log-likelihood of the later readings, for a state with mean x and covariance P in mode i."""
     c, r, Y, g = (part[i] for part in ahead)
     d = x - c
     q = r - Y @ d  # the slope at x
@@ -206,28 +206,29 @@ def evidence(x: Floats, P: Floats, ahead: BackwardLikelihood, i: int) -> Any:
 
 
 def before_step(F: Floats, Q: Floats, x: Floats, ahead: BackwardLikelihood, i: int) -> BackwardLikelihood:
-    """Return the likelihood of the readings after a step into mode i, as a function of the state before it, about x.
+    """Return the likelihood of the readings after a step into mode i, as a function of the state before the step.
 
-    Its arrays have no axis for modes.
+    Its centre is x, and its arrays have no axis for modes.
     """
     c, r, Y, _ = (part[i] for part in ahead)
     A, _ = solve(np.eye(len(x)) + Y @ Q, np.eye(len(x)))
-    own = evidence(F @ x, Q, ahead, i)  # of a step that starts exactly at x
+    own = evidence(F @ x, Q, ahead, i)  # log-likelihood for a step that starts exactly at x
     return BackwardLikelihood(x, F.T @ A @ (r - Y @ (F @ x - c)), F.T @ A @ Y @ F, np.array(own))  # (10), (11)
 
 
-def smooth(bank: Bank, rows: list[Row], steps: Steps) -> list[ModeStates]:
+def smooth(matrices: ModeMatrices, rows: list[Row], steps: Steps) -> list[ModeStates]:
     """Smooth a filtered record: return the state of each row given all readings."""
     smoothed: list[ModeStates] = []
     ahead: BackwardLikelihood | None = None
     for k in range(len(rows) - 1, -1, -1):
-        now, outlook = rows[k].beliefs, rows[k].said
+        now, of_reading = rows[k].posterior, rows[k].likelihood
         if ahead is None or steps[k + 1] < 0 or np.isnan(now.mu[0]):
             own, pooled = now, _no_information(now)
         else:
-            own, pooled = smooth_row(now, modes_over(bank, steps[k + 1]), ahead)
+            own, pooled = smooth_row(now, modes_over(matrices, steps[k + 1]), ahead)
         smoothed.append(own)
-        ahead = BackwardLikelihood(now.x, pooled.r + outlook.r, pooled.Y + outlook.Y, pooled.g + outlook.g)  # (9)
+        r, Y, g = pooled.r + of_reading.r, pooled.Y + of_reading.Y, pooled.g + of_reading.g
+        ahead = BackwardLikelihood(now.x, r, Y, g)  # (9)
     return smoothed[::-1]
 
 
@@ -238,7 +239,7 @@ def smooth_row(now: ModeStates, modes: Modes, ahead: BackwardLikelihood) -> tupl
     mu = np.exp(fit - fit.max())
     x, P = (np.array(arrays) for arrays in list(zip(*parts, strict=True))[:2])
     pooled = BackwardLikelihood(
-        *(np.array(arrays) for arrays in zip(*(outlook for _, _, outlook, _ in parts), strict=True))
+        *(np.array(arrays) for arrays in zip(*(of_reading for _, _, of_reading, _ in parts), strict=True))
     )
     return ModeStates(x, P, np.maximum(mu / mu.sum(), _UNLIKELY)), pooled
 
@@ -246,10 +247,10 @@ def smooth_row(now: ModeStates, modes: Modes, ahead: BackwardLikelihood) -> tupl
 def smooth_mode(
     now: ModeStates, modes: Modes, ahead: BackwardLikelihood, j: int
 ) -> tuple[Floats, Floats, BackwardLikelihood, Any]:
-    """Return mean and covariance of mode j, and the likelihood of later readings: as a function, and its log value."""
+    """Return mean and covariance of mode j, the likelihood of later readings as a function, and its log value."""
     x, P, n, count = now.x[j], now.P[j], now.x.shape[1], len(now.mu)
-    outlooks = [before_step(modes.F[i], modes.Q[i], x, ahead, i) for i in range(count)]
-    every = BackwardLikelihood(*(np.array(arrays) for arrays in zip(*outlooks, strict=True)))
+    likelihoods = [before_step(modes.F[i], modes.Q[i], x, ahead, i) for i in range(count)]
+    every = BackwardLikelihood(*(np.array(arrays) for arrays in zip(*likelihoods, strict=True)))
     fit = np.array([evidence(x, P, every, i) for i in range(count)])
     fit += np.log(np.maximum(now.mu[j] * modes.T[j], _UNLIKELY**2)) - np.log(now.mu[j])
     weight = np.exp(fit - fit.max())
@@ -257,6 +258,6 @@ def smooth_mode(
     reduced = np.array([solve(np.eye(n) + P @ Y, P)[0] for Y in every.Y])
     mean, cov = collapse(weight, x + np.einsum("iab,ib->ia", reduced, every.r), reduced)  # (13)
     r, Y = weight @ every.r, np.einsum("i,iab->ab", weight, every.Y)
-    alone = BackwardLikelihood(x[np.newaxis], r[np.newaxis], Y[np.newaxis], np.zeros(1))
-    g = np.array(log_likelihood - evidence(x, P, alone, 0))
+    pooled = BackwardLikelihood(x[np.newaxis], r[np.newaxis], Y[np.newaxis], np.zeros(1))
+    g = np.array(log_likelihood - evidence(x, P, pooled, 0))
     return mean, cov, BackwardLikelihood(x, r, Y, g), log_likelihood  # (14)

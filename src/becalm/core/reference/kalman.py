@@ -1,8 +1,8 @@
 """The reference Kalman filter and smoother: predict, update and smooth in plain NumPy with numbered equations.
 
-This module is never optimised; the kernels must agree with it to 1e-12. Sources: Kalman 1960;
-Joseph's form by Bucy and Joseph 1968; the smoother by Bryson and Frazier 1963 in the form of
-Bierman 1973, which needs no inverse of a covariance, so that singular P0, Q = 0 and R = 0 all work.
+This module is never optimised; the kernels must agree with it to 1e-12. Sources: Kalman 1960 for the filter; Bucy and
+Joseph 1968 for Joseph's form; Bryson and Frazier 1963, in the form of Bierman 1973, for the smoother. This form needs
+no inverse of a covariance, so that a singular P0, Q = 0 and R = 0 are allowed.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ class ReferenceStep(NamedTuple):
     predicted: StateEstimate
     filtered: StateEstimate
     innovation: Floats  # nu, (m,), NaN where a channel is missing
-    innovation_cov: Floats  # S, without the missing channels
+    innovation_cov: Floats  # S of the channels that are not missing
     log_likelihood: float
 
 
-def predict(belief: StateEstimate, F: Floats, Q: Floats) -> StateEstimate:
+def predict(state: StateEstimate, F: Floats, Q: Floats) -> StateEstimate:
     """Predict the state by one step."""
-    x, P = belief
+    x, P = state
     return StateEstimate(F @ x, F @ P @ F.T + Q)  # (1), (2)
 
 
-def update(belief: StateEstimate, H: Floats, R: Floats, reading: Floats) -> ReferenceStep:
+def update(state: StateEstimate, H: Floats, R: Floats, reading: Floats) -> ReferenceStep:
     """Update the state with the channels of a reading that are not NaN."""
-    x, P = belief
+    x, P = state
     arrived = np.isfinite(reading)
     H, R = H[arrived], R[np.ix_(arrived, arrived)]
     nu = reading[arrived] - H @ x  # (3) innovation
@@ -50,7 +50,7 @@ def update(belief: StateEstimate, H: Floats, R: Floats, reading: Floats) -> Refe
     filtered = StateEstimate(x + K @ nu, A @ P @ A.T + K @ R @ K.T)  # (6), (7) Joseph
     innovation = np.full(len(reading), np.nan)
     innovation[arrived] = nu
-    return ReferenceStep(belief, filtered, innovation, S, _log_density(nu, S, S_inverse))
+    return ReferenceStep(state, filtered, innovation, S, _log_density(nu, S, S_inverse))
 
 
 def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
@@ -61,15 +61,15 @@ def _log_density(nu: Floats, S: Floats, S_inverse: Floats) -> float:
 
 
 def filter_readings(
-    belief: StateEstimate, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats
+    state: StateEstimate, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], z: Floats
 ) -> list[ReferenceStep]:
-    """Filter z (N, m), starting from the prior at the first reading."""
+    """Filter z (N, m); `state` is the prior at the first reading."""
     H, R = sensor
     steps = []
     for k, reading in enumerate(z):
-        belief = predict(belief, F, Q) if k else belief
-        steps.append(update(belief, H, R, reading))
-        belief = steps[-1].filtered
+        state = predict(state, F, Q) if k else state
+        steps.append(update(state, H, R, reading))
+        state = steps[-1].filtered
     return steps
 
 
@@ -97,18 +97,18 @@ class Prediction(NamedTuple):
     state: Floats  # x(n+1 | n)
     cov: Floats  # P(n+1, n)
     filtered_cov: Floats
-    gain: Floats  # K_G, including F
+    gain: Floats  # K_G, which includes F
 
 
 def predict_one_step(
-    belief: StateEstimate, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], reading: Floats
+    state: StateEstimate, F: Floats, Q: Floats, sensor: tuple[Floats, Floats], reading: Floats
 ) -> Prediction:
     """Take one step of the car paper's Appendix B; complex (Hermitian) signals are allowed.
 
-    The state is the prediction x(n+1 | n) = F x(n | n), with the x(n | n) of `update`, and the gain includes F.
+    The returned state is the prediction x(n+1 | n) = F x(n | n), where x(n | n) is the result of `update`.
     """
     H, R = sensor
-    x, P = belief
+    x, P = state
     S = H @ P @ H.conj().T + R
     K_G = F @ P @ H.conj().T @ np.linalg.inv(S)  # (13)
     ahead = F @ x + K_G @ (reading - H @ x)  # (14)

@@ -1,6 +1,6 @@
 """Find the ratio q/r of a motion whose filter or smoother has a given bandwidth, lag or noise gain.
 
-Time is in steps and r = 1; q/r is defined as in `Tuning.ratio`.
+Time is in steps, and variances are in units of r; q/r is defined as in `Tuning.ratio`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from becalm.core.steady.response import decibels, describe, lag_steps
 from becalm.core.steady.steady_filter import SteadyFilter, steady
 from becalm.errors import UsageError
 
-# lowest cut-off in radians per step, by order; below it rounding dominates
+# lowest cut-off in radians per step, by order; below this value rounding errors dominate
 _SLOWEST = {1: 1e-6, 2: 1e-6, 3: 3e-6, 4: 1e-4, 5: 1e-4}
-_FASTEST = 1e12  # q/r; above it the filter passes every reading unchanged
+_FASTEST = 1e12  # largest q/r; above this value the filter passes every reading unchanged
 _PRECISION = 1e-12  # tolerance for the logarithm of the cut-off
 _HALF = np.sqrt(0.5) / (1 - np.sqrt(0.5))  # S/R at which the smoother S / (S + R) passes half of the power
 _UNITS = {"bandwidth_hz": "Hz", "lag_s": "s", "noise_gain_db": "dB"}
@@ -75,10 +75,10 @@ def ratio_for_lag(order: int, lag_s: float, step_s: float) -> float:
     order : int
         Order of the motion, 1 to 5.
     lag_s : float
-        Delay of the output behind the input, in seconds, with straight lines between samples: for a slow ramp, or
-        for a step at half of its height, whichever is longer. So neither ramps nor edges come later than this. (The
-        delay for a ramp is 0 from order 2 on, although edges come late.) For order 1 the ramp decides:
-        (1 - K) / K steps. A *small* lag trusts the readings and smooths less.
+        Largest delay of the output, in seconds, with straight lines between samples: the delay of a slow ramp, or that
+        of a step at half of its height, whichever is longer. (From order 2 on, the delay of a ramp is 0, but that of a
+        step is not.) For order 1 the delay of a ramp is the longer one, (1 - K) / K steps. A *small* lag trusts the
+        readings and smooths less.
     step_s : float
         Step, in seconds.
 
@@ -110,7 +110,7 @@ def ratio_for_noise_gain(order: int, noise_gain_db: float, causal: bool = True) 
     order : int
         Order of the motion, 1 to 5.
     noise_gain_db : float
-        Power of white noise after over before, in dB, below 0; a *small* one (-40) smooths more.
+        Power of white noise after the filter over that before, in dB, below 0; a *small* one, as -40, smooths more.
     causal : bool
         True for the noise gain of the filter, False for that of the smoother.
 
@@ -150,7 +150,7 @@ def _cycles_per_step(bandwidth_hz: float, step_s: float) -> float:
 
 
 def _smoother_for_bandwidth(order: int, cycles: float, step_s: float) -> float:
-    """Return q/r of the smoother that passes half of the power at a frequency, where S / R = q/r motion_power."""
+    """Return q/r of the smoother that passes half of the power at a frequency; S / R is q/r times `motion_power`."""
     ratio = _HALF / float(motion_power(order, np.array([2 * np.pi * cycles]))[0])
     if ratio < cutoff_to_ratio(order, _SLOWEST[order]):
         slowest = _SLOWEST[order] * _HALF ** (-1 / (2 * order)) / (2 * np.pi)
@@ -166,7 +166,7 @@ def _solve(
 ) -> float:
     """Return the q/r at which an increasing function `excess` is 0.
 
-    `requested` is the name and value that the user gave; `measure` returns the same quantity of a filter, in its unit.
+    `requested` is the name and value that the user gave; `measure` returns this quantity for a filter, in its unit.
     """
     from scipy.optimize import brentq
 

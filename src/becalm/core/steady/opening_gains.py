@@ -1,7 +1,7 @@
 """The gains of a causal filter of one channel, computed in advance: from a flat prior to the steady state.
 
-The gains do not depend on the readings. A filter without missing readings is therefore fully described by numbers:
-the weights of the first readings, which determine the state, a gain for each row after them, and the steady-state gain.
+The gains do not depend on the readings. A filter without missing readings is therefore fully described by these
+numbers: the weights of the first readings, which determine the state; a gain for each later row; the steady-state gain.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from becalm.core.model.prior import flat_prior, refuse_singular, root_of
 from becalm.core.model.step_matrices import model_system
 from becalm.errors import ModelError
 
-_LONGEST_OPENING = 4096  # readings
+_LONGEST_OPENING = 4096  # largest number of readings
 _WELL_DETERMINED, _LIVE = 1e-6, 3e-5  # same values as in native/opening.h
 _UNCHANGED = 1e-13  # largest change of a gain over the last eighth of the rows, relative to the gain plus sqrt(P / R)
-_FIRST_CHECK = 32  # rows before the gain may count as settled
+_FIRST_CHECK = 32  # number of rows before the gain may count as settled
 
 
 class Opening(NamedTuple):
-    """State and covariance after the first readings, none of them missing, that determine the state."""
+    """State and covariance after the first readings that determine the state; none of these readings is missing."""
 
     weights: Floats  # (o, n): the state after o readings z is weights.T @ z
     P: Floats  # (n, n) its covariance, in unit^2
@@ -46,7 +46,7 @@ def determine_state(model: Model) -> Opening:
     Notes
     -----
     Square root information filter (Bierman 1977, chapter V): U x = b + e with e ~ N(0, I). The right-hand side b is
-    linear in the readings; the matrix stores the weight of each reading in it.
+    linear in the readings; each equation stores the weights of the readings in b.
     """
     refuse_singular(model_system(model))
     n = model.states
@@ -64,7 +64,7 @@ def determine_state(model: Model) -> Opening:
 
 
 def _is_determined(U: Floats) -> bool:
-    """Return whether a root of information determines the state, as `try_to_determine` of `native/opening.h` does."""
+    """Return whether a root U of information determines the state, as `try_to_determine` in `native/opening.h`."""
     length = np.linalg.norm(U, axis=0)
     if (np.abs(np.diag(U)) <= _LIVE * length).any():
         return False
@@ -77,7 +77,7 @@ def _triangular(equations: Floats, n: int) -> Floats:
 
 
 def _predicted(equations: Floats, F: Floats, noise: Floats, prior: Floats) -> Floats:
-    """Predict equations (n, n + o) by one step; if F has no inverse, only the prior is left."""
+    """Predict equations (n, n + o) by one step; if F has no inverse, return those of the prior."""
     n = len(F)
     try:
         W = equations[:, :n] @ np.linalg.inv(F)
@@ -91,7 +91,7 @@ def _predicted(equations: Floats, F: Floats, noise: Floats, prior: Floats) -> Fl
 class Gains(NamedTuple):
     """The gains of the rows after an opening."""
 
-    K: Floats  # (r, n) the last one is the steady-state gain if `settled`
+    K: Floats  # (r, n) gains; the last gain is the steady-state gain if `settled`
     settled: bool
 
 
@@ -101,11 +101,11 @@ def gains_after(opening: Opening, model: Model, most: int) -> Gains:
     Parameters
     ----------
     opening : Opening
-        The opening of the same model.
+        State and covariance after the first readings, for the same model.
     model : Model
         A model of one channel, one step per reading.
     most : int
-        Maximum number of gains.
+        Largest number of gains.
     """
     h, R = model.H[0], float(model.R[0, 0])
     P, unchanged_rows = opening.P, 0

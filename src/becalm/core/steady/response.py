@@ -1,6 +1,6 @@
 """Describe a tuned filter in engineering terms: bandwidth, lag, overshoot and noise gain.
 
-The description needs only the model of one channel, which must have a steady-state gain, and no readings.
+The description needs no readings, only the model of one channel, which must have a steady-state gain.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from becalm.errors import ModelError
 
 # The step response of a steady-state filter, and its lag.
 #
-# The response is computed from the transient of the states: at every reading at first, then at evenly spaced readings
-# only, so that slow filters take no longer than fast ones.
+# The response is computed from the transient of the states: first at every reading, then only at evenly spaced
+# readings, so that a slow filter takes no more time than a fast one.
 
-_WITHIN = 0.02  # of the height of a step: largest deviation of a settled output
-_LAST = 1e-5  # of the height of a step: the transient ends here
-_LOOKS = 4096  # readings in each of the two parts
-_TONE = 1e-9  # imaginary part of an eigenvalue of F: above it, the model has a tone
+_WITHIN = 0.02  # largest deviation of a settled output, over the height of the step
+_LAST = 1e-5  # remaining transient, over the height of the step, at which the computation ends
+_PART = 4096  # number of readings in each of the two parts
+_TONE = 1e-9  # the model has a tone if an eigenvalue of F has an imaginary part above this
 
 
 class StepResponse(NamedTuple):
@@ -35,33 +35,35 @@ class StepResponse(NamedTuple):
 
     delay_50_s: float  # at half of the height
     delay_90_s: float  # at nine tenths of the height
-    overshoot_percent: float  # beyond the final value, of the height
+    overshoot_percent: float  # largest value beyond the final value, in per cent of the height
     settling_s: float  # from the first reading of the step until the output stays within 2 % of its height
 
 
-def lag_steps(found: SteadyFilter) -> float:
+def lag_steps(steady_filter: SteadyFilter) -> float:
     """Return the lag of the output in steps: the longer of the delays at low frequency and of a step at half height.
 
     Notes
     -----
-    With tones, or with noise that rings like a tone, the lag is the delay of the step until the output stays above
-    half of the height, because a tone rises at once and falls back. The delay at 0 Hz then describes only the small
-    part that the tones leave to the motion, and it is long for a slow motion; see `Response.dc_delay_s`.
+    With tones, or with oscillating noise, the lag is the time until the step response finally stays above half of the
+    height, because the response of a tone rises at once and falls back. The delay at 0 Hz then describes only the small
+    part of the step that the motion follows, and is long for a slow motion; see `Response.dc_delay_s`.
     """
-    transient = _transient(found)
-    return transient.delay_for_good(0.5) if _has_tones(found) else max(found.dc_delay, transient.delay(0.5))
+    transient = _transient(steady_filter)
+    if _has_tones(steady_filter):
+        return transient.delay_for_good(0.5)
+    return max(steady_filter.dc_delay, transient.delay(0.5))
 
 
 def _has_tones(steady_filter: SteadyFilter) -> bool:
-    """Return whether the model oscillates; the eigenvalues of a motion are 1."""
+    """Return whether the model oscillates; the eigenvalues of a motion have no imaginary part."""
     return bool(np.abs(np.linalg.eigvals(steady_filter.model.F).imag).max() > _TONE)
 
 
 class _Transient(NamedTuple):
-    """The transient of a step response: its remaining part at every reading first, then at evenly spaced readings."""
+    """The transient of a step response: the remaining part at every reading first, then at evenly spaced readings."""
 
     k: Floats  # (m,) reading number, from -1, the reading before the step
-    remaining: Floats  # (m,) share of the height, from 1
+    remaining: Floats  # (m,) remaining part over the height of the step; it starts at 1
 
     def delay(self, level: float) -> float:
         """Return the delay in steps until the output first crosses a level."""
@@ -79,15 +81,16 @@ class _Transient(NamedTuple):
 
 
 def _transient(steady_filter: SteadyFilter) -> _Transient:
+    """Return the transient of the step response of a filter that passes 0 Hz."""
     A, K = steady_filter.loop.A, steady_filter.loop.K
     x = np.linalg.solve(np.eye(len(A)) - A, K).astype(np.float64)  # states after the transient
     slowest = max(float(np.abs(steady_filter.poles[0])), 0.1)
     total = len(A) + int(np.log(_LAST) / np.log(slowest))
-    stride = max(1, -(-(total - _LOOKS) // _LOOKS))
+    stride = max(1, -(-(total - _PART) // _PART))
     power = np.linalg.matrix_power
-    later = (power(A, _LOOKS) @ x).astype(np.float64)
-    orbit = np.hstack([_orbit(A, x, _LOOKS), _orbit(power(A, stride), later, _LOOKS)])
-    k = np.append(np.arange(_LOOKS), _LOOKS + stride * np.arange(_LOOKS)).astype(np.float64) - 1
+    later = (power(A, _PART) @ x).astype(np.float64)
+    orbit = np.hstack([_orbit(A, x, _PART), _orbit(power(A, stride), later, _PART)])
+    k = np.append(np.arange(_PART), _PART + stride * np.arange(_PART)).astype(np.float64) - 1
     remaining: Floats = (steady_filter.row @ orbit)[0] / (steady_filter.row @ x)[0]
     return _Transient(k, remaining)
 
@@ -99,9 +102,9 @@ def _orbit(A: Floats, x: Floats, count: int) -> Floats:
     return x[:, :count]
 
 
-def describe_step(found: SteadyFilter, step_s: float) -> StepResponse:
+def describe_step(steady_filter: SteadyFilter, step_s: float) -> StepResponse:
     """Return the step response of a filter that passes 0 Hz, for readings every `step_s` seconds."""
-    transient = _transient(found)
+    transient = _transient(steady_filter)
     outside = int(np.flatnonzero(np.abs(transient.remaining) > _WITHIN)[-1])
     return StepResponse(
         delay_50_s=transient.delay(0.5) * step_s,
@@ -111,9 +114,9 @@ def describe_step(found: SteadyFilter, step_s: float) -> StepResponse:
     )
 
 
-_PASSES_DC = 0.1  # of the largest gain: a filter with less gain at 0 Hz is a band-pass
-_STABLE = 1 - 1e-13  # largest magnitude of a pole of a filter with a steady state
-_BUTTERWORTHS = range(1, 7)  # orders
+_PASSES_DC = 0.1  # a filter whose gain at 0 Hz, over the largest gain, is below this is a band-pass
+_STABLE = 1 - 1e-13  # the magnitudes of all poles of a filter with a steady state are below this
+_BUTTERWORTHS = range(1, 7)  # orders of the Butterworth filters that are compared
 
 
 class Butterworth(NamedTuple):
@@ -135,17 +138,16 @@ class Response:
         Highest frequency that passes with at least half of the power (-3 dB) of 0 Hz, or of the peak
         if 0 Hz does not pass; half the sampling rate if all frequencies pass.
     bands_hz : tuple of (low, high)
-        Bands that pass with at least that power; (0, bandwidth) for a low-pass.
+        Bands whose frequencies pass with at least that power; (0, bandwidth) for a low-pass.
     noise_bandwidth_hz : float
         One-sided bandwidth of the ideal filter with the same noise gain.
     noise_gain : float
-        Variance of white noise after the filter over that before.
+        Variance of white noise after the filter, over its variance before the filter.
     dc_gain : float
         Gain at 0 Hz; below 1 if the signal of the model returns to 0.
     lag_s : float
-        Lag of the output: the delay at low frequency or the delay of a step at half of its height,
-        whichever is longer; for a motion with tones, the delay of the step. 0 for a smoother,
-        NaN for a band-pass. See `lag_steps`.
+        Lag of the output: the delay at low frequency or the delay of a step at half of its height, whichever is longer;
+        for a motion with tones, the delay of the step; 0 for a smoother, NaN for a band-pass. See `lag_steps`.
     dc_delay_s : float
         Group delay at 0 Hz; 0 from order 2 on, although a step is delayed.
     sine_delay_s : float
@@ -157,8 +159,8 @@ class Response:
     step : StepResponse or None
         The step response, for a causal filter that passes 0 Hz.
     butterworth : Butterworth or None
-        For a causal low-pass with a bandwidth below half the rate: the Butterworth filter of the same -3 dB
-        bandwidth, of the order whose output for white noise differs least in mean square.
+        For a causal low-pass with a bandwidth below half the sampling rate: the Butterworth filter with the same -3 dB
+        bandwidth. Its order is that for which the outputs for white noise differ least in mean square.
     """
 
     bandwidth_hz: float
@@ -177,7 +179,7 @@ class Response:
 
     @property
     def noise_gain_db(self) -> float:
-        """Return the noise power after over before, in dB; negative if noise is removed."""
+        """Return the noise power after the filter over that before, in dB; negative if noise is removed."""
         return decibels(self.noise_gain)
 
     def __str__(self) -> str:
@@ -210,7 +212,7 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
     causal : bool
         True for the filter, False for the smoother.
     output : (n,) array_like, optional
-        Row that computes the output from the states, e.g. for one component of several; H by default.
+        Row that computes the output from the states, for example that of one component of several; H by default.
 
     Raises
     ------
@@ -230,7 +232,7 @@ def describe(model: Model, step_s: float, causal: bool = True, output: ArrayLike
     noise_gain, edge = steady_filter.noise_gain(0 if causal else np.inf), passing.bands[-1][1]
     delayed = causal and passing.passes_dc
     low_pass = delayed and len(passing.bands) == 1 and edge < 0.5
-    no_delay = 0.0 if passing.passes_dc else np.nan  # a smoother has no delay; that of a band-pass is not defined
+    no_delay = 0.0 if passing.passes_dc else np.nan  # the delay of a smoother is 0, that of a band-pass is undefined
     has_peak = not passing.passes_dc or passing.peak > passing.reference * (1 + 1e-12)
     return Response(
         bandwidth_hz=edge / step_s,
@@ -267,6 +269,7 @@ class _Passing(NamedTuple):
 
 
 def _find_passing(respond: Callable[[ArrayLike], Complexes], f: Floats) -> _Passing:
+    """Return the pass bands of a frequency response, searched from frequencies f (k,) in cycles per step."""
     from scipy.optimize import brentq, minimize_scalar
 
     def power(x: float) -> float:

@@ -1,7 +1,7 @@
 """A steady-state filter: its frequency response, and the noise gain of filter, fixed lag and smoother.
 
-With the closed loop A = (I - K H) F the filter is G(w) = c (I - A w)^-1 K, where w = exp(-j 2 pi f T) is the
-delay of one step and c the row that computes the output from the states, H by default.
+With the closed loop A = (I - K H) F the frequency response of the filter is G(w) = c (I - A w)^-1 K. Here
+w = exp(-j 2 pi f T) is the delay of one step, and c is the row that computes the output from the states, by default H.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from becalm.core.model.covariances import covariance_after
 from becalm.core.model.model import Model
 from becalm.errors import ModelError
 
-_DOUBLINGS = 80  # largest number of doublings of a number of steps
+_DOUBLINGS = 80  # largest number of times that a number of steps is doubled
 
 
 class Loop(NamedTuple):
-    """A steady-state filter in scaled states x / sqrt(diag P), which keep slow filters of high order accurate.
+    """A steady-state filter in scaled states x / sqrt(diag P); the scaling keeps slow filters of high order accurate.
 
     P+ is the covariance after the update; M = F (I - K H) is the transition matrix of the prediction error.
     """
@@ -42,11 +42,11 @@ class SteadyFilter:
     Attributes
     ----------
     model : Model
-        Model of one channel with n states, without unobservable states unless all of these decay.
+        Model of one channel with n states. It has unobservable states only if all of these decay.
     predicted_cov : (n, n) float array
         Prior covariance P.
     gain : (n, 1) float array
-        K, the gain of the filtered form.
+        K, the gain of the filtered state.
     closed_loop : (n, n) float array
         (I - K H) F.
     innovation_variance : float
@@ -73,7 +73,7 @@ class SteadyFilter:
 
     @cached_property
     def row(self) -> Floats:
-        """Return the row c for the states of `loop`, (1, n)."""
+        """Return the output row c (1, n) for the scaled states of `loop`."""
         scaled: Floats = self.output * self._scale
         return scaled
 
@@ -103,7 +103,7 @@ class SteadyFilter:
 
     @cached_property
     def frequencies(self) -> Floats:
-        """Return frequencies (k,) above 0 in cycles per step, dense where the response changes near a pole."""
+        """Return frequencies (k,) above 0 in cycles per step, dense near the poles, where the response changes."""
         centres, widths = np.angle(self.poles) / (2 * np.pi), (1 - np.abs(self.poles)) / (2 * np.pi)
         slowest = float(np.abs(1 - self.poles).min()) / (2 * np.pi)
         near = np.geomspace(1e-2, 1e2, 60)
@@ -117,7 +117,7 @@ class SteadyFilter:
         return response
 
     def smoother_response(self, cycles_per_step: ArrayLike) -> Complexes:
-        """Return G of the smoother: the filter plus the correction by later innovations; real for c = H."""
+        """Return G of the smoother, of the filter and its correction by later innovations; it is real for c = H."""
         delay, loop = _delay(cycles_per_step), self.loop
         states = self._states(delay)
         whitening = 1 - delay * (loop.H @ loop.F @ states)[:, 0, 0]
@@ -138,12 +138,12 @@ class SteadyFilter:
         return result
 
     def noise_gain(self, lag_steps: float = 0) -> float:
-        """Return the variance of white noise after the filter over that before.
+        """Return the variance of white noise after the filter, over its variance before the filter.
 
         Parameters
         ----------
         lag_steps : float
-            Lag in readings: 0 is the filter, inf the smoother, other values a fixed-lag smoother.
+            Lag in readings: 0 for the filter, inf for the smoother, any other value for a fixed-lag smoother.
         """
         c, loop = self.row, self.loop
         if lag_steps == 0:
@@ -164,7 +164,7 @@ class SteadyFilter:
         return float(variance[0, 0])
 
     def error_variance(self, lag_steps: float = 0) -> float:
-        """Return the error variance of the output if the model is right, in unit^2; `lag_steps` as in `noise_gain`."""
+        """Return the error variance of the output for a correct model, in unit^2; `lag_steps` as in `noise_gain`."""
         c, loop = self.row, self.loop
         far = _power(loop.M, lag_steps)
         u = c @ loop.P_plus @ loop.F.T
@@ -211,7 +211,7 @@ def _summed(M: Floats, B: Floats) -> Floats:
 
 # The steady-state gain of a filter, from the Riccati equation.
 
-_DECAYS = 1 - 1e-9  # magnitude of eigenvalues below which states decay to 0
+_DECAYS = 1 - 1e-9  # states decay to 0 if the magnitudes of their eigenvalues are below this
 
 
 def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
@@ -232,8 +232,8 @@ def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
 
     Notes
     -----
-    Anderson, Int. J. Control 28 (1978) 295: each pass doubles the number of steps. The method stays accurate for the
-    small process noise of high rates, where eigenvalue methods fail.
+    Anderson, Int. J. Control 28 (1978) 295: each iteration doubles the number of steps. The method is accurate even for
+    the small process noise of high rates, for which eigenvalue methods fail.
     """
     if model.channels != 1:
         raise ModelError(f"Only a model of one channel has a response; this model has {model.channels}.")
@@ -248,7 +248,7 @@ def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
 
 
 NEGLIGIBLE_SHARE = 1e-13
-"""Largest relative influence of rows that have not arrived yet on later estimates."""
+"""Largest relative influence on an estimate that counts as none, such as that of rows that have not arrived yet."""
 
 
 def rows_until_decayed(share: float, model: Model) -> float:
@@ -306,7 +306,7 @@ def _output_row(model: Model, output: ArrayLike | None) -> Floats:
 
 
 def _observed_part(model: Model, row: Floats) -> tuple[Model, Floats]:
-    """Return model and output row without unobservable directions, unless all of these decay to 0."""
+    """Return model and output row without the unobservable directions; if all of these decay to 0, keep them."""
     hidden = model.unobservable
     if not hidden.shape[1] or np.abs(np.linalg.eigvals(hidden.T @ model.F @ hidden)).max() < _DECAYS:
         return model, row

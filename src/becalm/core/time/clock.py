@@ -1,4 +1,4 @@
-"""Clock: rate, jitter and gaps of any number of time stamps, found in passes over blocks in constant memory."""
+"""Clock: rate, jitter and gaps of any number of time stamps, computed in passes over blocks in constant memory."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from becalm.core.arrays import Booleans, Floats
 from becalm.errors import TimeError
 
-# Statistics of values that come in blocks, in constant memory: a thinned copy, mean and scatter.
+# Statistics of values that come in blocks, in constant memory: a subset of the values, their mean and scatter.
 
 _MOST_KEPT = 1 << 20  # largest number of values that are kept
-_RUN = 1 << 10  # values in a run
+_RUN = 1 << 10  # number of values in a run
 
 
 class Thinned:
-    """A store for at most about a million of the added values: all of them, or evenly spread runs of a thousand.
+    """A store of up to about a million values: all added values, or evenly spread runs of a thousand of them.
 
     Parameters
     ----------
@@ -43,19 +43,19 @@ class Thinned:
 
     @property
     def values(self) -> Floats:
-        """Return the values kept, in order."""
+        """Return the stored values, in order."""
         return np.concatenate(self._kept) if self._kept else np.empty(0)
 
 
 class Moments:
-    """Count and mean of values, and the sums of squares and products of deviations, updated by blocks (Chan)."""
+    """Count and mean of values, and sums of squares and products of their deviations, updated by blocks (Chan)."""
 
     def __init__(self) -> None:
         self.count = 0
         self.mean = self.other = self.scatter = self.product = 0.0
 
     def add(self, values: Floats, others: Floats | None = None) -> None:
-        """Add a block of values (n,), and of others (n,) for the products."""
+        """Add a block of values (n,); `others` (n,) are the second factors of the products."""
         count, mean = len(values), float(values.mean()) if len(values) else 0.0
         if not count:
             return
@@ -79,7 +79,7 @@ class Moments:
 
 
 def _dot(one: Floats, other: Floats) -> float:
-    """Return the dot product, computed in one thread: BLAS threads wait for each other on a busy machine."""
+    """Return the dot product, computed in one thread, because BLAS threads wait for each other on a busy machine."""
     return float(np.einsum("i,i", one, other))
 
 
@@ -87,20 +87,20 @@ GAP_STEPS = 1.5
 """A distance of more than this many median steps is a gap."""
 
 SLOWEST_HZ, FASTEST_HZ = 1e-9, 1e12
-"""Rates outside this range are typing errors: one sample in thirty years, or a million per microsecond."""
+"""Smallest and largest possible rate: one sample in thirty years, and a million samples per microsecond."""
 
 Blocks = Callable[[], Iterable[Floats]]
 """A function that returns an iterator over the stamps in blocks that are not empty; it may be called many times."""
 
-_FINEST_DIGIT = 9  # largest number of decimal places
-_ROUNDING = 0.55  # of a last digit: largest rounding, half a digit, and a margin for the fit
+_FINEST_DIGIT = 9  # largest number of decimal places of a stamp
+_ROUNDING = 0.55  # largest rounding error of a stamp, over its last digit: a half, and a margin for the fit
 _ADVICE = "Correct the column, name another with --time, or give --rate HZ to count rows instead."
-_FLOAT_ERROR = 1e-6  # of a step: error of floating-point stamps that were not rounded deliberately
+_FLOAT_ERROR = 1e-6  # error of floating-point stamps that were not rounded to a digit, over the step
 
 
 @dataclass(frozen=True)
 class Clock:
-    """A summary of the times of `count` samples: step, gaps, jitter, without the times themselves.
+    """A summary of the times of `count` samples, without the times: step, gaps, jitter.
 
     Attributes
     ----------
@@ -115,8 +115,8 @@ class Clock:
     jitter_s : float
         See `Timebase`.
     near_s : float
-        The difference of stamps that counts as one elapsed step. If the time is uniform it is the mean of all
-        differences that are not gaps, because rounding shifts the median; otherwise it is the median.
+        The difference of stamps that counts as one elapsed step: for uniform time, the mean of all differences that
+        are not gaps, because rounding shifts the median; otherwise the median.
     duration_s : float
         Time from the first sample to the last, in seconds.
     gaps : int
@@ -158,15 +158,15 @@ class Clock:
 
     @classmethod
     def from_stamps(cls, count: int, blocks: Blocks) -> Clock:
-        """Find the clock of stamps in seconds, in a few passes over them, each in constant memory.
+        """Return the clock of stamps in seconds; this takes a few passes over the stamps, each in constant memory.
 
         Parameters
         ----------
         count : int
             Number of stamps.
         blocks : callable
-            Returns an iterator over (n,) float arrays, the stamps in order; it is called
-            for each pass. For more than a million stamps, the median is that of evenly spread runs of them.
+            Function that returns an iterator over the stamps in order, as (n,) float arrays; each pass calls it once.
+            For more than a million stamps, the median is that of evenly spread runs of stamps.
 
         Raises
         ------
@@ -197,11 +197,11 @@ class Clock:
 
     @property
     def even(self) -> bool:
-        """Return whether every row comes one step after the row before, so that counting rows gives the time."""
+        """Return whether every row comes one step after the previous row, so that the row number gives the time."""
         return self.uniform and not self.gaps
 
     def elapsed(self, stamps: Floats, before: float | None = None) -> Floats:
-        """Return the elapsed steps before each of the next stamps, (n,); `before` is the stamp before these."""
+        """Return the elapsed steps before each of the next stamps, (n,); `before` is the stamp before the first one."""
         out = np.empty(len(stamps))
         if len(stamps):
             out[0] = 0.0 if before is None else stamps[0] - before
@@ -210,9 +210,9 @@ class Clock:
         return np.round(out, out=out) if self.uniform else out
 
     def elapsed_rows(self, first: int, count: int, before: int | None = None) -> Floats:
-        """Return the elapsed steps before each of `count` rows of even time; 0 for row 0 of the file.
+        """Return the elapsed steps before each of `count` rows of even time, from row `first` on; 0 for row 0.
 
-        `before` is the row that was read last; by default it is row `first` - 1.
+        `before` is the last row before these; by default it is row `first` - 1.
         """
         out = np.ones(count)
         out[:1] = first - (max(0, first - 1) if before is None else before)
@@ -222,15 +222,15 @@ class Clock:
 class _Summary(NamedTuple):
     step: float  # median difference of the stamps, in seconds
     first: float  # first stamp, in seconds
-    last: float
-    digit: float  # as in `last_digit`
+    last: float  # last stamp, in seconds
+    digit: float  # last digit of the stamps, in seconds; see `last_digit`
 
 
 class _Line(NamedTuple):
-    slope: float  # slope minus the mean of the near differences, in seconds per step
+    slope: float  # slope of the offsets from the grid, in seconds per step
     at: float  # mean of the grid, in steps
     residual: float  # mean offset of the stamps from the grid, in seconds
-    length: float  # steps from the first stamp to the last
+    length: float  # number of steps from the first stamp to the last
     gaps: int
 
 
@@ -249,7 +249,7 @@ def _walk(blocks: Blocks) -> Iterator[tuple[Floats, Floats]]:
 
 
 def _summarise(count: int, blocks: Blocks) -> _Summary:
-    """Return range, last digit and median step of the stamps; raise an error if they are not valid times."""
+    """Return range, last digit and median step of the stamps; raise an error if the stamps are not valid times."""
     if count < 2:
         rows = "One row has" if count else "0 rows have"
         raise TimeError(f"{rows} no rate; two or more are needed. Give a rate: --rate HZ, or rate_hz=.")
@@ -296,7 +296,7 @@ def _first(where: Booleans) -> int:
 
 
 def _offsets(summary: _Summary, blocks: Blocks) -> tuple[Moments, int, int]:
-    """Return the moments of the steps without gaps about the median step, and the counts of gaps and repeats."""
+    """Return the moments of all steps except gaps, minus the median step, and the counts of gaps and repeats."""
     offsets, gaps, repeats = Moments(), 0, 0
     for _, distances in _walk(blocks):
         steps = distances / summary.step
@@ -321,7 +321,7 @@ def _grid(near: float, summary: _Summary, blocks: Blocks) -> Iterator[tuple[Floa
 
 
 def _fit(near: float, summary: _Summary, blocks: Blocks) -> _Line | None:
-    """Fit a line through the stamps over their grid; return None if a step rounds to less than one."""
+    """Fit a line through the stamps as a function of the grid; return None if a step rounds to 0."""
     sums, gaps, end = Moments(), 0, 0.0
     for steps, grid, offset in _grid(near, summary, blocks):
         if steps.min(initial=1.0) < 1:
@@ -333,6 +333,7 @@ def _fit(near: float, summary: _Summary, blocks: Blocks) -> _Line | None:
 
 
 def _residual(line: _Line, near: float, summary: _Summary, blocks: Blocks) -> tuple[Moments, float]:
+    """Return the moments of the distances of the stamps from the line, and the largest distance, in seconds."""
     residuals, worst = Moments(), 0.0
     for _, grid, offset in _grid(near, summary, blocks):
         residual = (offset - line.residual) - line.slope * (grid - line.at)

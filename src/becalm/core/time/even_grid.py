@@ -1,9 +1,9 @@
-"""Find the even grid of the sampling times behind stamps that a driver disturbed.
+"""Find the even grid of the sampling times from stamps that a driver disturbed.
 
-Two disturbances can be recognised. *Jitter*: every stamp lies near its place on a line, and its error is
-independent of its neighbours' errors. *Bursts*: a driver fetches several samples at once and stamps them at nearly
-one instant, after all of them were taken. The line is then a lower bound of the first stamps of bursts, just as the
-skew of a clock is found from delays that are never negative (Moon, Skelly and Towsley, 1999).
+Two disturbances can be recognised. *Jitter*: every stamp lies near a straight line over the row number, and the errors
+of neighbouring stamps are independent. *Bursts*: a driver fetches several samples at once and stamps them at nearly one
+instant, after all of them were taken. The line is then a lower bound of the first stamps of bursts. The skew of a clock
+is estimated in the same way from delays that are never negative (Moon, Skelly and Towsley, 1999).
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ JITTER, BURSTS = "jitter", "bursts"
 FEWEST_ROWS = 100
 """Smallest number of stamps for which a grid is searched."""
 
-_LEAST_JITTER, _MOST_JITTER = 0.02, 0.15  # std in steps: with less, stamps serve; with more, sampling may be uneven
-_FARTHEST = 0.45  # steps: an error of half a step could be a lost row
-_LAGS = 16  # largest lag, in rows, at which jitter must not be correlated
-_CORRELATED = 0.1  # more correlation is not jitter, if it is also above four sigma
-_APART = 0.4  # steps: stamps of one burst are closer than this
-_LATEST = 1.1  # steps: the driver waits up to one step for a sample, plus a margin
-_PARTS, _TOUCHING = 8, 0.25  # if each of the parts has a burst this close to the line, in steps, no row is lost
-_FEWEST_BURSTS = 128
+_LEAST_JITTER, _MOST_JITTER = 0.02, 0.15  # std in steps: with less, stamps are used; with more, sampling may be uneven
+_FARTHEST = 0.45  # largest error of a stamp, in steps; an error of half a step could be a lost row
+_LAGS = 16  # largest lag, in rows, up to which jitter must be uncorrelated
+_CORRELATED = 0.1  # largest correlation of jitter, or four standard deviations of chance if these are larger
+_APART = 0.4  # largest difference of consecutive stamps of a burst, in steps
+_LATEST = 1.1  # largest delay of a burst, in steps: a driver waits up to one step for a sample; with a margin
+_PARTS, _TOUCHING = 8, 0.25  # no row is lost if each of 8 parts has a burst this close to the line, in steps
+_FEWEST_BURSTS = 128  # least number of bursts
 _SEVERAL = 1.5  # least mean number of rows per burst
-_SIZES = 65  # bursts of up to 64 rows
-_UNLIKE = 0.05  # least share of bursts of other sizes: they show that the time between bursts grows with size
-_COARSE = 0.75  # least last digit of stamps that are too coarse, over the mean time between bursts
-_SEGMENTS = 64  # of a block's bursts; each segment keeps one burst
+_SIZES = 65  # a burst must have fewer rows
+_UNLIKE = 0.05  # least share of bursts of other sizes; with fewer, sampling in bursts is possible
+_COARSE = 0.75  # stamps are too coarse if their last digit is at least this, over the mean time between bursts
+_SEGMENTS = 64  # number of segments of a block's bursts; one burst of each segment is kept
 
 
 class Grid(NamedTuple):
@@ -47,7 +47,7 @@ class Grid(NamedTuple):
     start_s, step_s : float
         Time of the first sample and sampling interval, in seconds.
     jitter_s : float
-        Standard deviation of the delays of the stamps behind the grid, in seconds.
+        Standard deviation of the delays of the stamps relative to the grid, in seconds.
     """
 
     kind: str
@@ -57,7 +57,7 @@ class Grid(NamedTuple):
 
 
 def even_grid(count: int, blocks: Blocks) -> Grid | None:
-    """Find the even grid behind stamps without lost rows, in three passes over them and constant memory.
+    """Find the even grid of stamps without lost rows, in three passes over the stamps and constant memory.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def even_grid(count: int, blocks: Blocks) -> Grid | None:
     Returns
     -------
     Grid or None
-        None if the stamps show no grid or are not valid times.
+        The grid; None if the stamps show no grid or are not valid times.
     """
     ends = _ends(blocks) if count >= FEWEST_ROWS else None
     if ends is None:
@@ -81,14 +81,14 @@ def even_grid(count: int, blocks: Blocks) -> Grid | None:
         bursts.add(rows, offsets + mean_s * rows)
     slope = sums.product / sums.scatter
     line = _Line(mean_s + slope, first + sums.other - slope * sums.mean)
-    return _bursts(count, blocks, bursts) if bursts.clear else _jitter(blocks, line)
+    return _burst_grid(count, blocks, bursts) if bursts.from_driver else _jitter_grid(blocks, line)
 
 
 class EqualBursts(NamedTuple):
     """Bursts of one size: the stamps alone do not show whether a driver or the sampling made them."""
 
-    rows: int  # in each burst
-    rate_hz: float  # mean rate of the rows
+    rows: int  # number of rows in each burst
+    rate_hz: float  # mean rate of the rows, in hertz
 
 
 def equal_bursts(count: int, blocks: Blocks) -> EqualBursts | None:
@@ -128,7 +128,7 @@ class _Line(NamedTuple):
 
 
 def _offsets(blocks: Blocks, start: float, step: float) -> Iterator[tuple[Floats, Floats]]:
-    """Yield row numbers and the delays of their stamps relative to a line."""
+    """Yield row numbers (n,), and the delays of their stamps relative to a line, in seconds."""
     row = 0
     for stamps in blocks():
         rows = np.arange(row, row + len(stamps), dtype=np.float64)
@@ -136,7 +136,8 @@ def _offsets(blocks: Blocks, start: float, step: float) -> Iterator[tuple[Floats
         row += len(stamps)
 
 
-def _jitter(blocks: Blocks, line: _Line) -> Grid | None:
+def _jitter_grid(blocks: Blocks, line: _Line) -> Grid | None:
+    """Return the grid of a fitted line if the distances of the stamps from it are jitter; otherwise None."""
     deviations, products, farthest = Moments(), np.zeros(_LAGS + 1), 0.0
     tail = np.empty(0)
     for _, offsets in _offsets(blocks, line.start, line.step):
@@ -156,27 +157,27 @@ def _jitter(blocks: Blocks, line: _Line) -> Grid | None:
 
 
 class _Bursts:
-    """A splitter of stamps into bursts, each with its first stamp and the row of its last stamp.
+    """A splitter of stamps into bursts; it describes a burst by its first stamp and its last row.
 
-    It keeps the burst with the least delay of each segment of a block, for the line below all bursts.
+    For the line below all bursts, it keeps from each segment of a block the burst with the least delay.
     """
 
     def __init__(self, first: float, mean: float) -> None:
         self._first, self.mean = first, mean
         self._open: float | None = None  # first stamp of the burst that may continue
         self._before = -np.inf
-        self._rows: list[float] = []
-        self._stamps: list[float] = []
-        self._sizes = np.zeros(_SIZES + 1, np.int64)
-        self._ended = -1.0
-        self.count = 0
+        self._rows: list[float] = []  # last rows of the kept bursts
+        self._stamps: list[float] = []  # their first stamps
+        self._sizes = np.zeros(_SIZES + 1, np.int64)  # number of bursts of each size
+        self._ended = -1.0  # last row of the last complete burst
+        self.count = 0  # number of complete bursts
 
     def add(self, rows: Floats, stamps: Floats) -> None:
         """Add the next rows, (n,), and their stamps relative to the first stamp."""
-        self._keep_least_delayed(*self.parted(rows, stamps))
+        self._keep_least_delayed(*self.split(rows, stamps))
 
-    def parted(self, rows: Floats, stamps: Floats) -> tuple[Floats, Floats]:
-        """Return the last row and the first stamp of each burst that ended; the last burst stays open."""
+    def split(self, rows: Floats, stamps: Floats) -> tuple[Floats, Floats]:
+        """Return the last row and the first stamp of each burst that ended; the last burst may continue."""
         begins = np.flatnonzero(np.diff(stamps, prepend=self._before) > _APART * self.mean)
         self._before = float(stamps[-1])
         ends, firsts = rows[begins] - 1.0, stamps[begins]
@@ -201,8 +202,8 @@ class _Bursts:
             self._stamps.append(float(firsts[least]))
 
     @property
-    def clear(self) -> bool:
-        """Return whether there are bursts of different sizes; equal bursts may be the sampling or several sensors."""
+    def from_driver(self) -> bool:
+        """Return whether a driver made the bursts: their sizes differ. Equal bursts may come from the sampling."""
         rows = self._ended + 1.0
         if self.count < _FEWEST_BURSTS or self._sizes[_SIZES] or rows < _SEVERAL * self.count:
             return False
@@ -212,15 +213,15 @@ class _Bursts:
 
     @property
     def equal(self) -> EqualBursts | None:
-        """Return size and rate of the bursts if nearly all have one size; otherwise None."""
+        """Return size and rate of the bursts if nearly all bursts have the same size; otherwise None."""
         size = int(np.argmax(self._sizes))
         unlike = self.count - int(self._sizes[size])
         if self.count < _FEWEST_BURSTS or not 1 < size < _SIZES or unlike >= _UNLIKE * self.count or not self._open:
             return None
         return EqualBursts(size, float(f"{(self._ended + 1.0) / self._open:.6g}"))
 
-    def below(self) -> _Line:
-        """Return the closest line below all first stamps: the middle edge of their lower hull."""
+    def line_below(self) -> _Line:
+        """Return the closest line below all first stamps, which is the middle edge of their lower convex hull."""
         rows, stamps = np.array(self._rows), np.array(self._stamps)
         hull = _lower_hull(rows, stamps)
         edge = int(np.clip(np.searchsorted(rows[hull], rows.mean()), 1, len(hull) - 1))
@@ -242,15 +243,16 @@ def _lower_hull(x: Floats, y: Floats) -> Integers:
     return np.array(hull)
 
 
-def _bursts(count: int, blocks: Blocks, bursts: _Bursts) -> Grid | None:
-    line = bursts.below()
+def _burst_grid(count: int, blocks: Blocks, bursts: _Bursts) -> Grid | None:
+    """Return the grid below the bursts if no burst is too late and no row is lost; otherwise None."""
+    line = bursts.line_below()
     deviations, splitter, least = Moments(), _Bursts(0.0, bursts.mean), np.full(_PARTS, np.inf)
     steps, before = Thinned(count), 0.0
     for rows, offsets in _offsets(blocks, line.start, line.step):
         stamps = offsets + line.step * rows
         steps.add(np.diff(stamps, prepend=before))
         before = float(stamps[-1])
-        ends, firsts = splitter.parted(rows, stamps)
+        ends, firsts = splitter.split(rows, stamps)
         late = (firsts - line.step * ends) / line.step
         if not late.max(initial=0.0) <= _LATEST:
             return None

@@ -1,8 +1,8 @@
-"""The clock of a stream: the time between rows, computed as stamps arrive and without later stamps.
+"""The clock of a stream: it computes the time between rows as stamps arrive, without later stamps.
 
-The clock of a file is found from all stamps (`core/time/clock`). The step of a stream is known in advance, and the
-clock follows the stamps: a stamp on the sender's even grid, to a fiftieth of a step or to the rounding of coarse
-stamps, counts as whole steps; any other stamp counts with its actual distance.
+The clock of a file uses all stamps (`core/time/clock`). The step of a stream is known in advance, and the clock follows
+the stamps. If a stamp lies on the sender's even grid, to a fiftieth of a step or to the rounding of coarse stamps, the
+elapsed time is a whole number of steps; otherwise it is the actual difference of stamps.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ __all__ = ["AGREEING", "FAR", "LATE", "REPEATED", "RESET", "TAKEN", "UNTIMED", "
 TAKEN, LATE, REPEATED, FAR, RESET, UNTIMED = (
     CONSTANTS[name] for name in ("TAKEN_STAMP", "LATE_STAMP", "REPEATED_STAMP", "FAR_STAMP", "CLOCK_RESET", "NO_STAMP")
 )
-"""Codes of rows: used; earlier than the last row; equal to it; far ahead; used after a clock jump; without stamp."""
+"""Codes of rows: used; earlier than the last row; equal to the last row; far ahead; used after a jump of the clock;
+without a stamp."""
 
 AGREEING = CONSTANTS["AGREEING"]
-"""Number of consecutive ascending stamps behind or far ahead of the clock that show that the clock jumped."""
+"""After this many ascending stamps in a row that are earlier than the last row, or far ahead, the clock has jumped."""
 
-_SLACK, _ROUNDING = 0.02, 1.05  # largest distance from the grid: in steps; in last digits of coarse stamps
-_MANY_DIGITS, _HALF, _WHOLE = 50, 0.5, 1e-3  # last digits in a step: many; least number; tolerance of a whole number
+_SLACK, _ROUNDING = 0.02, 1.05  # largest distance from the grid: in steps, and in last digits of coarse stamps
+_MANY_DIGITS, _HALF, _WHOLE = 50, 0.5, 1e-3  # last digits per step: above 50, or above 0.5 and whole to 1e-3
 _DAY_S, _MANY_STEPS = 86400.0, 1000.0  # a stamp farther ahead than both is FAR
 
 
 class ClockReadings(NamedTuple):
-    """Elapsed steps and codes of some rows."""
+    """Elapsed steps and codes of B rows."""
 
     elapsed: Floats  # (B,) steps since the last used row; 0 for the very first row and for rows that are not used
     codes: Codes  # (B,) TAKEN or RESET for rows to use; LATE, REPEATED, FAR or UNTIMED for rows to drop
@@ -65,15 +66,15 @@ class LiveClock:
         self._state["coarse"] = float(digits < 2)
         self._state["farthest"] = max(_DAY_S, _MANY_STEPS * step_s)
 
-    def passed(self, stamps_s: Floats, doubled: Booleans | None = None) -> ClockReadings:
+    def process_stamps(self, stamps_s: Floats, doubled: Booleans | None = None) -> ClockReadings:
         """Process the stamps (B,) of the next rows, in seconds; the result does not depend on the block size.
 
-        `doubled` (B,) marks rows whose readings equal those of the row before; by default there are none.
+        `doubled` (B,) marks rows whose readings equal those of the previous row; by default there are no such rows.
 
-        A stamp before the last one is LATE, and a stamp more than a day (or 1000 steps, if longer) after it is FAR.
-        After eight such stamps in ascending order the clock continues from there (RESET): a jump backwards counts as
-        one step, a jump forwards counts in full. An equal stamp is REPEATED; if a last digit is more than half a step,
-        only if the readings are equal too.
+        A stamp before the last used one is LATE. A stamp more than a day (or 1000 steps, if longer) after it is FAR.
+        The last of eight such stamps in ascending order is RESET, and the clock continues from it: a jump backwards
+        counts as one step, a jump forwards counts in full. A stamp equal to the last one is REPEATED; if the last digit
+        of stamps is more than half a step, this also requires equal readings.
         """
         stamps = np.ascontiguousarray(stamps_s, dtype=np.float64)
         result = ClockReadings(np.empty(len(stamps)), np.empty(len(stamps), np.int8))
@@ -81,8 +82,8 @@ class LiveClock:
         walk_stamps(self._state, stamps, equal, *result)
         return result
 
-    def opened(self) -> None:
-        """Note that the stream was interrupted: its next stamp may be any time later."""
+    def mark_interruption(self) -> None:
+        """Note that the stream was interrupted, so that its next stamp may be any time later."""
         self._state["opened"] = 1.0
 
     @property
@@ -96,13 +97,13 @@ class LiveClock:
         return self._state.reshape(1).view(np.float64).copy()
 
     @classmethod
-    def resumed(cls, state: Floats) -> LiveClock:
+    def from_state(cls, state: Floats) -> LiveClock:
         """Return a clock that continues from a state that `state` returned.
 
         Raises
         ------
         ModelError
-            If it is not such a state.
+            If `state` is not such a state.
         """
         fits = state.shape == (CLOCK.itemsize // 8,) and state.dtype == np.float64 and np.isfinite(state).all()
         restored = np.ascontiguousarray(state).view(CLOCK).reshape(()) if fits else np.zeros((), CLOCK)

@@ -1,7 +1,7 @@
 """Undo the wraps of counters and the changes to and from daylight saving time, where the evidence is clear.
 
-A backward step is repaired only if every backward step of the recording becomes a usual step by the repair.
-Otherwise the stamps stay as they are, and the clock raises an error.
+Stamps are repaired only if the repair changes every backward step of the recording to a usual forward step. Otherwise
+they stay as they are, and the clock raises an error.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from becalm.core.arrays import Booleans, Floats
 from becalm.core.time.clock import Thinned
 
 COUNTERS = (2.0**8, 2.0**16, 2.0**24, 2.0**31, 2.0**32)
-"""Periods of counters, after which they start again from zero."""
+"""Periods of counters: after so many ticks a counter starts again from zero."""
 
 HOUR_S = 3600.0
-_ALIKE = (0.5, 1.5)  # of the median step: range of a repaired step
-_SLOWEST_S = 900.0  # with a longer step an hour has too few rows
-_SPRING = (3, 9, 10)  # months of the change, northern and southern hemisphere
-_NIGHT_HOURS = (1, 2, 3, 4)  # local hour right after the change
-_SUNDAY = 3  # days after a Thursday, such as 1970-01-01
+_ALIKE = (0.5, 1.5)  # range of a repaired step, over the median step
+_SLOWEST_S = 900.0  # longest usual step for which a skipped hour can be recognised
+_SPRING = (3, 9, 10)  # months in which clocks are put forward, on the northern and southern hemisphere
+_NIGHT_HOURS = (1, 2, 3, 4)  # possible local hours right after the change
+_SUNDAY = 3  # days from Thursday, 1970-01-01, to Sunday
 
 
-class Steps:
+class StepStatistics:
     """Statistics of the steps of a time column, added block by block.
 
     Parameters
@@ -58,20 +58,20 @@ class Steps:
 
     @property
     def wraps_at(self) -> float | None:
-        """Return the period after which this counter starts again from zero; None if none is clear."""
+        """Return the period after which the stamps, as a counter, start again from zero; None if it is not clear."""
         if not self.falls or not self._whole or not self._least >= 0.0:  # NaN fails
             return None
         period = next((number for number in COUNTERS if number > self._most), None)
         return period if period is not None and self._repaired_by(period) else None
 
     @property
-    def falls_an_hour(self) -> bool:
-        """Return whether all backward steps of stamps in seconds are clocks put back by an hour."""
+    def falls_by_hours(self) -> bool:
+        """Return whether all backward steps, of stamps in seconds, come from clocks that were put back by an hour."""
         return bool(self.falls) and self._repaired_by(HOUR_S)
 
     @property
     def median(self) -> float:
-        """Return the median of the forward steps; NaN if there is none."""
+        """Return the median of the forward steps; NaN if there are none."""
         rises = self._rises.values
         rises = rises[rises > 0.0]
         return float(np.median(rises)) if len(rises) else np.nan
@@ -81,7 +81,7 @@ class Steps:
         return self._deepest + added >= low and self._shallowest + added <= high
 
 
-def unwrapped(blocks: Iterable[NDArray[Any]], period: float) -> Iterator[NDArray[Any]]:
+def unwrap(blocks: Iterable[NDArray[Any]], period: float) -> Iterator[NDArray[Any]]:
     """Undo the wraps of a counter.
 
     Parameters
@@ -104,21 +104,21 @@ def unwrapped(blocks: Iterable[NDArray[Any]], period: float) -> Iterator[NDArray
         last, turns = ticks[-1], int(passed[-1])
 
 
-class Hours(NamedTuple):
-    """Stamps in local time without clock changes, and how often the clock was put back and forward so far."""
+class UnshiftedStamps(NamedTuple):
+    """Stamps without the clock changes, and how often the clock was put back and forward so far."""
 
-    stamps_s: Floats  # (n,), as if the clock had never been changed
+    stamps_s: Floats  # (n,) local time as if the clock had never been changed, in seconds
     back: int
     forth: int
 
 
-def one_clock(blocks: Iterable[Floats], first_s: float, step_s: float) -> Iterator[Hours]:
+def undo_clock_changes(blocks: Iterable[Floats], first_s: float, step_s: float) -> Iterator[UnshiftedStamps]:
     """Undo the hours by which daylight saving time puts the clock back and forward.
 
     Parameters
     ----------
     blocks : iterable of (n,) arrays
-        Stamps in seconds, whose backward steps are all clocks put back by an hour.
+        Stamps in seconds, whose backward steps all come from clocks that were put back by an hour.
     first_s : float
         Local time of the stamp 0, in seconds since 1970.
     step_s : float
@@ -126,27 +126,27 @@ def one_clock(blocks: Iterable[Floats], first_s: float, step_s: float) -> Iterat
 
     Yields
     ------
-    Hours
-        The stamps of each block on one clock.
+    UnshiftedStamps
+        The stamps of each block, as if the clock had not been changed.
     """
     last, back, forth = None, 0, 0
     for stamps in blocks:
         steps = np.diff(stamps, prepend=stamps[0] if last is None else last)
-        fell = steps < 0.0
-        leapt = np.zeros(len(stamps), np.int64)
-        for row in np.flatnonzero(_alike(steps - HOUR_S, step_s)):
-            leapt[row] = _put_forth(first_s + stamps[row] - steps[row], first_s + stamps[row])
-        added = HOUR_S * (back - forth + np.cumsum(fell) - np.cumsum(leapt))
-        back, forth = back + int(fell.sum()), forth + int(leapt.sum())
+        put_back = steps < 0.0
+        put_forward = np.zeros(len(stamps), np.int64)
+        for row in np.flatnonzero(_are_usual(steps - HOUR_S, step_s)):
+            put_forward[row] = _is_spring_change(first_s + stamps[row] - steps[row], first_s + stamps[row])
+        added = HOUR_S * (back - forth + np.cumsum(put_back) - np.cumsum(put_forward))
+        back, forth = back + int(put_back.sum()), forth + int(put_forward.sum())
         last = stamps[-1]
-        yield Hours(stamps + added, back, forth)
+        yield UnshiftedStamps(stamps + added, back, forth)
 
 
-def _alike(steps: Floats, step_s: float) -> Booleans:
+def _are_usual(steps: Floats, step_s: float) -> Booleans:
     return (steps >= _ALIKE[0] * step_s) & (steps <= _ALIKE[1] * step_s) & (step_s <= _SLOWEST_S)
 
 
-def _put_forth(before_s: float, after_s: float) -> bool:
+def _is_spring_change(before_s: float, after_s: float) -> bool:
     """Return whether the readings skip exactly the hour before a full hour of a Sunday night in spring."""
     hour = np.floor(after_s / HOUR_S)
     day, of_day = divmod(int(hour), 24)
@@ -155,16 +155,16 @@ def _put_forth(before_s: float, after_s: float) -> bool:
     return bool(night and np.ceil(before_s / HOUR_S) == hour - 1.0)
 
 
-# Decide whether the gaps between bursts of stamps are lost rows or come from a driver that waits.
+# Decide whether the gaps between bursts of stamps come from lost rows or from a driver that waits.
 #
-# If rows are lost, the other stamps keep the even step of the sensor, and each gap is a whole number of steps. If a
-# driver waits and then stamps all rows that it fetches, the gaps are independent of the steps within its bursts.
+# If rows are lost, the other stamps still have the even step of the sensor, and each gap is a whole number of steps. If
+# a driver waits and then stamps all rows that it fetches, the gaps are independent of the steps within bursts.
 
-_INSTANT = 0.5  # of the mean step: shorter bursts count as one instant, even if their stamps are uneven
-_EVEN = 0.2  # largest std of the steps within bursts, over their mean, for which they have one step
-_SIGMAS = 5.0  # of the mean cosine of gap / step, which is 1 if all gaps are whole steps, and 0 for random gaps
-_PER_CYCLE = 8  # candidate steps per cycle of a long gap
-_MOST_GAPS, _MOST_CANDIDATES = 4096, 1000
+_INSTANT = 0.5  # bursts shorter than this, over the mean step, count as one instant, even if their stamps are uneven
+_EVEN = 0.2  # largest standard deviation of even steps within bursts, over their mean
+_SIGMAS = 5.0  # least mean of cos(2 pi gap / step), in its standard deviations for random gaps
+_PER_CYCLE = 8  # number of candidate steps per cycle of the cosine of a long gap
+_MOST_GAPS, _MOST_CANDIDATES = 4096, 1000  # largest numbers of tested gaps, and of candidate steps
 
 
 def rows_lost_between(steps: Floats, apart_s: float) -> bool:
@@ -180,8 +180,8 @@ def rows_lost_between(steps: Floats, apart_s: float) -> bool:
     Returns
     -------
     bool
-        True if the gaps are whole numbers of the even step within bursts, or if the stamps within bursts are
-        neither even nor at one instant.
+        True if the gaps are whole multiples of the even step within bursts, or if the stamps within bursts are neither
+        even nor at one instant.
     """
     within, gaps = steps[steps <= apart_s], steps[steps > apart_s]
     middle = float(np.median(within)) if len(within) else 0.0

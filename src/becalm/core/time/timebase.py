@@ -1,7 +1,7 @@
 """The time base of a recording: step, jitter, gaps and repeats.
 
-Stamps that lie on a straight line except for the rounding of their last digit are *uniform*
-(gaps are whole steps); all others are *stamped* and are used as they are.
+Stamps that lie on a straight line except for the rounding of their last digit are *uniform*: their gaps are whole
+steps. All other stamps are *stamped* and are used unchanged.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Timebase:
     Attributes
     ----------
     elapsed_steps : (N,) float array
-        Time since the sample before, in units of `step_s`; 0 for the first. They are whole numbers if
-        the time is uniform.
+        Time since the previous sample, in units of `step_s`; 0 for the first sample. The numbers are whole if the time
+        is uniform.
     step_s : float
         One step, in seconds: the slope if the stamps lie on a line, otherwise their median difference.
     start_s : float
@@ -37,10 +37,10 @@ class Timebase:
     uniform : bool
         True if every difference of stamps is a whole number of steps.
     jitter_s : float
-        Standard deviation of one stamp, in seconds: about the even grid if the time is uniform, otherwise
-        the standard deviation of the differences without gaps, over the root of two.
+        Standard deviation of a stamp, in seconds: for uniform time, its distance from the even grid; otherwise the
+        standard deviation of all differences except gaps, over the root of two.
     resolution_s : float
-        Last digit that the stamps are rounded to, in seconds; 0 if they are not rounded, or rows are counted.
+        Last digit that the stamps are rounded to, in seconds; 0 if they are not rounded, or if rows are counted.
     """
 
     elapsed_steps: Floats
@@ -83,7 +83,7 @@ class Timebase:
 
     @classmethod
     def of(cls, clock: Clock, elapsed_steps: Floats) -> Timebase:
-        """Return the time base of a clock and the elapsed steps before its rows; the array is not copied."""
+        """Return the time base for a clock and the elapsed steps before its rows; the array is not copied."""
         values = (clock.step_s, clock.start_s, clock.uniform, clock.jitter_s, clock.resolution_s)
         return cls(read_only(elapsed_steps), *values)
 
@@ -109,10 +109,10 @@ class Timebase:
 
     @property
     def gaps(self) -> Integers:
-        """Return the rows (k,) that come more than 1.5 steps after the row before."""
+        """Return the rows (k,) that come more than 1.5 steps after the previous row."""
         return np.flatnonzero(self.elapsed_steps > GAP_STEPS).astype(np.int64)
 
     @property
     def repeats(self) -> Integers:
-        """Return the rows (k,) with the same time as the row before."""
+        """Return the rows (k,) with the same time as the previous row."""
         return (np.flatnonzero(self.elapsed_steps[1:] == 0.0) + 1).astype(np.int64)

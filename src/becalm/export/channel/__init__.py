@@ -1,1 +1,1 @@
-"""Export a filter as the library's own C: its sources, and one file of constants per export."""
+"""Export a filter as the library's own C sources, with one file of constants for each export."""

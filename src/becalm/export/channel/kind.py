@@ -1,4 +1,4 @@
-"""Export the library's own channel: one filter, perhaps with a gate, or an IMM."""
+"""Export a channel as the library's own C: a single filter, with or without a gate, or an IMM."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from becalm.cleaning.recipe import ChannelRecipe
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.errors import RecipeError
-from becalm.export.channel.modes_text import modes_door
+from becalm.export.channel.modes_text import modes_interface
 from becalm.export.channel.reference import ChannelReference, ModesReference
-from becalm.export.channel.text import channel_door, written_door
+from becalm.export.channel.text import channel_interface, write_interface
 from becalm.export.design import Design
 from becalm.export.kind import Floating, Span
 from becalm.export.number_type import NumberType
 from becalm.export.shared_parts import WrittenChannel
 from becalm.export.vectors import Reference
 
-_LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # limits of the noise's standard deviation in float, in unit
+_LEAST_IN_FLOAT, _MOST_IN_FLOAT = 1e-30, 1e15  # range of the noise's standard deviation in float, in unit
 
 
 class Sizes(NamedTuple):
-    """The array sizes of filters that are written together."""
+    """The array sizes of all filters of one export."""
 
-    states: frozenset[int]  # numbers of states of single filters
-    mode_states: frozenset[int]  # numbers of states of IMMs
-    modes: int  # largest number of modes; even, since two run at a time
+    states: frozenset[int]  # numbers of states of the single filters
+    mode_states: frozenset[int]  # numbers of states of the IMMs
+    modes: int  # largest number of modes, rounded up to an even number because two modes run at a time
 
     @property
     def most_states(self) -> int:
@@ -38,7 +38,7 @@ class Sizes(NamedTuple):
 
     @classmethod
     def of(cls, designs: Iterable[Design]) -> Sizes:
-        """Return the sizes of some filters."""
+        """Return the sizes for these filters."""
         all_designs = list(designs)
         modes = [len(one.modes.modes) for one in all_designs if one.modes is not None]
         return cls(
@@ -50,22 +50,22 @@ class Sizes(NamedTuple):
 
 @dataclass(frozen=True)
 class WholeChannel(Floating):
-    """The library's own channel with its limits, gate or modes, covariance, and sensor monitoring.
+    """The library's own channel, with limits, gate or modes, covariance, and sensor monitoring.
 
     Attributes
     ----------
     recipe : ChannelRecipe
         Recipe of the channel.
     sizes : Sizes
-        Sizes of all filters that are written together.
+        Array sizes of all filters of the export.
     """
 
     recipe: ChannelRecipe
     sizes: Sizes
 
     @classmethod
-    def alone(cls, number: NumberType, recipe: ChannelRecipe, design: Design) -> WholeChannel:
-        """Return the kind of a filter that is written alone."""
+    def for_design(cls, number: NumberType, recipe: ChannelRecipe, design: Design) -> WholeChannel:
+        """Return the kind of a filter that is the only one of its export."""
         return cls(number, recipe, Sizes.of([design]))
 
     def write(self, design: Design, prefix: str, span: Span | None) -> WrittenChannel:
@@ -74,7 +74,7 @@ class WholeChannel(Floating):
         Raises
         ------
         RecipeError
-            If float cannot represent the noise of its readings.
+            If float cannot represent the noise of the readings.
         """
         if not self.number.is_double and not _LEAST_IN_FLOAT <= design.noise_std <= _MOST_IN_FLOAT:
             raise RecipeError(
@@ -84,14 +84,14 @@ class WholeChannel(Floating):
         settings, most_states = self._settings(design), self.sizes.most_states
         largest = min(design.largest, settings.limits.largest)
         if design.modes is None:
-            door = channel_door(design, settings, most_states)
+            interface = channel_interface(design, settings, most_states)
         else:
             gap_limit = Filter(self.recipe, design.step_s, 0).gap_limit
-            door = modes_door(design.modes, settings, gap_limit, prefix, (most_states, self.sizes.modes))
-        return written_door(door, design, prefix, self.number, largest)
+            interface = modes_interface(design.modes, settings, gap_limit, prefix, (most_states, self.sizes.modes))
+        return write_interface(interface, design, prefix, self.number, largest)
 
     def reference(self, recipe: ChannelRecipe, design: Design, written: WrittenChannel) -> Reference:
-        """Return a new reference that the filter is compared with."""
+        """Return a new reference, with which the C filter is compared."""
         if design.modes is None:
             return ChannelReference(self._settings(design))
         return ModesReference(self._limited_recipe(), design.step_s)
@@ -100,7 +100,7 @@ class WholeChannel(Floating):
         return CausalChannel(self._limited_recipe(), design.step_s).settings
 
     def _limited_recipe(self) -> ChannelRecipe:
-        """Return the recipe, with its largest reading limited to `greatest` of the number type."""
+        """Return the recipe, with its largest valid reading limited to `greatest` of the number type."""
         limits, greatest = self.recipe.limits or LimitsRecipe(), self.number.greatest
         limits_recipe = limits.model_copy(update={"largest": min(limits.largest or greatest, greatest)})
         return self.recipe.model_copy(update={"limits": limits_recipe})

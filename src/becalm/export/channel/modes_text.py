@@ -1,4 +1,4 @@
-"""Write the constants in C of a library's channel that has an IMM."""
+"""Write the constants of the library's own channel with an IMM as C."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from becalm.export.naming import identifiers
 from becalm.native.library import CONSTANTS, SETTINGS
 
 
-def modes_door(
+def modes_interface(
     modes: InteractingModels, settings: ChannelSettings, gap_limit: GapLimit, prefix: str, sizes: tuple[int, int]
 ) -> DeviceInterface:
     """Return the C interface of an IMM.
@@ -23,24 +23,24 @@ def modes_door(
     settings : ChannelSettings
         Settings of the channel from its recipe.
     gap_limit : GapLimit
-        Longest gap that the IMM is carried across.
+        Longest gap that the IMM predicts across.
     prefix : str
-        Prefix of its names in C.
+        Prefix of the channel's names in C.
     sizes : (int, int)
-        Largest numbers of states and of modes of all filters that are written together; the second is even.
+        Largest number of states and largest number of modes of all filters of the export; the number of modes is even.
     """
-    bank, (n, m) = modes.bank(np.ones(1)), sizes
+    matrices, (n, m) = modes.matrices(np.ones(1)), sizes
     settings = settings._replace(component=modes.component, noise_variance=modes.least_noise_variance, gate=None)
     numbers = {
         "modes": len(modes.modes),
         "keeps_level": int(modes.component.keeps_level),
-        "rejects": int(bank.wild[1]),
-        "largest_level": bank.largest[1].item(),
+        "rejects": int(matrices.wild[1]),
+        "largest_level": matrices.largest[1].item(),
         "noise_variance": modes.modes[0].noise_variance,
-        "V": bank.wild[0].item(),
+        "V": matrices.wild[0].item(),
     }
-    arrays = {"F": bank.F, "Q": bank.Q, "T": bank.T, "h": bank.H, "c": bank.C}
-    arrays |= {"R": bank.R, "tail": bank.tail, "start": bank.start}
+    arrays = {"F": matrices.F, "Q": matrices.Q, "T": matrices.T, "h": matrices.H, "c": matrices.C}
+    arrays |= {"R": matrices.R, "tail": matrices.tail, "start": matrices.start}
     fields = [
         ("settings", of_struct(packed_settings(settings, gap_limit))),
         *((name, of_number(value)) for name, value in numbers.items()),

@@ -1,6 +1,6 @@
-"""Define the references that exported channels are compared with: the library's own channels.
+"""Define the references for exported channels: the library's own channels, with which the C is compared.
 
-Where the library returns NaN, a reference returns the number that the C returns on a controller.
+Where the library returns NaN, a reference returns the number that the C code returns on a controller.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from becalm.core.reading_verdicts import LOST, Verdict
 from becalm.core.rows import EstimatedRows
 from becalm.export.vectors import STARTING
 
-_SINGLE = 1000  # rows of a gap that an IMM processes one by one; see `native/device_modes.c`
+_SINGLE = 1000  # first rows of a gap, which an IMM processes one by one; see `native/device_modes.c`
 
 
 class _ControllerReference(ABC):
-    """A reference that returns a finite signal for every row."""
+    """A reference that returns a finite signal for each row."""
 
     def __init__(self, limits: Limits) -> None:
         self._faults, self._last = Faults(limits), 0.0
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
-        """Process readings (B,); return the signal and the code of each."""
+        """Process readings (B,); return the signal (B,) and the codes (B,)."""
         steps = np.ones(len(readings))
         (signal, verdicts), across, accepted = self._push(readings, steps)
         used = ~LOST[self._faults.push(readings, steps)] & accepted
@@ -41,24 +41,24 @@ class _ControllerReference(ABC):
 
     @abstractmethod
     def _push(self, z: Floats, elapsed: Floats) -> tuple[tuple[Floats, Codes], Floats, Booleans]:
-        """Process rows (B,) of readings and elapsed steps.
+        """Process readings (B,) with the steps since the previous row (B,).
 
-        Return the signal with its verdicts, the signal that is predicted across any hole, and a mask of the readings
-        that were not rejected as spikes.
+        Return the signal with its verdicts, a signal that also has a prediction in every hole, and a mask of the
+        readings that were not rejected as spikes.
         """
 
     def _across_gap(self, rows: int) -> None:
-        """Advance by some rows without a reading, as one step."""
+        """Advance by `rows` rows without a reading, as one step."""
         missing, step = np.full(1, np.nan), np.full(1, float(rows))
         self._push(missing, step)
         self._faults.push(missing, step)
 
     def _last_used(self, readings: Floats, used: Booleans) -> Floats:
-        """Return, for each row, the last reading (B,) used up to it; 0 before the first one."""
-        entered = np.concatenate([[self._last], np.where(used, readings, np.nan)])
-        last = np.maximum.accumulate(np.where(np.isnan(entered), 0, np.arange(len(entered))))
-        self._last = float(entered[last[-1]])
-        return np.asarray(entered[last[1:]], dtype=np.float64)
+        """Return, for each row, the last used reading up to this row, (B,); 0 before the first used reading."""
+        inputs = np.concatenate([[self._last], np.where(used, readings, np.nan)])
+        last = np.maximum.accumulate(np.where(np.isnan(inputs), 0, np.arange(len(inputs))))
+        self._last = float(inputs[last[-1]])
+        return np.asarray(inputs[last[1:]], dtype=np.float64)
 
 
 class ChannelReference(_ControllerReference):
@@ -75,7 +75,7 @@ class ChannelReference(_ControllerReference):
         self._channel, self._across = Channel(settings), Channel(settings._replace(unknown_from=np.inf))
 
     def gap(self, rows: int) -> None:
-        """Advance by some rows without a reading, as one step."""
+        """Advance by `rows` rows without a reading, as one step."""
         if rows:
             self._across_gap(rows)
 
@@ -105,7 +105,7 @@ class ModesReference(_ControllerReference):
         self._across = open_live(recipe.model_copy(update={"fill": True}), step_s, 0)
 
     def gap(self, rows: int) -> None:
-        """Advance by some rows without a reading: one by one up to a thousand, the rest as one step."""
+        """Advance by `rows` rows without a reading: the first thousand one by one, all others as one step."""
         single = min(rows, _SINGLE)
         if single:
             self.run(np.full(single, np.nan))

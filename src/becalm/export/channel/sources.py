@@ -1,4 +1,4 @@
-"""Collect the library's C sources for an export: unchanged, except for the file of array sizes."""
+"""Collect the library's C sources for an export; only the file of array sizes is changed."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def own_files() -> set[str]:
 
 
 def sources_of(sizes: Sizes, stem: str) -> dict[str, str]:
-    """Return the texts of the C sources that filters need, by their paths in a bundle; none without filters.
+    """Return the texts of the C sources that some filters need, by their paths in a bundle; {} without filters.
 
     Parameters
     ----------
     sizes : Sizes
-        Sizes of the filters.
+        Array sizes of the filters.
     stem : str
-        Prefix of the names under which functions are linked: another export, with arrays of other sizes, may be linked
-        into the same program.
+        Prefix of the names under which functions are linked, so that another export with other array sizes can be
+        linked into the same program.
     """
     wanted = [*(_FILTER if sizes.states else ()), *(_MODES if sizes.mode_states else ())]
     texts = dict[str, str]()

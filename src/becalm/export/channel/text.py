@@ -1,4 +1,4 @@
-"""Write the constants in C of a library's channel, and the few functions that call the library."""
+"""Write the constants of the library's own channel as C, and the functions that call the library."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from becalm.core.filter.channel_settings import ChannelSettings, StepTable, pack
 from becalm.core.model.covariances import covariance_after
 from becalm.export.design import Design
 from becalm.export.number_type import DOUBLE, NumberType
-from becalm.export.shared_parts import WrittenChannel, words_of
+from becalm.export.shared_parts import WrittenChannel, channel_context
 from becalm.export.templates import render
 from becalm.native import packed_size
 from becalm.native.library import COEFFICIENTS, MOST_STATES, SETTINGS
@@ -21,7 +21,7 @@ from becalm.native.library import COEFFICIENTS, MOST_STATES, SETTINGS
 NUMBER = 8
 """Size of a double, in bytes."""
 
-_GREATEST_FLOAT = 3e38  # magnitude that a signal in float is limited to
+_GREATEST_FLOAT = 3e38  # largest magnitude of a signal in float; larger signals are limited to it
 
 
 class DeviceInterface(NamedTuple):
@@ -30,13 +30,13 @@ class DeviceInterface(NamedTuple):
     Attributes
     ----------
     name : str
-        Prefix of its functions and types.
+        Prefix of the interface's functions and types.
     fields : sequence of (str, str)
-        Fields of its struct of constants, with their values as C text.
+        Fields of the struct of constants, with their values as C text.
     state_bytes, table_bytes : int
-        Sizes of its state and of its constants, in bytes.
+        Sizes of the state and of the constants, in bytes.
     modes : sequence of str
-        Names in C of its modes.
+        Names of the modes in C; () without modes.
     """
 
     name: str
@@ -46,8 +46,8 @@ class DeviceInterface(NamedTuple):
     modes: Sequence[str] = ()
 
 
-def channel_door(design: Design, settings: ChannelSettings, most_states: int) -> DeviceInterface:
-    """Return the C interface of a single filter, perhaps with a gate.
+def channel_interface(design: Design, settings: ChannelSettings, most_states: int) -> DeviceInterface:
+    """Return the C interface of a single filter, with or without a gate.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def channel_door(design: Design, settings: ChannelSettings, most_states: int) ->
     settings : ChannelSettings
         Settings of the library's own channel.
     most_states : int
-        Number of states of the largest filter that is written with it, or of itself.
+        Number of states of the largest filter of the export.
     """
     n, (F, Q) = design.states, StepTable(settings.component).matrices
     coefficients = packed_coefficients(settings.component, settings.noise_variance, disturbed=settings.disturbed)
@@ -66,34 +66,34 @@ def channel_door(design: Design, settings: ChannelSettings, most_states: int) ->
         ("model", of_struct(coefficients, {"h": n, "c": n, "prior": n * n})),
         *((name, of_array(values)) for name, values in steps.items()),
     ]
-    spare = 2 * (MOST_STATES - most_states) + MOST_STATES**2 - most_states**2  # unused numbers of h, c and prior
+    spare = 2 * (MOST_STATES - most_states) + MOST_STATES**2 - most_states**2  # numbers cut from h, c and prior
     numbers = 3 * most_states**2 + most_states  # F, Q, P and still
     table_bytes = SETTINGS.itemsize + COEFFICIENTS.itemsize + NUMBER * (numbers - spare)
     return DeviceInterface("device", fields, packed_size(most_states) + NUMBER, table_bytes)
 
 
-def written_door(
-    door: DeviceInterface, design: Design, prefix: str, number: NumberType, largest: float
+def write_interface(
+    interface: DeviceInterface, design: Design, prefix: str, number: NumberType, largest: float
 ) -> WrittenChannel:
-    """Write a C interface as the functions of one filter.
+    """Write the functions of one filter, which call a C interface of the library.
 
     Parameters
     ----------
-    door : DeviceInterface
+    interface : DeviceInterface
         The interface with its constants.
     design : Design
         The filter.
     prefix : str
-        Prefix of its names in C.
+        Prefix of the channel's names in C.
     number : NumberType
-        Type of readings and signals; the library computes in double.
+        Number type of readings and signals; the library computes in double.
     largest : float
         Magnitude beyond which a value is overrange, in unit.
     """
     context = {
-        **words_of(design, prefix, number),
-        **door._asdict(),
-        "door": door.name,
+        **channel_context(design, prefix, number),
+        **interface._asdict(),
+        "door": interface.name,
         "widened": "" if number.is_double else "(double)",
         "narrowed": "" if number.is_double else "(float)",
         "greatest": DOUBLE.literal(_GREATEST_FLOAT),
@@ -102,17 +102,17 @@ def written_door(
         header=render("channel.h.jinja", context),
         source=render("channel.c.jinja", context),
         cost=None,
-        state_bytes=door.state_bytes,
-        table_bytes=door.table_bytes,
+        state_bytes=interface.state_bytes,
+        table_bytes=interface.table_bytes,
         word=None,
         largest=largest,
         exact=True,
-        start_rows=len(design.opening.weights) + design.settled_rows if design.settles and not door.modes else 0,
+        start_rows=len(design.opening.weights) + design.settled_rows if design.settles and not interface.modes else 0,
     )
 
 
 def of_struct(struct: NDArray[np.void], sizes: dict[str, int] | None = None) -> str:
-    """Write a struct as C; `sizes` has the length to which each of its arrays is cut, by name."""
+    """Write a struct as C; arrays that are named in `sizes` are cut to the length given there."""
     lengths = sizes or {}
     values = [
         (name, of_array(struct[name][: lengths[name]]) if name in lengths else of_number(struct[name].item()))
@@ -137,9 +137,9 @@ def of_number(value: float) -> str:
 
 
 def _settled_covariance(design: Design) -> Floats:
-    """Return the posterior covariance in the steady state, by (7).
+    """Return the posterior covariance in the steady state, by equation (7).
 
-    For a filter whose gain does not settle, return the covariance after the opening.
+    For a filter whose gain does not settle, return the covariance after the first readings that determine the state.
     """
     if design.steady is None or not design.settles:
         return design.opening.P

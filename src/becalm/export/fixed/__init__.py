@@ -1,4 +1,4 @@
-"""Export a settled gain in fixed point.
+"""Export a filter with a settled gain in fixed point.
 
-It is the filter of `settled` in integers; its reference is that of `settled`, with the limits of the integers.
+It is the filter of the folder `settled`, in integers. Its reference is that of `settled`, with the integers' limits.
 """

@@ -15,19 +15,19 @@ from becalm.export.expressions import OperationCount, in_lines
 from becalm.export.fixed.word_length import BinaryPoint, fit
 from becalm.export.number_type import DOUBLE, NumberType
 from becalm.export.schedule import Schedule, schedule_of
-from becalm.export.shared_parts import WrittenChannel, unit_name, words_of
+from becalm.export.shared_parts import WrittenChannel, channel_context, unit_name
 from becalm.export.templates import render
 
 GREATEST = (1 << 31) - 1
 """Largest number of counts, at which a reading or the signal saturates."""
 
-_NEAR = 1e-9  # distance at which a gain counts as settled, as in `schedule_of`; a gain has 31 bits
-_FARTHEST = 92  # largest shift; beyond it, nothing remains of 62 bits
-_ON_A_LINE = 12  # numbers in a line of C
+_NEAR = 1e-9  # parameter `near` of `schedule_of`, for gains of 31 bits
+_FARTHEST = 92  # largest shift; with a larger one, nothing remains of a number of 62 bits
+_ON_A_LINE = 12  # largest number of numbers in a line of C
 
 
 class Scale(NamedTuple):
-    """The scale of counts: reading = offset + lsb * counts, in unit. 0, if within range, is a whole count."""
+    """The scale of counts: reading = offset + lsb * counts, in unit. A reading of 0 in the range is a whole count."""
 
     offset: float
     lsb: float
@@ -37,18 +37,18 @@ class Scale(NamedTuple):
         return self.offset + self.lsb * counts
 
     def counts(self, values: Floats) -> Floats:
-        """Return values (N,), in unit, as counts: not rounded, but saturated."""
+        """Return values (N,), in unit, as counts, which are saturated but not rounded."""
         with np.errstate(over="ignore"):
             return np.clip((values - self.offset) / self.lsb, -float(GREATEST), float(GREATEST))
 
 
 class CountLimits(NamedTuple):
-    """The limits of readings, in counts: from `low` and `high` on they are clipped, beyond the others overrange."""
+    """The limits of readings, in counts."""
 
-    low: int
-    high: int
-    least: int
-    most: int
+    low: int  # readings at or below it are clipped
+    high: int  # readings at or above it are clipped
+    least: int  # readings below it are overrange
+    most: int  # readings above it are overrange
 
 
 def scale_of(low: float, high: float) -> Scale:
@@ -57,7 +57,7 @@ def scale_of(low: float, high: float) -> Scale:
     return Scale(float(np.rint((high + low) / 2 / lsb)) * lsb, lsb)
 
 
-def rails_of(design: Design, scale: Scale) -> CountLimits:
+def count_limits_of(design: Design, scale: Scale) -> CountLimits:
     """Return the limits of a channel's readings in counts, each at most `GREATEST` in magnitude."""
     limits, largest = design.limits, design.largest
     return CountLimits(
@@ -69,7 +69,7 @@ def rails_of(design: Design, scale: Scale) -> CountLimits:
 
 
 def _at_most(value: float, scale: Scale) -> int:
-    """Return the greatest number of counts that is not above a value, limited to `GREATEST` in magnitude."""
+    """Return the greatest number of counts whose reading is not above a value; at most `GREATEST` in magnitude."""
     near = round(float(scale.counts(np.array([value]))[0]))
     while near < GREATEST and scale.in_unit(near + 1) <= value:
         near += 1
@@ -80,11 +80,11 @@ def _at_most(value: float, scale: Scale) -> int:
 
 @lru_cache(maxsize=256)
 def schedule_in(design: Design) -> Schedule:
-    """Return the schedule of gains of a filter, to the precision of 31 bits."""
+    """Return the schedule of gains of a filter, for gains of 31 bits."""
     return schedule_of(design, _NEAR)
 
 
-def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[float, float]) -> WrittenChannel:
+def write_fixed(design: Design, prefix: str, number: NumberType, span: tuple[float, float]) -> WrittenChannel:
     """Write a filter in fixed point as C.
 
     Parameters
@@ -92,7 +92,7 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     design : Design
         The filter.
     prefix : str
-        Prefix of its names in C.
+        Prefix of the channel's names in C.
     number : NumberType
         Number type of a reading.
     span : (float, float)
@@ -101,17 +101,17 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     Raises
     ------
     RecipeError
-        If the filter has no steady state, or the range of readings is too wide for its digits.
+        If the filter has no steady state, or the range of readings is too wide for the word length.
     """
     schedule, scale = schedule_in(design), scale_of(*span)
     point, word = fit(design, schedule, scale.lsb)
-    limits, n = rails_of(design, scale), design.states
+    limits, n = count_limits_of(design, scale), design.states
     context = {
-        **words_of(design, prefix, number),
+        **channel_context(design, prefix, number),
         **_numbers(design, schedule, point),
-        **_limit_words(design, scale, limits),
-        "offset": DOUBLE.commented(scale.offset),
-        "lsb": DOUBLE.commented(scale.lsb),
+        **_limit_context(design, scale, limits),
+        "offset": DOUBLE.literal_with_comment(scale.offset),
+        "lsb": DOUBLE.literal_with_comment(scale.lsb),
         "counted": "_".join([prefix, "{}", unit_name(design.unit)]).rstrip("_").upper(),
         "coasts": design.coasts,
         "exact": schedule.exact,
@@ -132,15 +132,15 @@ def written_fixed(design: Design, prefix: str, number: NumberType, span: tuple[f
     )
 
 
-def _limit_words(design: Design, scale: Scale, rails: CountLimits) -> dict[str, Any]:
+def _limit_context(design: Design, scale: Scale, limits: CountLimits) -> dict[str, Any]:
     """Return the values that templates need to check a reading."""
     zero = round(float(scale.counts(np.zeros(1))[0]))
     return {
-        "low": rails.low,
-        "high": rails.high,
-        "least": rails.least,
-        "most": rails.most,
-        "possible": rails.least == -GREATEST and rails.most == GREATEST,
+        "low": limits.low,
+        "high": limits.high,
+        "least": limits.least,
+        "most": limits.most,
+        "possible": limits.least == -GREATEST and limits.most == GREATEST,
         "nothing": zero,
         "rests": scale.in_unit(zero) == 0.0,
         "stuck": min(design.limits.stuck_readings or 0, (1 << 32) - 1),
@@ -148,13 +148,13 @@ def _limit_words(design: Design, scale: Scale, rails: CountLimits) -> dict[str, 
 
 
 def _numbers(design: Design, schedule: Schedule, point: BinaryPoint) -> dict[str, Any]:
-    """Return the values that templates need to compute the filter: its coefficients, and sums of products in C."""
+    """Return the values that templates need for the filter: its coefficients, and the terms of its sums as C."""
     F, H, C, n = design.model.F, design.model.H[0], design.output, design.states
     f, nu, signal = np.array(point.states), point.innovation, point.signal
     p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
     K = np.vstack([schedule.K, schedule.settled])
     gains = np.column_stack([K @ F.T * 2.0 ** (f - nu), K @ C * 2.0 ** (signal - nu)])
-    onward = F * 2.0 ** (f[:, np.newaxis] - f)
+    transition = F * 2.0 ** (f[:, np.newaxis] - f)  # F between states with different binary points
     return {
         "o": len(design.opening.weights),
         "x": x,
@@ -171,13 +171,13 @@ def _numbers(design: Design, schedule: Schedule, point: BinaryPoint) -> dict[str
         "read_of_p": terms(-H * 2.0 ** (nu - f), p),
         "signal_of_p": terms(C * 2.0 ** (signal - f), p),
         "signal_of_x": terms(C * 2.0 ** (signal - f), x),
-        "ahead_of_p": [terms(row, p) for row in onward],
-        "ahead_of_x": [terms(row, x) for row in onward],
+        "ahead_of_p": [terms(row, p) for row in transition],
+        "ahead_of_x": [terms(row, x) for row in transition],
     }
 
 
 def factor_of(value: float) -> tuple[int, int]:
-    """Return (m, s), m of 31 bits, with m / 2^s closest to a value; m is 0 if nothing of 62 bits would remain."""
+    """Return (m, s), m of 31 bits, with m / 2^s closest to a value; m is 0 if the product with 62 bits would be 0."""
     fraction, exponent = np.frexp(value)
     mantissa, shift = round(float(fraction) * 2.0**31), 31 - int(exponent)
     if abs(mantissa) > GREATEST:
@@ -185,14 +185,14 @@ def factor_of(value: float) -> tuple[int, int]:
     return (mantissa, shift) if mantissa and shift <= _FARTHEST else (0, 31)
 
 
-def kept_of(values: Floats) -> Floats:
-    """Return values rounded to m / 2^s, with m of 31 bits."""
+def round_to_factors(values: Floats) -> Floats:
+    """Return values, each rounded to m / 2^s with m of 31 bits."""
     factors = [factor_of(value) for value in values.ravel().tolist()]
     return np.array([mantissa / 2.0**shift for mantissa, shift in factors]).reshape(values.shape)
 
 
 def terms(row: Floats | Sequence[float], names: Sequence[str]) -> list[str]:
-    """Write the terms row[j] * names[j] in integers; a factor that is not exact in 31 bits gets a second term."""
+    """Write the terms row[j] * names[j] in integers; a factor that 31 bits do not represent exactly gets two terms."""
     written = []
     for value, name in zip(row, names, strict=True):
         remainder = float(value)
@@ -212,7 +212,7 @@ def _term(mantissa: int, shift: int, name: str) -> str:
 
 
 def _table(rows: Floats) -> dict[str, list[list[str]]]:
-    """Return the m and s of coefficients (r, k), row by row."""
+    """Return m and s of each coefficient (r, k), as in `factor_of`, row by row."""
     factors = [[factor_of(value) for value in row] for row in rows.tolist()]
     return {
         "mantissas": [[str(mantissa) for mantissa, _ in row] for row in factors],
@@ -221,7 +221,7 @@ def _table(rows: Floats) -> dict[str, list[list[str]]]:
 
 
 def _cost(source: str) -> OperationCount:
-    """Count the operations of a row in the steady state; a product takes two of 32 by 32 bits, a sum and a rounding."""
+    """Count the operations of a row in the steady state; a call of becalm_times is two products and two additions."""
     lines = source.splitlines()
     first = next(i for i, line in enumerate(lines) if line.lstrip().startswith("int64_t nu = "))
     row = "\n".join(lines[first : next(i for i in range(first, len(lines)) if "s->p[0] = " in lines[i])])

@@ -1,4 +1,4 @@
-"""Write the certificate of an export: what was compiled and run, and the results."""
+"""Write the certificate of an export: the builds that were run, and the results of all checks and comparisons."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from becalm.export.bundle import Bundle
 from becalm.export.proof.compiling import version_of
-from becalm.export.proof.verifying import Compared, Verified
+from becalm.export.proof.verifying import RecordComparison, Verification
 
 
-def certificate(bundle: Bundle, verified: Verified) -> str:
+def certificate(bundle: Bundle, verified: Verification) -> str:
     """Return the certificate as a Markdown page."""
     names = list(dict.fromkeys(one.build.compiler for one in verified.runs))
     vectors = sum(len(one.vectors) for one in bundle.channels)
@@ -32,11 +32,11 @@ def certificate(bundle: Bundle, verified: Verified) -> str:
     return "\n".join([*lines, "", *_files(bundle)]) + "\n"
 
 
-def _greatest(one: Compared) -> str:
+def _greatest(one: RecordComparison) -> str:
     return f"{one.error:.2g} of the greatest signal{f', in row {one.error_row}' if one.error > 0 else ''}"
 
 
-def _decibels(one: Compared) -> str:
+def _decibels(one: RecordComparison) -> str:
     ratio = "no difference" if np.isinf(one.snr_db) else f"{one.snr_db:.1f} dB"
     return ratio if one.kept else f"{ratio}, which is less than promised"
 

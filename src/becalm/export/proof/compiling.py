@@ -1,7 +1,8 @@
-"""Compile and run C with the compilers of this machine."""
+"""Compile and run exported C with the compilers of this machine."""
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -14,15 +15,16 @@ from becalm.export.shared_parts import FOLDER
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Werror", "-ffp-contract=off")
 """Flags with which the filters compile without a warning."""
 
-OPTIMISED = (("-O0",), ("-O2",), ("-O3",), ("-O3", "-ffast-math"))  # additional flags of one build each
+OPTIMISED = (("-O0",), ("-O2",), ("-O3",), ("-O3", "-ffast-math"))  # additional flags of each build
 SANITIZED = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
-_LONGEST_S = 600.0  # for one run of a compiler or a program
+_ENDING, _MATHEMATICS = (".exe", ()) if os.name == "nt" else ("", ("-lm",))  # of programs, and their library
+_LONGEST_S = 600.0  # time limit of one run of a compiler or a program, in seconds
 _REPORT = "This is a fault in becalm: leave --verify out, and report it with the recipe."
 
 
 class CompileError(BecalmError):
-    """The exported C does not compile or run, or does not agree with becalm."""
+    """An error for exported C that does not compile or run, or does not agree with becalm."""
 
     exit_code = 1
 
@@ -35,7 +37,7 @@ class Build(NamedTuple):
     compiler : str
         Name of the compiler.
     flags : tuple of str
-        Flags in addition to the strict ones.
+        Flags in addition to `STRICT`.
     program : Path
         Path of the program.
     """
@@ -51,7 +53,7 @@ def compilers() -> list[str]:
     Raises
     ------
     UsageError
-        If there is none.
+        If no C compiler is installed.
     """
     names = [name for name in ("gcc", "clang") if shutil.which(name)] or ["cc"] * bool(shutil.which("cc"))
     if not names:
@@ -65,18 +67,18 @@ def version_of(compiler: str) -> str:
 
 
 def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build:
-    """Compile the filters of a bundle with the strict flags, and link the program that runs them.
+    """Compile the filters of a bundle with the flags `STRICT`, and link the program that runs them.
 
     Parameters
     ----------
     folder : Path
         Folder of the bundle.
     stem : str
-        Prefix of its files.
+        Prefix of the bundle's file names.
     compiler : str
         Name of the compiler.
     flags : sequence of str
-        Flags in addition to the strict ones.
+        Flags in addition to `STRICT`.
 
     Raises
     ------
@@ -91,8 +93,8 @@ def build(folder: Path, stem: str, compiler: str, flags: Sequence[str]) -> Build
     for text, made in zip(texts, objects, strict=True):
         extra = STRICT[:1] if text == texts[-1] else STRICT
         _run_checked([compiler, *extra, *flags, "-c", str(text), "-o", str(made)], text.name)
-    program = folder / f"{mark}-check"
-    _run_checked([compiler, *flags, *map(str, objects), "-o", str(program), "-lm"], "the program")
+    program = folder / f"{mark}-check{_ENDING}"
+    _run_checked([compiler, *flags, *map(str, objects), "-o", str(program), *_MATHEMATICS], "the program")
     return Build(compiler, tuple(flags), program)
 
 
@@ -111,7 +113,9 @@ def _run_checked(words: Sequence[str], what: str) -> subprocess.CompletedProcess
 
 def _run_limited(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
     try:
-        return subprocess.run(list(words), capture_output=True, text=True, check=False, timeout=_LONGEST_S)
+        return subprocess.run(
+            list(words), capture_output=True, encoding="utf-8", errors="replace", check=False, timeout=_LONGEST_S
+        )
     except OSError as cause:
         raise UsageError(
             f"{words[0]} cannot be run ({cause.strerror}); repair it, or set TMPDIR to a folder whose programs may run."

@@ -1,1 +1,1 @@
-"""Export a settled gain after a table of gains, without covariance or division."""
+"""Export a filter with a table of gains and then a settled gain, without covariance or division."""

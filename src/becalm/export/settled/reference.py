@@ -1,8 +1,8 @@
-"""Specify an exported filter with a settled gain: what its C does with each reading, in plain Python.
+"""Specify an exported filter with a settled gain: compute in plain Python what its C code computes for each reading.
 
-It equals `becalm.Online` while no reading is missing, if the schedule of gains is exact. For a missing reading it
-predicts, and its gain stays the same, since it carries no covariance. After so many missing readings that a prediction
-is worth less than a reading, it holds its state, and starts anew with the next reading.
+The filter equals `becalm.Online` if no reading is missing and the schedule of gains is exact. For a missing reading it
+predicts, and does not change its gain, because it has no covariance. After `Design.coasts` missing readings in a row it
+does not change its state any more, and starts anew with the next reading.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class SettledReference:
     Attributes
     ----------
     p : (n,) float array
-        Predicted state for the next row, for readings less the level.
+        Predicted state for the next row, for readings minus `level`.
     level : float
         Level that is subtracted from readings, in unit.
     row : int
-        Number of usable readings since the last start.
+        Number of usable readings since the filter last started.
     missed : int
         Number of consecutive rows without a usable reading, at most `Design.coasts`.
     """
@@ -50,14 +50,14 @@ class SettledReference:
         self.p, self.level, self.row, self.missed = np.zeros(design.states), 0.0, 0, 0
 
     def run(self, readings: Floats) -> tuple[Floats, Codes]:
-        """Process readings (B,); return the signal and the code of each."""
+        """Process readings (B,); return the signal (B,) and the codes (B,)."""
         codes = self._faults.push(readings, np.ones(len(readings)))
         rows = [self._step(reading, code) for reading, code in zip(readings.tolist(), codes.tolist(), strict=True)]
         signal, final = zip(*rows, strict=True) if rows else ((), ())
         return np.array(signal, np.float64), np.array(final, np.int8)
 
     def gap(self, rows: int) -> None:
-        """Advance by some rows without a reading."""
+        """Advance by `rows` rows without a reading."""
         for _ in range(min(rows, self._design.coasts)):
             self.coast()
 
@@ -72,7 +72,7 @@ class SettledReference:
         return self._take(reading), Verdict.USED
 
     def coast(self) -> float:
-        """Advance by a row without a reading; return the prediction for it."""
+        """Advance by a row without a reading; return the prediction for this row."""
         if self.row < len(self._opening):
             self.row, self.p = 0, np.zeros_like(self.p)
             return self.level

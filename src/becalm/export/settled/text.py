@@ -1,4 +1,4 @@
-"""Write a filter with a settled gain as C: gains from a table until it has settled, no division, no covariance."""
+"""Write a filter as C that takes its gains from a table until the gain has settled, without division or covariance."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from becalm.export.design import Design
 from becalm.export.expressions import cost_of, in_lines, product_sum
 from becalm.export.number_type import NumberType
 from becalm.export.schedule import MOST_NUMBERS, Schedule, schedule_of
-from becalm.export.settled.word_length import prove
+from becalm.export.settled.word_length import choose_word_length
 from becalm.export.shared_parts import WrittenChannel, moved_level, reading_check
 from becalm.export.templates import render
 from becalm.export.word_length import WordLength
 
-_NEAR = {"float64": 1e-13, "float32": 1e-8}  # distance at which a gain counts as settled, as in `schedule_of`
-_MOST_NUMBERS = {"float64": 8192, "float32": MOST_NUMBERS}  # of a table of gains; a longer one is thinned
-_COUNTS = 12  # in a line of C
+_NEAR = {"float64": 1e-13, "float32": 1e-8}  # parameter `near` of `schedule_of`
+_MOST_NUMBERS = {"float64": 8192, "float32": MOST_NUMBERS}  # parameter `most_numbers` of `schedule_of`
+_COUNTS = 12  # largest number of counts in a line of C
 
 
-def written_settled(design: Design, prefix: str, number: NumberType, span: float | None) -> WrittenChannel:
+def write_settled(design: Design, prefix: str, number: NumberType, span: float | None) -> WrittenChannel:
     """Write a filter with a settled gain as C.
 
     Parameters
@@ -29,28 +29,32 @@ def written_settled(design: Design, prefix: str, number: NumberType, span: float
     design : Design
         The filter.
     prefix : str
-        Prefix of its names in C.
+        Prefix of the channel's names in C.
     number : NumberType
         Number type of the filter.
     span : float or None
-        Largest distance of two readings, in unit; None if unknown. A *small* one leaves more digits, and trusts that
-        readings are never farther apart.
+        Largest difference of two readings, in unit; None if unknown. A *small* value leaves more digits, and trusts
+        that readings never differ by more.
 
     Raises
     ------
     RecipeError
-        If the filter has no steady state, or its word length is too short.
+        If the filter has no steady state, or the word length of the number type is too short.
     """
-    return with_gains(design, schedule_in(design, number), prefix, number, prove(design, number, span))
+    return write_with_gains(
+        design, schedule_in(design, number), prefix, number, choose_word_length(design, number, span)
+    )
 
 
 @lru_cache(maxsize=256)
 def schedule_in(design: Design, number: NumberType) -> Schedule:
-    """Return the schedule of gains of a filter, to the precision of a number type."""
+    """Return the schedule of gains of a filter, to the precision of a number type; results are cached."""
     return schedule_of(design, _NEAR[number.precision], _MOST_NUMBERS[number.precision])
 
 
-def with_gains(design: Design, schedule: Schedule, prefix: str, number: NumberType, word: WordLength) -> WrittenChannel:
+def write_with_gains(
+    design: Design, schedule: Schedule, prefix: str, number: NumberType, word: WordLength
+) -> WrittenChannel:
     """Write a filter with given gains and word length."""
     n, F = design.states, design.model.F
     p, x = [f"p{i}" for i in range(n)], [f"x{i}" for i in range(n)]
@@ -101,7 +105,7 @@ def _literals(rows: Floats, number: NumberType) -> list[list[str]]:
 
 
 def _bytes(design: Design, schedule: Schedule, number: NumberType) -> int:
-    """Return the size of the state in bytes, with the padding that a compiler adds."""
+    """Return the size of the state in bytes, including the padding that a compiler adds."""
     size = (design.states + 1) * number.bytes + 4 + 4 * (not schedule.exact)
     if design.limits.stuck_readings:
         size = -(-size // number.bytes) * number.bytes + 3 * number.bytes + 4

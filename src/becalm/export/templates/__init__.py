@@ -1,4 +1,4 @@
-"""Render the templates of an export: C, its Makefile, its README."""
+"""Render the templates of an export: the C code, the Makefile and the README."""
 
 from __future__ import annotations
 
@@ -26,5 +26,5 @@ _TEMPLATES.filters["grouped"] = _grouped
 
 
 def render(name: str, context: Mapping[str, Any]) -> str:
-    """Return the text of a template, filled with values."""
+    """Return the text of a template, filled in with the values of `context`."""
     return _TEMPLATES.get_template(name).render(context)

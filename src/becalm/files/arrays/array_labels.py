@@ -1,4 +1,4 @@
-"""Store the names of columns next to arrays, whose own names must be identifiers: `force (kN)` becomes `force_kN`."""
+"""Store names of columns next to arrays, as names of arrays must be identifiers: `force (kN)` becomes `force_kN`."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def folder_name(group: str, taken: Collection[str]) -> str:
     return variables((*taken, group))[-1]
 
 
-def take_labels(found: FileArrays) -> None:
+def apply_labels(contents: FileArrays) -> None:
     """Give arrays the names and units from the lists that becalm wrote, and remove the lists."""
-    for folder in [path[:-1] for path in found.words if path[-1] == VARIABLES]:
-        lists = [found.words.pop((*folder, key), ()) for key in (VARIABLES, NAMES, UNITS)]
+    for folder in [path[:-1] for path in contents.words if path[-1] == VARIABLES]:
+        lists = [contents.words.pop((*folder, key), ()) for key in (VARIABLES, NAMES, UNITS)]
         if len({len(one) for one in lists}) == 1:
             for variable, name, unit in zip(*lists, strict=True):
-                found.words[(*folder, variable, NAME)] = (name,)
-                found.words[(*folder, variable, "unit")] = (unit,)
+                contents.words[(*folder, variable, NAME)] = (name,)
+                contents.words[(*folder, variable, "unit")] = (unit,)
         for key in OF_TABLE:
-            found.words[(*folder, key)] = found.words.pop((*folder, key.replace(".", "_")), ("",))
-    found.leaves = [leaf for leaf in found.leaves if leaf.path[-1] not in _OWN]
+            contents.words[(*folder, key)] = contents.words.pop((*folder, key.replace(".", "_")), ("",))
+    contents.leaves = [leaf for leaf in contents.leaves if leaf.path[-1] not in _OWN]

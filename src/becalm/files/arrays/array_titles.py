@@ -15,53 +15,53 @@ _ABOUT_ALL = ("meta", "metadata", "info", "header", "hdr", "properties", "props"
 _HEADED = re.compile(r"(.+)_data", re.IGNORECASE)  # Channel_2_Data, which Channel_2_Header describes
 
 
-def take_titles(found: FileArrays) -> None:
-    """Copy names, units and numbers from next to each array to the array itself."""
-    _lift(found)
+def apply_titles(contents: FileArrays) -> None:
+    """Copy names, units and numbers that describe an array into the entries of the array itself."""
+    _copy_metadata_up(contents)
     folders: dict[Path, dict[str, Path]] = {}
-    for path in (*found.words, *found.numbers):
-        folders.setdefault(_small(path[:-1]), {})[path[-1].lower()] = path
-    for leaf in found.leaves:
-        folder, name = _small(leaf.path[:-1]), leaf.path[-1].lower()
+    for path in (*contents.words, *contents.numbers):
+        folders.setdefault(_lower(path[:-1]), {})[path[-1].lower()] = path
+    for leaf in contents.leaves:
+        folder, name = _lower(leaf.path[:-1]), leaf.path[-1].lower()
         if headed := _HEADED.fullmatch(name):
             head = folders.get((*folder, f"{headed[1]}_header"), {})
-            _give(found, leaf.path, head, _NAMES + _UNITS)
+            _copy_texts(contents, leaf.path, head, _NAMES + _UNITS)
             for key, path in head.items():
-                if path in found.numbers:
-                    found.numbers.setdefault((*leaf.path, key), found.numbers[path])
-        elif is_alone(leaf.path):
-            _give(found, leaf.path, folders.get(folder, {}), _NAMES + _UNITS)
-            _give(found, leaf.path, folders.get((*folder, _ABOUT_VALUES), {}), _UNITS)
+                if path in contents.numbers:
+                    contents.numbers.setdefault((*leaf.path, key), contents.numbers[path])
+        elif is_values_field(leaf.path):
+            _copy_texts(contents, leaf.path, folders.get(folder, {}), _NAMES + _UNITS)
+            _copy_texts(contents, leaf.path, folders.get((*folder, _ABOUT_VALUES), {}), _UNITS)
         elif name == "time":
-            _give(found, leaf.path, folders.get((*folder, _ABOUT_TIMES), {}), _UNITS)
+            _copy_texts(contents, leaf.path, folders.get((*folder, _ABOUT_TIMES), {}), _UNITS)
 
 
-def is_alone(path: Path) -> bool:
+def is_values_field(path: Path) -> bool:
     """Return whether an array is called `data`, `value` or the like in a struct, such as `force.data`."""
     return len(path) > 1 and path[-1].lower() in _VALUES
 
 
-def _lift(found: FileArrays) -> None:
-    """Copy `meta.fs` to `fs`, because it concerns all arrays next to `meta`; skip names, which may be a person's."""
-    for path, texts in [(path, texts) for path, texts in found.words.items() if _is_about_all(path)]:
-        found.words.setdefault((*path[:-2], path[-1]), texts)
-    for path, number in [(path, number) for path, number in found.numbers.items() if _is_about_all(path)]:
-        found.numbers.setdefault((*path[:-2], path[-1]), number)
+def _copy_metadata_up(contents: FileArrays) -> None:
+    """Copy `meta.fs` to `fs`, because it applies to all arrays next to `meta`; skip names, which may be of a person."""
+    for path, texts in [(path, texts) for path, texts in contents.words.items() if _is_about_all(path)]:
+        contents.words.setdefault((*path[:-2], path[-1]), texts)
+    for path, number in [(path, number) for path, number in contents.numbers.items() if _is_about_all(path)]:
+        contents.numbers.setdefault((*path[:-2], path[-1]), number)
 
 
 def _is_about_all(path: Path) -> bool:
     return len(path) > 1 and path[-2].lower() in _ABOUT_ALL and path[-1].lower() not in _NAMES
 
 
-def _small(path: Path) -> Path:
+def _lower(path: Path) -> Path:
     return tuple(part.lower() for part in path)
 
 
-def _give(found: FileArrays, leaf: Path, paths: dict[str, Path], keys: tuple[str, ...]) -> None:
+def _copy_texts(contents: FileArrays, leaf: Path, paths: dict[str, Path], keys: tuple[str, ...]) -> None:
     """Give an array a name and a unit if it has none yet."""
     for key in keys:
-        if texts := found.words.get(paths.get(key, ()), ()):
+        if texts := contents.words.get(paths.get(key, ()), ()):
             if key in _UNITS:
-                found.words.setdefault((*leaf, "unit"), texts)
+                contents.words.setdefault((*leaf, "unit"), texts)
             elif len(texts) == 1 and texts[0]:
-                found.words.setdefault((*leaf, NAME), texts)
+                contents.words.setdefault((*leaf, NAME), texts)

@@ -24,7 +24,7 @@ _MOST_BYTES = (1 << 31) - (1 << 16)  # largest size of a variable in version 5
 
 
 class _Folder(NamedTuple):
-    """The data to write for one group: arrays, and texts or lists of texts, by their names."""
+    """The data to write for one group, by name: arrays, texts and lists of texts."""
 
     arrays: dict[str, NDArray[Any]]
     texts: dict[str, str | list[str]]

@@ -17,7 +17,7 @@ Key = tuple[int | slice, ...]
 """An index or a slice for each axis of an array."""
 
 _SPECIFIED = re.compile(r"[`'\"](\w+)[`'\"] in ([^\s,;()`'\"]+)")  # "`imu_gyr` in rad/s", in a description
-_MOST_WORDS, _LONG = 4096, 100_000  # more texts are no names or units; a text of so many letters is no description
+_MOST_WORDS, _LONG = 4096, 100_000  # a longer list has no names or units; a longer text is no description
 
 
 class Leaf(NamedTuple):
@@ -56,13 +56,13 @@ class Leaf(NamedTuple):
         return max(self.shape, default=1)
 
     @property
-    def meant(self) -> tuple[int, ...]:
+    def full_shape(self) -> tuple[int, ...]:
         """Return the shape of the complete array."""
         return self.claimed or self.shape
 
     def squeezed(self) -> Leaf:
         """Return the array without axes of length one, which MATLAB's vectors have."""
-        kept = [axis for axis, size in enumerate(self.meant) if size != 1]
+        kept = [axis for axis, size in enumerate(self.full_shape) if size != 1]
         if len(kept) == len(self.shape):
             return self
 
@@ -70,7 +70,7 @@ class Leaf(NamedTuple):
             left = iter(key)
             return self.take(tuple(next(left) if axis in kept else 0 for axis in range(len(self.shape))))
 
-        shape, claimed = (tuple(sizes[axis] for axis in kept) for sizes in (self.shape, self.meant))
+        shape, claimed = (tuple(sizes[axis] for axis in kept) for sizes in (self.shape, self.full_shape))
         return self._replace(shape=shape, take=take, claimed=claimed if self.claimed else ())
 
 
@@ -113,7 +113,7 @@ class FileArrays:
             self.numbers[leaf.path] = float(leaf.take(()))
 
     def word(self, path: Path) -> str:
-        """Return a single text, or "" if there is none."""
+        """Return the text at a path; "" if there is none, or a list of several."""
         texts = self.words.get(path, ())
         return texts[0] if len(texts) == 1 else ""
 

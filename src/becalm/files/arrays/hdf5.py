@@ -1,4 +1,4 @@
-"""Read HDF5 files with h5py, values only when needed. netCDF 4, pandas and PyTables files are HDF5 too."""
+"""Read HDF5 files with h5py, and their values only when needed. netCDF 4, pandas and PyTables files are HDF5 too."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return read_tree(LibraryFile(path, "HDF5"), "hdf5", _grouping)
 
 
-def _grouping(foreign: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> Grouping:
-    contents = Tree(foreign, opened, h5py).walk(opened.file)
+def _grouping(library_file: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> Grouping:
+    contents = Tree(library_file, opened, h5py).walk(opened.file)
     apply_conventions(contents)
     return Grouping(contents, "/", apart=True)
 
 
 def read_tree(
-    foreign: LibraryFile,
+    library_file: LibraryFile,
     form: str,
     group_contents: Callable[[LibraryFile, Hdf5File, ModuleType], Grouping],
     base: int = 0,
@@ -47,7 +47,7 @@ def read_tree(
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file.
     form : str
         Short name of its format.
@@ -61,21 +61,21 @@ def read_tree(
     InputError
         If nothing in it can be read.
     """
-    h5py = foreign.library("h5py")
-    with foreign.explain_damage():
-        opened = Hdf5File(h5py, foreign.path, base)
-        foreign.cut = opened.size is not None
+    h5py = library_file.library("h5py")
+    with library_file.explain_damage():
+        opened = Hdf5File(h5py, library_file.path, base)
+        library_file.cut = opened.size is not None
     try:
-        with foreign.explain_damage():
-            grouping = group_contents(foreign, opened, h5py)
+        with library_file.explain_damage():
+            grouping = group_contents(library_file, opened, h5py)
             groups = grouping.groups()
         if not groups and grouping.notes:
             raise InputError(
-                f"{foreign.path} holds no channel that can be read: {shorten(' '.join(grouping.notes), 500)}"
+                f"{library_file.path} holds no channel that can be read: {shorten(' '.join(grouping.notes), 500)}"
             )
     except BaseException as cause:
         opened.close()
-        if foreign.cut and isinstance(cause, InputError):
-            raise foreign.holds_nothing() from cause
+        if library_file.cut and isinstance(cause, InputError):
+            raise library_file.no_rows_error() from cause
         raise
-    return tables(foreign, form, groups, opened.close)
+    return tables(library_file, form, groups, opened.close)

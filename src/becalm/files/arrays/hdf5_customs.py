@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from becalm.files.arrays.array_labels import FLAG
 from becalm.files.arrays.arrays import FileArrays, Key, Leaf, Path
 
-_FILLS = ("_FillValue", "missing_value")  # attributes: values that stand for missing ones
+_FILLS = ("_FillValue", "missing_value")  # attributes whose value marks missing values
 _SINCE = re.compile(r"(\w+) since (.+)")
 _STEPS = {
     "ns": ("nanosecond", "nanoseconds", "ns"),
@@ -25,29 +25,30 @@ _STEPS = {
 }
 """NumPy's units of time, and their names in netCDF."""
 
-_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"  # how the attribute NAME begins
+_NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
+"""The attribute NAME of a dataset that is only a dimension, and has no values, begins with this text."""
 
 
-def apply_conventions(found: FileArrays) -> None:
+def apply_conventions(contents: FileArrays) -> None:
     """Give arrays the names, types and values that their writer's conventions define."""
-    found.leaves = [
-        _pandas(found, _netcdf(found, leaf))
-        for leaf in found.leaves
-        if not found.word((*leaf.path, "NAME")).startswith(_NO_VARIABLE)
+    contents.leaves = [
+        _pandas(contents, _netcdf(contents, leaf))
+        for leaf in contents.leaves
+        if not contents.word((*leaf.path, "NAME")).startswith(_NO_VARIABLE)
     ]
 
 
-def _netcdf(found: FileArrays, leaf: Leaf) -> Leaf:
-    if (*leaf.path, FLAG) in found.numbers and leaf.type.kind == "u":
+def _netcdf(contents: FileArrays, leaf: Leaf) -> Leaf:
+    if (*leaf.path, FLAG) in contents.numbers and leaf.type.kind == "u":
         flags = leaf.take
         return leaf._replace(type=np.dtype(bool), take=lambda key: flags(key).astype(np.bool_))
-    fills = [found.numbers[path] for name in _FILLS if (path := (*leaf.path, name)) in found.numbers]
-    scale, offset = (found.numbers.get((*leaf.path, name)) for name in ("scale_factor", "add_offset"))
+    fills = [contents.numbers[path] for name in _FILLS if (path := (*leaf.path, name)) in contents.numbers]
+    scale, offset = (contents.numbers.get((*leaf.path, name)) for name in ("scale_factor", "add_offset"))
     if leaf.type.kind in "iuf" and (fills or scale is not None or offset is not None):
         leaf = _scaled(leaf, fills, 1.0 if scale is None else scale, offset or 0.0)
     for name in ("units", "unit"):
-        if leaf.type.kind in "iuf" and (match := _SINCE.fullmatch(found.word((*leaf.path, name)))):
-            return _since(found, leaf, match[1], match[2], (*leaf.path, name))
+        if leaf.type.kind in "iuf" and (match := _SINCE.fullmatch(contents.word((*leaf.path, name)))):
+            return _since(contents, leaf, match[1], match[2], (*leaf.path, name))
     return leaf
 
 
@@ -60,7 +61,7 @@ def _scaled(leaf: Leaf, fills: list[float], scale: float, offset: float) -> Leaf
     return leaf._replace(type=np.dtype(np.float64), take=take)
 
 
-def _since(found: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
+def _since(contents: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
     """Convert a count since a date, such as "days since 2000-01-01", to instants; leave other arrays unchanged."""
     step = next((step for step, words in _STEPS.items() if word.lower() in words), None)
     plain = re.sub(r"(?:\s*UTC|Z|[+-]00:?00|\s*\+0:00)$", "", text.strip()).replace(" ", "T", 1)
@@ -70,7 +71,7 @@ def _since(found: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> L
         first = None
     if first is None or step is None:
         return leaf
-    del found.words[unit]
+    del contents.words[unit]
     ns = np.array(1, f"m8[{step}]").astype("m8[ns]").astype(np.int64)
 
     def take(key: Key) -> NDArray[Any]:
@@ -84,15 +85,15 @@ def _since(found: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> L
     return leaf._replace(type=np.dtype("M8[ns]"), take=take)
 
 
-def _pandas(found: FileArrays, leaf: Leaf) -> Leaf:
+def _pandas(contents: FileArrays, leaf: Leaf) -> Leaf:
     folder, name = leaf.path[:-1], leaf.path[-1]
-    kind = found.word((*leaf.path, "kind")) or found.word((*folder, f"{name}_kind"))
+    kind = contents.word((*leaf.path, "kind")) or contents.word((*folder, f"{name}_kind"))
     columns = _pickled_names(kind)
     if name.startswith("block") and name.endswith("_values"):
-        columns = found.words.get((*folder, name.removesuffix("_values") + "_items"), ())
+        columns = contents.words.get((*folder, name.removesuffix("_values") + "_items"), ())
     if columns:
-        found.words[(*leaf.path, "columns")] = columns
-    if found.word((*folder, "pandas_type")) and name == "axis1":
+        contents.words[(*leaf.path, "columns")] = columns
+    if contents.word((*folder, "pandas_type")) and name == "axis1":
         leaf = leaf._replace(path=(*folder, "index"))
     if kind.startswith("datetime64") and leaf.type.kind == "i":
         unit = kind.removeprefix("datetime64").strip("[]").partition(",")[0] or "ns"

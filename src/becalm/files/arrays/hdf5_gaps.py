@@ -21,7 +21,7 @@ def is_in_file(chunk: Any, end: int) -> bool:
 
 
 class WrittenChunks:
-    """Knows which chunks of a dataset are in the file.
+    """The chunks of a dataset that are in the file.
 
     Parameters
     ----------
@@ -36,29 +36,29 @@ class WrittenChunks:
     def __init__(self, dataset: Any, rows: int, end: int) -> None:
         self._steps: tuple[int, ...] = dataset.chunks
         self._shape = (rows, *dataset.shape[1:])
-        self._there = np.zeros([-(-size // step) for size, step in zip(self._shape, self._steps, strict=True)], bool)
+        self._present = np.zeros([-(-size // step) for size, step in zip(self._shape, self._steps, strict=True)], bool)
 
         absent = []
 
-        def look(chunk: Any) -> None:
+        def visit(chunk: Any) -> None:
             place = tuple(at // step for at, step in zip(chunk.chunk_offset, self._steps, strict=True))
-            if any(at >= count for at, count in zip(place, self._there.shape, strict=True)):
+            if any(at >= count for at, count in zip(place, self._present.shape, strict=True)):
                 return
-            self._there[place] = True
+            self._present[place] = True
             if not is_in_file(chunk, end):
                 absent.append(place)
 
-        dataset.id.chunk_iter(look)
-        for place in absent:  # after all others: a damaged index may list a chunk twice
-            self._there[place] = False
+        dataset.id.chunk_iter(visit)
+        for place in absent:  # last, because a damaged index may list a chunk twice
+            self._present[place] = False
 
     @property
     def missing(self) -> int:
         """Return the number of missing chunks."""
-        return int(self._there.size - np.count_nonzero(self._there))
+        return int(self._present.size - np.count_nonzero(self._present))
 
     def nullable_type(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
-        """Return a type that holds values of this type, and a missing value; integers become float64."""
+        """Return a type for values of this type and for a missing value; integers and flags become float64."""
         return np.dtype(np.float64) if dtype.kind in "biu" else dtype
 
     def mark_missing(self, values: NDArray[Any], key: Key) -> NDArray[Any]:
@@ -68,7 +68,7 @@ class WrittenChunks:
         """
         axes = [range(size)[part] for size, part in zip(self._shape, key, strict=False)]
         chunks = [np.atleast_1d(np.asarray(one)) // step for one, step in zip(axes, self._steps, strict=True)]
-        there = self._there[np.ix_(*chunks)].reshape([len(one) for one in axes if isinstance(one, range)])
-        there = there.reshape(there.shape + (1,) * (values.ndim - there.ndim))
+        present = self._present[np.ix_(*chunks)].reshape([len(one) for one in axes if isinstance(one, range)])
+        present = present.reshape(present.shape + (1,) * (values.ndim - present.ndim))
         kind = self.nullable_type(values.dtype)
-        return np.where(there, values.astype(kind, copy=False), np.array(_ABSENT.get(kind.kind, np.nan), kind))
+        return np.where(present, values.astype(kind, copy=False), np.array(_ABSENT.get(kind.kind, np.nan), kind))

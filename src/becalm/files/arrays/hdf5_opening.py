@@ -41,25 +41,25 @@ class Hdf5File:
         self._h5py = h5py
         self.size: int | None = None
         self._base, self._length = base, path.stat().st_size - base
-        self._stretched: _Stretched | None = None
+        self._padded: _PaddedFile | None = None
         try:
             self.file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES, locking=False)
         except OSError as cause:
             if "truncated file" not in str(cause):
                 raise
             self.size = path.stat().st_size
-            self._stretched = _Stretched(path, _claimed_end(path, base))
+            self._padded = _PaddedFile(path, _claimed_end(path, base))
             try:
-                self.file = h5py.File(self._stretched, "r", rdcc_nbytes=_CACHE_BYTES)
+                self.file = h5py.File(self._padded, "r", rdcc_nbytes=_CACHE_BYTES)
             except BaseException:
-                self._stretched.close()
+                self._padded.close()
                 raise
 
     def close(self) -> None:
         """Close the file."""
         self.file.close()
-        if self._stretched is not None:
-            self._stretched.close()
+        if self._padded is not None:
+            self._padded.close()
 
     def whole_rows(self, dataset: Any) -> int:
         """Return the number of entries on a dataset's first axis that can be read.
@@ -71,7 +71,7 @@ class Hdf5File:
         if self.size is None:
             return self._written_rows(dataset, int(rows))
         if self._h5py.check_string_dtype(dataset.dtype) and dataset.dtype.kind == "O":
-            return 0  # its texts are elsewhere in the file, perhaps beyond the end
+            return 0  # its texts are stored elsewhere in the file, perhaps beyond its end
         if dataset.chunks is None:
             return self._contiguous_rows(dataset, int(rows))
         for number in range(dataset.id.get_num_chunks()):
@@ -105,15 +105,15 @@ class Hdf5File:
             return rows
         last = 0
 
-        def look(chunk: Any) -> None:
+        def visit(chunk: Any) -> None:
             nonlocal last
             last = max(last, chunk.chunk_offset[0] + sizes[0])
 
-        dataset.id.chunk_iter(look)
+        dataset.id.chunk_iter(visit)
         return min(rows, last)
 
 
-class _Stretched(io.RawIOBase):
+class _PaddedFile(io.RawIOBase):
     """A truncated file that reads as if it had its full length, with zeros beyond its end."""
 
     def __init__(self, path: Path, length: int) -> None:

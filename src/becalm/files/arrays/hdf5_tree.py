@@ -22,14 +22,14 @@ _FIELD_UNITS = ("units", "unit")  # attributes with a unit for each field of a d
 
 
 class _Shapes(NamedTuple):
-    """The shape that can be read; the claimed shape if it differs, else (); and the chunks if some are missing."""
+    """The shapes of a dataset: what is in the file, and what the dataset claims."""
 
-    there: tuple[int, ...]
-    claimed: tuple[int, ...]
-    written: WrittenChunks | None
+    readable: tuple[int, ...]
+    claimed: tuple[int, ...]  # () if it is the same as `readable`
+    written: WrittenChunks | None  # None if no chunk is missing
 
     def with_axes(self, inner: tuple[int, ...]) -> _Shapes:
-        return _Shapes((*self.there, *inner), (*self.claimed, *inner) if self.claimed else (), self.written)
+        return _Shapes((*self.readable, *inner), (*self.claimed, *inner) if self.claimed else (), self.written)
 
     def with_gaps(self, leaf: Leaf) -> Leaf:
         if self.written is None:
@@ -45,7 +45,7 @@ class Tree:
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file.
     opened : Hdf5File
         The open file.
@@ -56,60 +56,60 @@ class Tree:
     entries = "rows"
     """What messages call the entries on a dataset's first axis."""
 
-    def __init__(self, foreign: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> None:
-        self._foreign, self._opened, self.h5py = foreign, opened, h5py
-        self.found = FileArrays()
-        self._met: set[Any] = set()
+    def __init__(self, library_file: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> None:
+        self._library_file, self._opened, self.h5py = library_file, opened, h5py
+        self.contents = FileArrays()
+        self._visited: set[Any] = set()
         self._claimed = 0
 
     def walk(self, group: Any, path: Path = ()) -> FileArrays:
         """Collect the contents of a group and of all groups in it."""
-        self._met.add(self._identity(group))
-        self.take_attributes(group, path)
+        self._visited.add(self._identity(group))
+        self.collect_attributes(group, path)
         if len(path) >= DEEPEST:
             self.note(path, f"it is nested more than {DEEPEST} deep")
-            return self.found
+            return self.contents
         for name in group:
             inner = (*path, name.encode("utf-8", "replace").decode())
             try:
-                self.look(group, name, inner)
+                self.visit(group, name, inner)
             except (OSError, KeyError, RuntimeError, ValueError, TypeError) as cause:
                 cut = self._opened.size is not None
                 self.note(inner, "the file ends before it" if cut else " ".join(str(cause).split())[:120])
-        return self.found
+        return self.contents
 
-    def look(self, group: Any, name: str, path: Path) -> None:
-        """Collect the object that a name in a group links to, if it is in this file and not collected already."""
+    def visit(self, group: Any, name: str, path: Path) -> None:
+        """Collect the object that a name in a group links to, if it is in this file and was not visited before."""
         link = group.get(name, getlink=True)
         if isinstance(link, self.h5py.ExternalLink):
             self.note(path, f"it leads to another file, {link.filename!r}")
         if not isinstance(link, self.h5py.HardLink):
-            return  # the target of a soft link is found at its own place
+            return  # the target of a soft link is visited under its own name
         thing = group[name]
-        if (identity := self._identity(thing)) in self._met:
+        if (identity := self._identity(thing)) in self._visited:
             return
-        self._met.add(identity)
+        self._visited.add(identity)
         if isinstance(thing, self.h5py.Group):
             if thing.attrs.get("CLASS") not in _HIDDEN:
                 self.walk(thing, path)
         elif isinstance(thing, self.h5py.Dataset):
-            self.take_attributes(thing, path)
-            self.take_dataset(thing, path)
+            self.collect_attributes(thing, path)
+            self.collect_dataset(thing, path)
 
     def _identity(self, thing: Any) -> Any:
         return self.h5py.h5o.get_info(thing.id).addr
 
     def note(self, path: Path, why: str) -> None:
         """Add a note that something is not read, with the reason."""
-        self.found.notes.append(f"{'/'.join(path)!r} is not read: {why}.")
+        self.contents.notes.append(f"{'/'.join(path)!r} is not read: {why}.")
 
-    def take_attributes(self, thing: Any, path: Path) -> None:
+    def collect_attributes(self, thing: Any, path: Path) -> None:
         """Collect the numbers and texts in the attributes of an object."""
         for name in thing.attrs:
             with suppress(OSError, KeyError, RuntimeError, ValueError, TypeError):  # damaged attributes are skipped
-                self._take_attribute(thing, name, path)
+                self._collect_attribute(thing, name, path)
 
-    def _take_attribute(self, thing: Any, name: str, path: Path) -> None:
+    def _collect_attribute(self, thing: Any, name: str, path: Path) -> None:
         attribute = thing.attrs.get_id(name)
         claimed = int(np.prod(attribute.shape or (), dtype=object)) * attribute.dtype.itemsize
         text = self.h5py.check_string_dtype(attribute.dtype) is not None
@@ -120,20 +120,20 @@ class Tree:
             return
         values = as_text(np.asarray(value)) if text else np.asarray(value)
         if text and values.size and values.ndim < 2:
-            self.found.words[(*path, name)] = tuple(str(one).strip() for one in values.ravel())
+            self.contents.words[(*path, name)] = tuple(str(one).strip() for one in values.ravel())
         elif not text and values.size == 1:
-            self.found.numbers[(*path, name)] = float(values.ravel()[0])
+            self.contents.numbers[(*path, name)] = float(values.ravel()[0])
 
-    def take_dataset(self, dataset: Any, path: Path) -> None:
-        """Collect a dataset, or add a note if it cannot be read or leads out of the file."""
+    def collect_dataset(self, dataset: Any, path: Path) -> None:
+        """Collect a dataset, or add a note if it cannot be read or its values are in another file."""
         if dataset.shape is None:
             return
         if why := self.why_not(dataset):
             self.note(path, why)
         else:
-            self.keep_dataset(dataset, path)
+            self.collect_readable(dataset, path)
 
-    def keep_dataset(self, dataset: Any, path: Path) -> None:
+    def collect_readable(self, dataset: Any, path: Path) -> None:
         """Collect a dataset that may be read, or each of its fields."""
         rows = self._opened.whole_rows(dataset)
         shape = (rows, *dataset.shape[1:]) if dataset.shape else ()
@@ -144,40 +144,40 @@ class Tree:
             says = (
                 "The file ends in the middle" if self._opened.size is not None else "The logger stopped in the middle"
             )
-            self.found.notes.append(
+            self.contents.notes.append(
                 f"{says} of {'/'.join(path)!r}; {rows} of {dataset.shape[0]} {self.entries} are whole and were read."
             )
         self._claimed += int(np.prod(shape, dtype=object)) * dataset.dtype.itemsize
-        self._foreign.refuse_claim(max(self._claimed, _chunk_bytes(dataset)))
+        self._library_file.refuse_claim(max(self._claimed, _chunk_bytes(dataset)))
         written = self._opened.written(dataset, rows)
         if written is not None:
-            self.found.notes.append(f"Parts of {'/'.join(path)!r} were never written, and are missing.")
+            self.contents.notes.append(f"Parts of {'/'.join(path)!r} were never written, and are missing.")
         shapes = _Shapes(shape, dataset.shape if shape != dataset.shape else (), written)
         if dataset.dtype.names:
-            self._take_fields(dataset, path, shapes)
+            self._collect_fields(dataset, path, shapes)
         else:
-            self._take(path, shapes, dataset.dtype, lambda key: dataset[key])
+            self._collect(path, shapes, dataset.dtype, lambda key: dataset[key])
 
-    def _take_fields(self, dataset: Any, path: Path, shapes: _Shapes) -> None:
+    def _collect_fields(self, dataset: Any, path: Path, shapes: _Shapes) -> None:
         names = dataset.dtype.names
         for position, name in enumerate(names):
             for word in _FIELD_UNITS:
-                texts = self.found.words.get((*path, word), ())
-                own = self.found.word((*path, f"FIELD_{position}_{word.upper()}"))
+                texts = self.contents.words.get((*path, word), ())
+                own = self.contents.word((*path, f"FIELD_{position}_{word.upper()}"))
                 if own or len(texts) == len(names):
-                    self.found.words[(*path, name, "unit")] = (own or texts[position],)
-            self._take_field(dataset, (name,), path, shapes)
+                    self.contents.words[(*path, name, "unit")] = (own or texts[position],)
+            self._collect_field(dataset, (name,), path, shapes)
 
-    def _take_field(self, dataset: Any, fields: tuple[str, ...], path: Path, shapes: _Shapes) -> None:
+    def _collect_field(self, dataset: Any, fields: tuple[str, ...], path: Path, shapes: _Shapes) -> None:
         kind = dataset.dtype
         for name in fields:
             kind = kind[name]
         if kind.names:
             for name in kind.names:
-                self._take_field(dataset, (*fields, name), path, shapes)
+                self._collect_field(dataset, (*fields, name), path, shapes)
             return
         base, inner = kind.subdtype or (kind, ())
-        depth = len(shapes.there)
+        depth = len(shapes.readable)
 
         def take(key: Key) -> Any:
             values = dataset.fields(fields[0])[key[:depth]]
@@ -186,21 +186,21 @@ class Tree:
             values = np.asarray(values)
             return values[(..., *key[depth:])] if inner else values
 
-        self._take((*path, *fields), shapes.with_axes(inner), base, take)
+        self._collect((*path, *fields), shapes.with_axes(inner), base, take)
 
-    def _take(self, path: Path, shapes: _Shapes, kind: np.dtype[Any], take: Any) -> None:
-        h5py, shape, claimed = self.h5py, shapes.there, shapes.claimed
+    def _collect(self, path: Path, shapes: _Shapes, kind: np.dtype[Any], take: Any) -> None:
+        h5py, shape, claimed = self.h5py, shapes.readable, shapes.claimed
         if h5py.check_string_dtype(kind) or kind.kind in "SU":
             text = Leaf(path, shape, np.dtype(object), lambda key: as_text(np.asarray(take(key))), claimed)
-            self.found.add(self.placed(shapes.with_gaps(text)))
+            self.contents.add(self.in_writer_order(shapes.with_gaps(text)))
         elif h5py.check_enum_dtype(kind) or kind.kind in "biufcMm":
             plain = np.dtype(kind.str)
             numbers = Leaf(path, shape, plain, lambda key: np.asarray(take(key)).astype(plain, copy=False), claimed)
-            self.found.add(self.placed(shapes.with_gaps(numbers)))
+            self.contents.add(self.in_writer_order(shapes.with_gaps(numbers)))
         elif not h5py.check_ref_dtype(kind):
             self.note(path, f"it holds {kind}, which is neither numbers nor text")
 
-    def placed(self, leaf: Leaf) -> Leaf:
+    def in_writer_order(self, leaf: Leaf) -> Leaf:
         """Return an array with its axes in the writer's order."""
         return leaf
 

@@ -29,8 +29,8 @@ _FEWEST = 16  # smallest number of rows in a chunk
 _LONGEST = 64  # largest number of letters in a date
 
 
-class _Sheltered:
-    """A file that keeps an exception until `raise_failure`, because HDF5 ends the process if a write fails."""
+class _ErrorDeferringFile:
+    """A file that holds an exception back until `raise_failure`, because HDF5 ends the process if a write fails."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -84,7 +84,7 @@ class Hdf5Rows:
     """
 
     def __init__(self, file: IO[bytes]) -> None:
-        self._file = _Sheltered(file)
+        self._file = _ErrorDeferringFile(file)
         self._out: Any = None
         self._tables: dict[str, _Table] = {}
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
-from becalm.files.arrays.array_labels import take_labels
+from becalm.files.arrays.array_labels import apply_labels
 from becalm.files.arrays.arrays import FileArrays, Leaf
 from becalm.files.groups import tables
 from becalm.files.library_reader import LibraryFile
@@ -23,7 +23,7 @@ from becalm.files.signatures import is_mat5
 from becalm.files.source import RawTable
 
 MOST_ELEMENTS = 1024
-"""Largest number of elements of a cell array, or of an array of structs, that become arrays of their own."""
+"""Largest number of elements of a cell array, or of an array of structs, that are read as separate arrays."""
 
 SAVE_AS = "; save it from MATLAB as plain arrays: S = table2struct(T, 'ToScalar', true)"
 """Advice for objects that only MATLAB can open."""
@@ -32,12 +32,12 @@ SPARSE = "it is a sparse matrix; save it from MATLAB as full(A)"
 """Message: why a sparse matrix is not read, and what the user can do."""
 
 _HEAD5, _TAG, _COMPRESSED = 128, 8, 15  # version 5: bytes of the header and of a tag; type of a compressed element
-_NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the digit P of a type in version 4
+_NUMBERS4 = (8, 4, 4, 2, 2, 1)  # bytes of a value, by the tens digit of a type code in version 4
 _CUT = "the file ends in it"
 
 
 class _Variable(NamedTuple):
-    """The bytes of a MAT file with one variable, and the reason why it is not read, "" if it is."""
+    """A variable as the bytes of a MAT file with only it, and the reason why it is not read; "" if it is read."""
 
     file: bytes
     why: str = ""
@@ -51,17 +51,17 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If no variable in it can be read.
     """
-    foreign = LibraryFile(path, "MAT")
+    library_file = LibraryFile(path, "MAT")
     contents = FileArrays()
-    with foreign.explain_damage():
+    with library_file.explain_damage():
         data = path.read_bytes()
         for variable in _variables5(data) if is_mat5(data[:_HEAD5]) else _variables4(data):
             _add(contents, variable)
-    take_labels(contents)
+    apply_labels(contents)
     groups = Grouping(contents, ".", apart=False).groups()
     if not groups and contents.notes:
         raise InputError(f"{path} holds no channel that can be read: {' '.join(contents.notes)[:500]}")
-    return tables(foreign, "mat", groups)
+    return tables(library_file, "mat", groups)
 
 
 def _variables5(data: bytes) -> Iterator[_Variable]:
@@ -106,8 +106,8 @@ def _add(contents: FileArrays, variable: _Variable) -> None:
             why = " ".join(str(cause).split())[:100] or type(cause).__name__
         else:
             for name, value in named.items():
-                if not name.startswith("__"):  # data of SciPy and MATLAB
-                    _hold(contents, (name,), value)
+                if not name.startswith("__"):  # metadata of SciPy and MATLAB
+                    _add_value(contents, (name,), value)
     if why:
         name = _name(variable)
         contents.notes.append(f"{repr(name) if name else 'A variable'} is not read: {why}.")
@@ -131,18 +131,18 @@ def _name(variable: _Variable) -> str:
 
     try:
         return str(whosmat(io.BytesIO(variable.file))[0][0])  # type: ignore[arg-type]  # takes files
-    except Exception:  # as above
+    except Exception:  # SciPy raises many types for a damaged variable
         return ""
 
 
-def _hold(contents: FileArrays, path: tuple[str, ...], value: Any) -> None:
+def _add_value(contents: FileArrays, path: tuple[str, ...], value: Any) -> None:
     """Add the arrays of a value, also those nested in structs and cells."""
     if why := _why_not(value):
         contents.notes.append(f"{'.'.join(path)!r} is not read: {why}.")
     elif value.dtype.names:
-        _hold_struct(contents, path, value)
+        _add_struct(contents, path, value)
     elif value.dtype.kind == "O":
-        _hold_cells(contents, path, value)
+        _add_cells(contents, path, value)
     elif value.dtype.kind == "U":
         contents.add(Leaf.of(path, np.char.rstrip(value, " \0")))  # the lines of a char matrix are padded
     else:
@@ -162,7 +162,7 @@ def _why_not(value: Any) -> str:
     return SPARSE if issparse(value) else "" if isinstance(value, np.ndarray) else f"it is {type(value).__name__}"
 
 
-def _hold_struct(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
+def _add_struct(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
     elements = value.ravel(order="F")
     names = value.dtype.names or ()
     records = len(elements) > 1 and all(_is_single(one) for name in names for one in elements[name])
@@ -173,10 +173,10 @@ def _hold_struct(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any
             continue
         for number, one in enumerate(held[:MOST_ELEMENTS], start=1):
             where = path if len(elements) == 1 else (*path[:-1], f"{path[-1]}({number})")
-            _hold(contents, (*where, name), one)
+            _add_value(contents, (*where, name), one)
 
 
-def _hold_cells(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
+def _add_cells(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any]) -> None:
     cells = value.ravel(order="F")
     if all(isinstance(one, np.ndarray) and one.dtype.kind == "U" and one.size <= 1 for one in cells):
         contents.add(Leaf.of(path, np.array([one.item() if one.size else "" for one in cells], object)))
@@ -184,7 +184,7 @@ def _hold_cells(contents: FileArrays, path: tuple[str, ...], value: NDArray[Any]
         contents.add(Leaf.of(path, np.array([one.item() for one in cells])))
     else:
         for number, one in enumerate(cells[:MOST_ELEMENTS], start=1):
-            _hold(contents, (*path[:-1], f"{path[-1]}{{{number}}}"), one)
+            _add_value(contents, (*path[:-1], f"{path[-1]}{{{number}}}"), one)
 
 
 def _is_number(value: NDArray[Any]) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from becalm.files.arrays.array_groups import Grouping
-from becalm.files.arrays.array_labels import take_labels
+from becalm.files.arrays.array_labels import apply_labels
 from becalm.files.arrays.arrays import Leaf
 from becalm.files.arrays.arrays import Path as Where
 from becalm.files.arrays.hdf5 import read_tree
@@ -36,9 +36,9 @@ def read(path: Path) -> tuple[RawTable, ...]:
     return read_tree(LibraryFile(path, "MAT 7.3"), "mat", _grouping, _USER_BLOCK)
 
 
-def _grouping(foreign: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> Grouping:
-    contents = _MatlabTree(foreign, opened, h5py).walk(opened.file)
-    take_labels(contents)
+def _grouping(library_file: LibraryFile, opened: Hdf5File, h5py: ModuleType) -> Grouping:
+    contents = _MatlabTree(library_file, opened, h5py).walk(opened.file)
+    apply_labels(contents)
     return Grouping(contents, ".", apart=False)
 
 
@@ -48,7 +48,7 @@ class _MatlabTree(Tree):
     entries = "columns"
     _left = _MOST_REFERENCES  # elements that may still be read
 
-    def look(self, group: Any, name: str, path: Where) -> None:
+    def visit(self, group: Any, name: str, path: Where) -> None:
         """Collect an object, except internal data of MATLAB and objects that only MATLAB can open."""
         if name.startswith("#"):
             return
@@ -59,36 +59,36 @@ class _MatlabTree(Tree):
         elif thing is self.h5py.Group and "MATLAB_sparse" in group[name].attrs:
             self.note(path, SPARSE)
         else:
-            super().look(group, name, path)
+            super().visit(group, name, path)
 
-    def keep_dataset(self, dataset: Any, path: Where) -> None:
+    def collect_readable(self, dataset: Any, path: Where) -> None:
         """Collect a dataset as MATLAB's array; the file has its axes in reverse order."""
         kind = _kind(dataset)
         if "MATLAB_empty" in dataset.attrs or not dataset.shape:
             return
         if self.h5py.check_ref_dtype(dataset.dtype):
-            self._take_references(dataset, path, struct=kind != "cell")
+            self._collect_references(dataset, path, struct=kind != "cell")
         elif kind == "char":
-            self._take_text(dataset, path)
+            self._collect_text(dataset, path)
         elif kind and kind not in _NUMBERS and kind != "logical":
             self.note(path, f"it is a MATLAB {kind}, which only MATLAB opens{SAVE_AS}")
         else:
-            super().keep_dataset(dataset, path)
-            leaf = self.found.leaves[-1] if self.found.leaves else None
+            super().collect_readable(dataset, path)
+            leaf = self.contents.leaves[-1] if self.contents.leaves else None
             if kind == "logical" and leaf is not None and leaf.path == path and leaf.type.kind == "u":
-                self.found.leaves[-1] = leaf._replace(
+                self.contents.leaves[-1] = leaf._replace(
                     type=np.dtype(bool), take=lambda key: leaf.take(key).astype(np.bool_)
                 )
 
-    def _take_text(self, dataset: Any, path: Where) -> None:
+    def _collect_text(self, dataset: Any, path: Where) -> None:
         if dataset.size * 2 > _TEXT_BYTES:
             self.note(path, f"it is a text of {dataset.size} letters, which is too long")
             return
         codes = np.atleast_2d(dataset[()].T).astype("<u2")
         lines = [row.tobytes().decode("utf-16-le", "replace").rstrip() for row in codes]
-        self.found.add(Leaf.of(path, np.array(lines, object)))
+        self.contents.add(Leaf.of(path, np.array(lines, object)))
 
-    def _take_references(self, dataset: Any, path: Where, struct: bool) -> None:
+    def _collect_references(self, dataset: Any, path: Where, struct: bool) -> None:
         """Collect the elements of a cell array, or of a field in an array of structs."""
         if dataset.size > min(self._left, _MOST_REFERENCES) or len(path) > DEEPEST:
             self.note(path, f"it has {dataset.size} elements, which are too many")
@@ -99,15 +99,15 @@ class _MatlabTree(Tree):
         readable = all(one is not None and not self.why_not(one) for one in held)
         if readable and all(_kind(one) == "char" for one in held):
             if not struct:
-                self.found.add(Leaf.of(path, np.array([self._one_text(one) for one in held], object)))
+                self.contents.add(Leaf.of(path, np.array([self._one_text(one) for one in held], object)))
                 return
         elif readable and len(held) > 1 and all(map(_is_number, held)) and (not struct or self._in_records(dataset)):
-            self.found.add(Leaf.of(path, np.array([one[()].item() for one in held if one is not None])))
+            self.contents.add(Leaf.of(path, np.array([one[()].item() for one in held if one is not None])))
             return
         for number, (thing, one) in enumerate(zip(things[:MOST_ELEMENTS], held, strict=False), start=1):
             where = (*path[:-2], f"{path[-2]}({number})", path[-1]) if struct and len(path) > 1 else _cell(path, number)
             if one is not None:
-                self.take_dataset(one, where)
+                self.collect_dataset(one, where)
             elif isinstance(thing, self.h5py.h5g.GroupID):
                 self.walk(self.h5py.Group(thing), where)
 
@@ -125,7 +125,7 @@ class _MatlabTree(Tree):
             return ""
         return str(np.asarray(dataset[()].T).astype("<u2").tobytes().decode("utf-16-le", "replace"))
 
-    def placed(self, leaf: Leaf) -> Leaf:
+    def in_writer_order(self, leaf: Leaf) -> Leaf:
         """Return the array with its axes reversed."""
         turned = leaf._replace(shape=leaf.shape[::-1], claimed=leaf.claimed[::-1])
         return turned._replace(take=lambda key: np.asarray(leaf.take(key[::-1])).T)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from becalm.errors import InputError
 from becalm.files.arrays.array_groups import Grouping
-from becalm.files.arrays.array_labels import NAME, VARIABLES, take_labels
+from becalm.files.arrays.array_labels import NAME, VARIABLES, apply_labels
 from becalm.files.arrays.arrays import FileArrays, Leaf
 from becalm.files.groups import tables
 from becalm.files.library_reader import LibraryFile
@@ -33,37 +33,37 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If no array in it can be read.
     """
-    foreign = LibraryFile(path, "NPZ")
+    library_file = LibraryFile(path, "NPZ")
     contents = FileArrays()
-    with foreign.explain_damage():
+    with library_file.explain_damage():
         with path.open("rb") as file:
-            alone = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
-        if alone:
-            _take(contents, (path.stem or "array",), path.read_bytes())
+            is_npy = file.read(len(npy.MAGIC_PREFIX)) == npy.MAGIC_PREFIX
+        if is_npy:
+            _read_array(contents, (path.stem or "array",), path.read_bytes())
         else:
-            _take_members(contents, foreign)
-        take_labels(contents)
+            _read_members(contents, library_file)
+        apply_labels(contents)
         groups = Grouping(contents, ".", apart=False).groups()
     if not groups and contents.notes:
         raise InputError(f"{path} holds no channel that can be read: {' '.join(contents.notes)[:500]}")
-    return tables(foreign, "npz", groups)
+    return tables(library_file, "npz", groups)
 
 
-def _take_members(contents: FileArrays, foreign: LibraryFile) -> None:
-    if not is_zipfile(foreign.path):  # its index, at the end of the file, is lost
-        foreign.cut = True
-        raise foreign.holds_nothing()
-    with ZipFile(foreign.path) as archive:
+def _read_members(contents: FileArrays, library_file: LibraryFile) -> None:
+    if not is_zipfile(library_file.path):  # the index at the end of the file is missing
+        library_file.cut = True
+        raise library_file.no_rows_error()
+    with ZipFile(library_file.path) as archive:
         listed = archive.infolist()
-        foreign.refuse_claim(sum(member.file_size for member in listed))
+        library_file.refuse_claim(sum(member.file_size for member in listed))
         named = [member.filename for member in listed]
-        own = {folder for name in named if (folder := name.removesuffix(f"/{VARIABLES}.npy")) != name}
+        written_by_becalm = {folder for name in named if (folder := name.removesuffix(f"/{VARIABLES}.npy")) != name}
         for member in listed:
             name = member.filename.removesuffix(".npy")
             if name == member.filename:
                 continue
             path = tuple(name.split("/"))  # each folder may have its own times
-            if len(path) > 1 and "/".join(path[:-1]) not in own:
+            if len(path) > 1 and "/".join(path[:-1]) not in written_by_becalm:
                 contents.words[(*path, NAME)] = (name,)
             try:
                 data = archive.read(member)
@@ -71,10 +71,10 @@ def _take_members(contents: FileArrays, foreign: LibraryFile) -> None:
                 why = " ".join(str(cause).split())[:100] or type(cause).__name__
                 contents.notes.append(f"{member.filename!r} is not read: {why}.")
             else:
-                _take(contents, path, data)
+                _read_array(contents, path, data)
 
 
-def _take(contents: FileArrays, path: tuple[str, ...], data: bytes) -> None:
+def _read_array(contents: FileArrays, path: tuple[str, ...], data: bytes) -> None:
     """Read one array, or its complete rows."""
     name = "/".join(path)
     file = io.BytesIO(data)

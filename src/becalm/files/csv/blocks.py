@@ -20,7 +20,7 @@ from becalm.files.decoding import (
     explain_read_errors,
     read_bytes,
     refuse_binary,
-    refuse_nothing,
+    refuse_empty_archive,
     refuse_nul,
     refuse_other_formats,
     without_open_line,
@@ -30,8 +30,8 @@ from becalm.files.library_reader import refuse_claim
 WHOLE_BYTES = 64 << 20
 """Text files up to this size, unpacked, are read into memory."""
 
-BLOCK_BYTES = 16 << 20  # unpacked, read at once
-_LONGEST_BYTES = 256 << 20  # of a line
+BLOCK_BYTES = 16 << 20  # unpacked bytes that are read at once
+_LONGEST_BYTES = 256 << 20  # bytes of the longest line that is accepted
 _GZIP_RATIO = 8  # gzip seldom compresses tables of numbers by more than this factor
 
 
@@ -70,7 +70,7 @@ class TextFile:
     compression : str
         "gzip" or "".
     cut : str
-        A sentence that says that the file is truncated; "" if it is not, or was not read to its end yet.
+        A sentence that says that the file is truncated; "" if it is complete, or not read to its end yet.
 
     Raises
     ------
@@ -84,7 +84,7 @@ class TextFile:
         with explain_read_errors(path), self._open() as file:
             head = file.read(4096)
         if self.compression:
-            refuse_nothing(path, head)
+            refuse_empty_archive(path, head)
         refuse_other_formats(path, head)
         self._mark, self._codec, self.encoding = b"", "utf-8", "utf-8"
         self.cut = ""
@@ -92,7 +92,7 @@ class TextFile:
             if head.startswith(mark):
                 self._mark, self._codec, self.encoding = mark, codec, name
 
-    def take_for_western(self) -> None:
+    def assume_western(self) -> None:
         """Decode the text as cp1252 from now on, or as latin-1 if it already was cp1252."""
         self._codec = "latin-1" if self._codec == "cp1252" else "cp1252"
         self.encoding = "cp1252"
@@ -105,7 +105,7 @@ class TextFile:
         Raises
         ------
         OtherEncodingError
-            If the text is in another encoding: call `take_for_western`, and read the lines again.
+            If the text is in another encoding: call `assume_western`, and read the lines again.
         InputError
             If the file is damaged, or has a line of more than 256 MiB.
         """
@@ -145,7 +145,7 @@ class TextFile:
                 certain = certain or not block[: max(0, len(block) - len(rest))].isascii()
                 yield block
             archive_cut = isinstance(file, Gunzip) and file.cut
-        if rest and not (certain or archive_cut):  # all but the last bytes are ASCII
+        if rest and not (certain or archive_cut):  # the last bytes are letters of another encoding
             raise OtherEncodingError
         self.cut = CUT_ARCHIVE if archive_cut else CUT_CHARACTER if rest else ""
 
@@ -169,7 +169,7 @@ def _blocks(file: IO[bytes]) -> Iterator[bytes]:
 
 
 def rows_of_text(blocks: Iterable[bytes], separator: str) -> Iterator[bytes]:
-    """Yield the blocks without blank lines at the end of the text, and with one space between cells if spaces separate.
+    """Yield blocks without blank lines at the end of the text; if spaces separate cells, join runs of spaces.
 
     Parameters
     ----------

@@ -17,12 +17,12 @@ from becalm.errors import InputError
 from becalm.files.csv.sniffing import Dialect
 from becalm.files.decoding import without_open_line
 from becalm.files.source import RawTable
-from becalm.files.text.cells import GONE, WORDS, is_left_open, is_row, kind_of, split
+from becalm.files.text.cells import MISSING_CELL, WORDS, is_left_open, is_row, kind_of, split
 
 Body = Callable[[], Iterable[bytes]]
 """A function that returns the rows of data in blocks of whole lines; it can be called several times."""
 
-_LONGEST_CELL = 64 << 20  # bytes; a longer quoted cell counts as never closed
+_LONGEST_CELL = 64 << 20  # bytes of a quoted cell; a longer one counts as never closed
 _SHOWN = 60  # characters of a line in a message
 _LINE_END = re.compile(rb"\r\n|\n|\r")
 
@@ -59,17 +59,17 @@ class _Cell(NamedTuple):
     """A quoted cell that spans several lines; positions are in bytes."""
 
     start: int  # position of its opening quote
-    line: int  # position of the beginning of that line
+    line: int  # position of the beginning of the line with this quote
     lines: list[bytes]  # the lines that it spans, as whole lines
     behind: bytes | None  # text after its closing quote; None if the cell is not closed
 
 
-class _Stray(NamedTuple):
-    """A quote that should not open a cell."""
+class _StrayQuote(NamedTuple):
+    """A quote that opens a cell by mistake."""
 
     at: int  # position in the body, in bytes
     line: bytes  # the line that holds it
-    harm: str  # what is wrong with its cell, as the end of a sentence
+    defect: str  # what is wrong with the cell that it opens, as the end of a sentence
 
 
 def spans_lines(table: pa.Table) -> bool:
@@ -114,9 +114,9 @@ def ragged(path: Path, body: Body, dialect: Dialect, cause: str) -> InputError:
     return InputError(f"{path} cannot be read as a table: {' '.join(cause.split())[:200]}. Save it again as plain CSV.")
 
 
-def _stray_quote_error(path: Path, number: int, line: int, stray: _Stray) -> InputError:
+def _stray_quote_error(path: Path, number: int, line: int, stray: _StrayQuote) -> InputError:
     return InputError(
-        f"Row {number} (line {line}) of {path} opens a quoted cell that {stray.harm}: {_shown(stray.line)}."
+        f"Row {number} (line {line}) of {path} opens a quoted cell that {stray.defect}: {_shown(stray.line)}."
         " Remove that quote, or close the cell with another; a cell that is meant to hold all this must be on one line."
     )
 
@@ -150,7 +150,7 @@ def _cells(row: bytes, separator: str) -> int:
 
 
 def _first_bytes(blocks: Iterable[bytes], size: int) -> Iterator[bytes]:
-    """Yield the blocks up to a total of `size` bytes."""
+    """Yield blocks up to a total of `size` bytes."""
     for block in blocks:
         yield block[:size]
         size -= len(block)
@@ -158,14 +158,14 @@ def _first_bytes(blocks: Iterable[bytes], size: int) -> Iterator[bytes]:
             return
 
 
-def _first_stray(blocks: Iterable[bytes], dialect: Dialect) -> _Stray | None:
+def _first_stray(blocks: Iterable[bytes], dialect: Dialect) -> _StrayQuote | None:
     held, done = b"", 0
     for block in chain(blocks, (b"",)):
         data, held = held + block, b""
         for cell in _spanning(data, dialect.separator):
-            may_go_on = bool(block) and len(data) - cell.line < _LONGEST_CELL
-            if harm := _harm(cell, dialect, may_go_on):
-                return _Stray(done + cell.start, cell.lines[0], harm)
+            may_continue = bool(block) and len(data) - cell.line < _LONGEST_CELL
+            if defect := _defect_of_cell(cell, dialect, may_continue):
+                return _StrayQuote(done + cell.start, cell.lines[0], defect)
             if cell.behind is None:
                 held = data[cell.line :]
         done += len(data) - len(held)
@@ -184,17 +184,17 @@ def _spanning(data: bytes, separator: str) -> Iterator[_Cell]:
         yield _Cell(start, line, _LINE_END.split(text), match["behind"])
 
 
-def _harm(cell: _Cell, dialect: Dialect, may_go_on: bool) -> str:
+def _defect_of_cell(cell: _Cell, dialect: Dialect, may_continue: bool) -> str:
     """Return what is wrong with a quoted cell of several lines, as the end of a sentence; "" if it is plausible.
 
-    The line that the cell shares with other cells of its row is not tested, because it looks like a row: the last line
-    if the cell begins its first line, else the first one.
+    The line that the cell shares with other cells of its row is not tested, because it looks like a row. It is the last
+    line if the cell is the first of its row, otherwise the first line.
     """
     own = cell.lines[:-1] if cell.start == cell.line else cell.lines[1:]
     if any(is_row(line.decode("utf-8"), dialect.separator, dialect.kinds) for line in own):
         return "includes lines that look like rows of their own"
     if cell.behind is None:
-        return "" if may_go_on else "is never closed"
+        return "" if may_continue else "is never closed"
     return f"is closed below in the middle of a cell, before {_shown(cell.behind)}" if cell.behind.strip() else ""
 
 
@@ -224,14 +224,14 @@ def _patterns(separator: str) -> _Patterns:
 # Detect and leave out an incomplete last line of a text, as it remains when a logger is stopped.
 
 _WINDOW_BYTES = 1 << 20  # end of the text that is examined
-_COMPARED_ROWS = 1000  # last lines of it that are examined
-_ENOUGH_ROWS = 10  # least rows above to judge the length of a last cell; for an empty cell, any number is enough
-_RARE = 200  # a last cell is too short if at most one in so many above is as short
-_SIGN = re.compile(r"^[+-]|(?<=[eE])[+-]")  # of a number and of its exponent
+_COMPARED_ROWS = 1000  # most lines of it that are examined
+_ENOUGH_ROWS = 10  # rows above that are needed to judge the length of a last cell; an empty cell needs none
+_RARE = 200  # a last cell is too short if at most one in this many cells above is as short
+_SIGN = re.compile(r"^[+-]|(?<=[eE])[+-]")  # the signs of a number and of its exponent
 
 
 class LastLine:
-    """Leave out the last row of a table if it is incomplete.
+    """A filter of text that leaves out the last row of a table if it is incomplete.
 
     A last line without a line end is legal. It is incomplete if cells are missing, a quote is not closed, or the last
     cell is shorter than those above it.
@@ -243,13 +243,13 @@ class LastLine:
 
     Attributes
     ----------
-    harm : str
+    defect : str
         What is wrong with the last line; "" if it is complete, or if not all lines were yielded yet.
     """
 
     def __init__(self, dialect: Dialect) -> None:
         self._dialect = dialect
-        self.harm = ""
+        self.defect = ""
 
     def whole_rows(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
         """Yield the rows of data without the lines above them, and without an incomplete last row.
@@ -265,10 +265,10 @@ class LastLine:
                 yield held
             held, offset = block[offset:], max(0, offset - len(block))
             window = (window + held[-_WINDOW_BYTES:])[-_WINDOW_BYTES:]
-        self.harm = self._harm_of(window)
-        yield without_open_line(held) if self.harm else held
+        self.defect = self._defect_of(window)
+        yield without_open_line(held) if self.defect else held
 
-    def _harm_of(self, window: bytes) -> str:
+    def _defect_of(self, window: bytes) -> str:
         lines = window.splitlines()[len(window) == _WINDOW_BYTES :]  # the window may begin within a line
         lines = lines[-_COMPARED_ROWS:]
         if len(lines) < 2 or window.endswith((b"\n", b"\r", b"\x1a")):
@@ -281,11 +281,11 @@ class LastLine:
             return ""
         if is_left_open(last, separator):
             return "its last cell is not closed"
-        if last.count('"') % 2:  # it closes a cell that began above
+        if last.count('"') % 2:  # the line closes a cell that began above
             return ""
         if len(cells) < width:
             return f"it has {len(cells)} of {width} cells"
-        enough = len(rows) >= _ENOUGH_ROWS or kind_of(cells[-1]) == GONE
+        enough = len(rows) >= _ENOUGH_ROWS or kind_of(cells[-1]) == MISSING_CELL
         if enough and _is_short(cells[-1], [row[-1] for row in rows], self._dialect.kinds[-1]):
             return f"it has no line end, and its last cell, {cells[-1]!r}, is shorter than those above"
         return ""
@@ -306,7 +306,7 @@ class LastLine:
 
 
 def _is_short(cell: str, above: Sequence[str], kind: str) -> bool:
-    """Return whether hardly any cell above is as short as this one, and one begins like it and is longer."""
+    """Return whether hardly any cell above is as short as this one, and a longer cell above begins like it."""
     own, digits = _shape(cell, kind)
     shapes = [_shape(other, kind) for other in above]
     as_short = sum(shape == own and its <= digits for shape, its in shapes)
@@ -339,7 +339,7 @@ def with_truncation_notes(table: RawTable, cut: str, last: LastLine) -> RawTable
         The examined last line.
     """
     notes = [cut] if cut else []
-    if last.harm:
+    if last.defect:
         place = table.place(table.count)
-        notes.append(f"The last line, {place}, is cut short ({last.harm}) and left out; the file is incomplete.")
+        notes.append(f"The last line, {place}, is cut short ({last.defect}) and left out; the file is incomplete.")
     return replace(table, notes=(*table.notes, *notes))

@@ -24,7 +24,7 @@ _STEPS = {"Delta_X": "dt", "Increment": "dt", "tInc": "dt"}
 
 _WRITTEN = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/]*)")
 _NAME_END = re.compile(r"\s*[:=]\s*")
-_AGREE = 1e-9  # relative difference of rates that count as equal
+_AGREE = 1e-9  # largest relative difference of rates that count as equal
 
 
 def rate_above(lines: Sequence[str], separator: str) -> float | None:

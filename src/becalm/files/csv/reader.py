@@ -16,9 +16,9 @@ from becalm.files.csv.broken_rows import LastLine, ragged, refuse_strays, spans_
 from becalm.files.csv.rates import with_rate
 from becalm.files.csv.sniffing import Dialect, sniff
 from becalm.files.decoding import decode
-from becalm.files.rows import HeldRows
+from becalm.files.rows import MemoryRows
 from becalm.files.source import RawTable, TextLayout
-from becalm.files.text.cells import COMMA, GONE, MISSING, NUMBER, TIME, to_numbers
+from becalm.files.text.cells import COMMA, MISSING, MISSING_CELL, NUMBER, TIME, to_numbers
 from becalm.files.text.csv_header import unique_names
 
 _EXACT_DIGITS = 15  # whole numbers of up to this many digits are exact in float64
@@ -40,7 +40,7 @@ def read_csv(path: Path, data: bytes) -> RawTable:
     table, decimal = _parse(path, body, dialect, names)
     table = table.select(without_padding(dialect, names, [column.null_count == len(table) for column in table.columns]))
     layout = text_layout(text.encoding, text.compression, dialect, decimal)
-    raw = RawTable(HeldRows(table), table.num_rows, "csv", units_of(dialect, names), layout)
+    raw = RawTable(MemoryRows(table), table.num_rows, "csv", units_of(dialect, names), layout)
     return with_rate(with_truncation_notes(raw, text.cut, last), dialect.header.rate_hz)
 
 
@@ -85,7 +85,7 @@ def _parse(path: Path, body: bytes, dialect: Dialect, names: Sequence[str]) -> t
 def column_types(dialect: Dialect, names: Sequence[str]) -> dict[str, pa.DataType]:
     """Return the type that pyarrow shall give to each column, judged by the first rows of the file."""
     return {
-        name: pa.float64() if kind in (NUMBER, GONE) else pa.string()
+        name: pa.float64() if kind in (NUMBER, MISSING_CELL) else pa.string()
         for name, kind in zip(names, dialect.kinds, strict=True)
     }
 
@@ -146,7 +146,7 @@ def refuse_long_numbers(body: bytes, dialect: Dialect) -> None:
     """
     fraction = b"." if dialect.separator == "," else b".,"  # digits after one of these are not a whole number
     long = rb"(?<![%b\d])\d{%d,}(?![.\d])" % (fraction, _EXACT_DIGITS + 1)
-    if {NUMBER, GONE} & set(dialect.kinds) and re.search(long, body[:4096]):
+    if {NUMBER, MISSING_CELL} & set(dialect.kinds) and re.search(long, body[:4096]):
         raise pa.ArrowInvalid("conversion error: long whole numbers")
 
 
@@ -158,7 +158,7 @@ def _arrow_text(path: Path, body: bytes, dialect: Dialect, names: Sequence[str])
 
 
 def _decimal_of(table: pa.Table, dialect: Dialect) -> str:
-    """Decide the decimal separator from all rows, if the first rows have no fractions."""
+    """Return the decimal separator of all rows; used if the first rows have no fractions."""
     for position, kind in enumerate(dialect.kinds):
         column = table.column(position)
         if kind == NUMBER and pa.types.is_string(column.type) and has_decimal_commas(column):
@@ -173,7 +173,7 @@ def has_decimal_commas(column: pa.ChunkedArray) -> bool:
 
 
 class TextNumbers:
-    """Decide block by block whether a column of text holds numbers.
+    """A test, block by block, whether a column of text holds numbers.
 
     Parameters
     ----------
@@ -204,8 +204,8 @@ class TextNumbers:
 
     @property
     def type(self) -> pa.DataType | None:
-        """Return int64 for whole numbers of which float64 would round some, float64 for others, None for text."""
-        if not self.possible or not (self._some or self._kind in (NUMBER, GONE)):
+        """Return int64 for whole numbers with 16 digits or more, float64 for other numbers, None for text."""
+        if not self.possible or not (self._some or self._kind in (NUMBER, MISSING_CELL)):
             return None
         return pa.int64() if self._whole and self._largest >= 10.0**_EXACT_DIGITS else pa.float64()
 

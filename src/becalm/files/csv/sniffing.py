@@ -10,11 +10,11 @@ from pathlib import Path
 
 from becalm.errors import InputError
 from becalm.files.csv.rates import rate_above
-from becalm.files.text.cells import GONE, NUMBER, TIME, WORDS, decimal_of, is_left_open, kind_of, split
+from becalm.files.text.cells import MISSING_CELL, NUMBER, TIME, WORDS, decimal_of, is_left_open, kind_of, split
 from becalm.files.text.csv_header import Header, find_header
 
-_SEPARATORS = (";", "\t", ",", "|", "", " ")  # of equal scores the first wins; "" is a file of one column
-_HEAD_BYTES = 65_536  # at least this much text is examined
+_SEPARATORS = (";", "\t", ",", "|", "", " ")  # the first of equal scores wins; "" is a file of one column
+_HEAD_BYTES = 65_536  # at least so many bytes of text are examined
 _HEAD_LINES = 30  # and at least so many lines
 _SCORED_LINES = 40  # lines by which separators are compared
 _KIND_ROWS = 300  # rows that decide the kind of a column
@@ -164,7 +164,7 @@ def _column_kinds(rows: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
         counts = Counter(kind_of(row[column]) for row in rows)
         number, time, words = counts[NUMBER], counts[TIME], counts[WORDS]
         if not (number or time or words):
-            kinds.append(GONE)
+            kinds.append(MISSING_CELL)
         elif number >= max(time, words):
             kinds.append(NUMBER)
         else:
@@ -181,7 +181,7 @@ def _first_row(path: Path, plain: Sequence[int], cells: dict[int, list[str]], ki
     first = rows[0]
     at = plain.index(first)
     if at == 0 and len(rows) > 1 and any(kind_of(cells[first][column]) == WORDS for column in signals):
-        return rows[1]  # the first is a header whose names are mostly numbers
+        return rows[1]  # the first row is a header whose names are mostly numbers
     return plain[at - 1] if at >= 2 and _is_damaged(cells[plain[at - 2]], cells[plain[at - 1]], signals) else first
 
 
@@ -198,7 +198,7 @@ def _refuse_open_cells(path: Path, above: dict[int, str], separator: str, width:
 
 def _is_damaged(above: Sequence[str], row: Sequence[str], signals: Sequence[int]) -> bool:
     """Return whether a row below the names is data with a bad cell: it has words and also numbers."""
-    if len(above) != len(row) or not all(kind_of(cell) in (WORDS, GONE) for cell in above):
+    if len(above) != len(row) or not all(kind_of(cell) in (WORDS, MISSING_CELL) for cell in above):
         return False
     return len(row) > signals[-1] and any(kind_of(row[column]) in (NUMBER, TIME) for column in signals)
 

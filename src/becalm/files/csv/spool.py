@@ -32,8 +32,8 @@ from becalm.files.source import RawTable
 from becalm.files.text.cells import NUMBER, TIME
 from becalm.files.text.csv_header import unique_names
 
-_PARSED_BYTES = 1 << 20  # that pyarrow parses at once
-_HEAD_BYTES = 8 << 20  # of the text, from which its layout is detected
+_PARSED_BYTES = 1 << 20  # bytes that pyarrow parses at once
+_HEAD_BYTES = 8 << 20  # bytes of the text from which its layout is detected
 
 
 def spool_csv(path: Path) -> RawTable:
@@ -49,7 +49,7 @@ def spool_csv(path: Path) -> RawTable:
         try:
             return _Spooling(path, text).table()
         except OtherEncodingError:
-            text.take_for_western()
+            text.assume_western()
 
 
 class _Spooling:
@@ -103,7 +103,7 @@ class _Spooling:
         return rows
 
     def _parsed(self, types: dict[str, pa.DataType]) -> Iterator[pa.Table]:
-        """Parse the blocks one by one; from the first with quotes on, as a stream, because cells may span blocks."""
+        """Parse block by block; from the first block with a quote on, parse a stream, because cells may span blocks."""
         import pyarrow.csv as arrow_csv
 
         body = self._body()
@@ -130,7 +130,7 @@ class _Spooling:
         return "," if any(has_decimal_commas(column) for block in blocks for column in block.columns) else "."
 
     def _with_numbers(self, rows: SpooledRows, decimal: str) -> SpooledRows:
-        """Convert columns of text that hold numbers: write a second table, and close the first."""
+        """Return the rows with columns of text converted to numbers where possible; if any is, close the given rows."""
         columns = {name: TextNumbers(kind, decimal) for name, kind in self._texts(rows).items()}
         for block in rows.blocks(list(columns), max(1, rows.count)) if columns else ():
             for name, numbers in columns.items():

@@ -14,13 +14,13 @@ import pyarrow.compute as pc
 
 from becalm.errors import OutputError
 
-_ROWS = 1 << 16  # written at once
-_LONG, _EXACT = 1e10, 2.0**53  # whole floats of these magnitudes are written as digits, without an exponent
+_ROWS = 1 << 16  # rows that are written at once
+_LONG, _EXACT = 1e10, 2.0**53  # whole floats between these magnitudes are written as digits, without an exponent
 _SPECIAL = '[",\r\n]'  # a cell with one of these needs quotes
 
 
 class CsvRows:
-    """Write tables of one schema one after another as CSV.
+    """A writer that appends tables of one schema as CSV.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class CsvRows:
 
 
 class GzippedCsvRows(CsvRows):
-    """Write tables as CSV that is compressed with gzip."""
+    """A writer that appends tables as CSV compressed with gzip."""
 
     def __init__(self, file: IO[bytes]) -> None:
         super().__init__(file, packed=True)
@@ -118,7 +118,7 @@ def _without_nan(array: pa.Array) -> pa.Array:
         long = (size >= _LONG) & (size <= _EXACT)
     if not long.any():
         return numbers
-    long &= values == np.round(values)  # such as an epoch in milliseconds: write digits, not 1.7e+12
+    long &= values == np.round(values)  # for example counts of milliseconds since 1970: write digits, not 1.7e+12
     digits = pa.array(np.where(long, values, 0.0).astype(np.int64), mask=missing)
     if np.all(long | missing):
         return digits

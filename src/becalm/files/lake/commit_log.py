@@ -1,4 +1,4 @@
-"""Read the commit log or the mark of a folder; it names the files that hold the rows, even if the folder was moved."""
+"""Read the commit log of a folder, by Delta, Spark or a fleet job; it names the files that hold the rows."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from becalm.files.decoding import explain_read_errors
 from becalm.files.lake import delta_log, marks, spark_log
 
 Parts = tuple[str, ...]
-"""The parts of a path: names of nested folders, and last that of the file."""
+"""The parts of a path: names of nested folders, and last the name of the file."""
 
 _READERS: dict[str, Callable[[Path], Collection[Parts]]] = {
     delta_log.NAME: delta_log.live_files,
     spark_log.NAME: spark_log.committed_files,
     marks.NAME: marks.marked_files,
 }
-_WHOLE = (spark_log.NAME,)  # logs with whole paths, from before any move; other logs have paths relative to the root
+_WHOLE = (spark_log.NAME,)  # logs with the absolute paths of files; other logs have paths relative to the root
 
 
 class CommitLog:
@@ -29,7 +29,7 @@ class CommitLog:
     named : collection of tuple of str
         The paths of the files when the log was written, each as its parts.
     whole : bool
-        Whether these are whole paths, and not relative to the root.
+        Whether these paths are absolute; otherwise they are relative to the root.
     """
 
     def __init__(self, root: Path, named: Collection[Parts], *, whole: bool) -> None:
@@ -37,7 +37,7 @@ class CommitLog:
         self._ends: dict[int, set[Parts]] = {}
 
     def names(self, below: Parts) -> bool:
-        """Return whether the log names a file, given by its path from the root; the root itself may have been moved."""
+        """Return whether the log names a file, given by its path from the root, even if the root was moved."""
         if not self._whole:
             return below in self._named
         ends = self._ends.setdefault(len(below), {one[-len(below) :] for one in self._named})
@@ -59,8 +59,8 @@ class CommitLog:
     def _from_root(self, present: Parts | None) -> set[Parts]:
         """Return the named files by paths from the root.
 
-        If the log has whole paths, `present`, a file that exists, shows where the root was; the set is empty if it fits
-        no root or several.
+        If the paths of the log are absolute, `present`, a file that exists, shows where the root was. The set is empty
+        if that is unknown or ambiguous.
         """
         if not self._whole:
             return set(self._named)

@@ -56,7 +56,7 @@ def _paths(table: Any) -> list[str]:
 
 
 def _unsupported_feature(table: Any) -> str:
-    """Return the used feature that changes rows or names without changing the files, "" if there is none."""
+    """Return the feature of a table that changes rows or names without changing its files, "" if it has none."""
     if table.metadata().configuration.get(_MAPPING, "none") != "none":
         return "mapped column names"
     if "deletionVectors" not in (table.protocol().reader_features or ()):

@@ -22,14 +22,14 @@ from becalm.files.source import RawTable
 
 
 class LakeFile(NamedTuple):
-    """A file of the folder: its path and its number of rows."""
+    """The path and the number of rows of a file in the folder."""
 
     path: Path
     rows: int
 
 
 class Originals(Original):
-    """The files of a folder as they were when reading began; files that are added later do not count.
+    """The states of a folder's files when reading began; a file that is added later is not a change.
 
     Parameters
     ----------

@@ -34,19 +34,19 @@ class Listing(NamedTuple):
 class _ParquetFile(NamedTuple):
     path: Path
     log: CommitLog | None
-    below: Parts  # its path from the folder of the log
+    below: Parts  # its path from the folder of the log, or of the listing if there is no log
 
     @property
     def counts(self) -> bool:
+        """Return whether the file holds rows: its log names it, or there is no log."""
         return self.log is None or self.log.names(self.below)
 
 
 def parquet_files(folder: Path) -> Listing:
     """List the Parquet files of a folder, at any depth, that hold its rows.
 
-    Names that begin with `_` or `.` are not data. A log may be in the folder, in the table of which the folder is a
-    partition, or in a folder inside. If Spark, Delta or a job of becalm keeps such a log, only the files that it names
-    count.
+    Names that begin with `_` or `.` are not data. If Spark, Delta or a fleet job of becalm keeps a log, only the files
+    that it names count. The log is in the folder, in a subfolder, or in the table that has the folder as a partition.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def is_partition(name: str) -> bool:
 
 
 def is_hidden(name: str) -> bool:
-    """Return whether a name marks a file or folder as not data, by the rules of Spark: `_id=17` is a partition."""
+    """Return whether a name marks a file or folder as not data, by the rules of Spark; `_id=17` is a partition."""
     return name.startswith(".") or (name.startswith("_") and not is_partition(name))
 
 
@@ -111,7 +111,7 @@ def _files_are(count: int) -> str:
 
 
 def _log_above(folder: Path) -> tuple[CommitLog | None, Parts]:
-    """Return the log of a folder, or of the table of which it is a partition, and the path from there to the folder."""
+    """Return the log of a folder or of the table that it is a partition of, and the path from the log to the folder."""
     if log := log_of(folder):
         return log, ()
     place, under = folder.resolve(), tuple[str, ...]()
@@ -123,6 +123,8 @@ def _log_above(folder: Path) -> tuple[CommitLog | None, Parts]:
 
 
 class _Place(NamedTuple):
+    """A folder to list, the log for its files, and its path from the folder of the log."""
+
     path: Path
     log: CommitLog | None
     below: Parts
@@ -161,7 +163,7 @@ def _walk(folder: Path, log: CommitLog | None, below: Parts) -> Iterator[_Parque
 
 
 def _is_parquet(path: Path) -> bool:
-    """Return whether a file is Parquet by the ending of its name or, as Hive writes names without one, its content."""
+    """Return whether a file is Parquet, by its name's ending or, since Hive writes no ending, by its content."""
     named = path.name.lower().endswith(PARQUET_ENDINGS)
     with explain_read_errors(path):
         if named:

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.core.arrays import Booleans, Floats
-from becalm.core.time.repair import Steps
+from becalm.core.time.repair import StepStatistics
 from becalm.errors import TimeError
 from becalm.files.source import HEAD_ROWS, RawTable
 from becalm.files.timing import clock
@@ -67,7 +67,7 @@ def _present(column: pa.ChunkedArray, kind: str) -> Booleans:
 
 
 def _times(firsts: Mapping[str, pa.ChunkedArray], kinds: Sequence[str]) -> pa.Array | None:
-    """Return values that sort by time, (n,); None for times of day without a date, and for ambiguous dates."""
+    """Return values that sort tables by time, (n,); None for times of day without a date, and for ambiguous dates."""
     only = next(iter(firsts.values()))
     if kinds in ([NUMBERS], [TEMPORAL]):
         return None if pa.types.is_time(only.type) else only
@@ -88,12 +88,12 @@ def instants_of(name: str, kind: str, column: pa.ChunkedArray) -> clock.Instants
 
 
 def _wraps(tables: Sequence[RawTable], name: str, firsts: Floats) -> bool:
-    """Return whether a counter wraps between the first two neighbours, in the given order, whose first stamps fall."""
+    """Return whether a counter wraps between the first two consecutive tables whose first stamps decrease."""
     falls = np.flatnonzero(np.diff(firsts) < 0.0)
     if not len(falls):
         return False
     before, after = tables[falls[0]], tables[falls[0] + 1]
-    steps = Steps(before.count + HEAD_ROWS)
+    steps = StepStatistics(before.count + HEAD_ROWS)
     for column in before.column(name):
         steps.add(numbers(column))
     steps.add(numbers(next(after.blocks([name], most_rows=HEAD_ROWS)).column(0)))

@@ -21,7 +21,7 @@ from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.integer_stamps import instant
 
-_PER_SECOND = 1e-6  # seconds in a microsecond, the unit of the library
+_MICROSECOND_S = 1e-6  # in seconds; the library gives times in microseconds
 
 
 def read(path: Path) -> tuple[RawTable, ...]:
@@ -32,19 +32,19 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no samples.
     """
-    foreign = LibraryFile(path, "IDE")
-    library = foreign.library("idelib.importer")
-    with foreign.explain_damage(), path.open("rb") as file:
+    library_file = LibraryFile(path, "IDE")
+    library = library_file.library("idelib.importer")
+    with library_file.explain_damage(), path.open("rb") as file:
         opened = BoundedFile(file)
         recording = library.openFile(opened, quiet=True)
         notes = _cut_off(recording.ebmldoc, opened)
         library.readData(recording)  # loads all blocks undecoded; they are decoded when their rows are read
         groups = _groups(recording, notes)
-    return tables(foreign, "ide", groups)
+    return tables(library_file, "ide", groups)
 
 
 def _cut_off(document: Any, opened: BoundedFile) -> tuple[str, ...]:
-    """End the file after its last complete element, since the library rejects a truncated file; return a note if so."""
+    """End the file after its last complete element, since the library rejects truncated files; return a note if cut."""
     whole = 0
     with suppress(Exception):  # the library raises many types for a damaged element; those before it are complete
         for element in document:
@@ -84,7 +84,7 @@ def _start(events: Any, samples: _Samples) -> str:
 
 
 class _Samples:
-    """The samples of one channel, decoded once for all columns of a block of rows.
+    """The samples of one channel; each block of rows is decoded once for all columns.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class _Samples:
 
     def seconds(self, start: int, stop: int) -> Floats:
         """Return the times of rows on the recorder's clock, in seconds."""
-        seconds: Floats = self._decoded(start, stop)[0] * _PER_SECOND
+        seconds: Floats = self._decoded(start, stop)[0] * _MICROSECOND_S
         return seconds
 
     def row(self, place: int) -> Callable[[int, int], NDArray[np.generic]]:

@@ -1,4 +1,4 @@
-"""Read MDF files of car loggers (MF4, and versions 2 and 3): a table for each master; CAN bus logs with a DBC file."""
+"""Read MDF files of car loggers (versions 2 to 4): a table for each master channel; CAN logs with DBC files."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from becalm.files.recorders.mf4_columns import NO_START, MasterTime, Mf4Channel,
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 
-_VARIABLE_LENGTH, _BUS_EVENT = 1, 2  # flags of a channel group
-_TIME_MASTERS, _INDEX = (0, 1), 4  # kinds of synchronisation; others are angle and distance
+_VARIABLE_LENGTH, _BUS_EVENT = 1, 2  # bits in the flags of a channel group
+_TIME_MASTERS, _INDEX = (0, 1), 4  # synchronisation types of masters; others are angle and distance
 _CUT = "The file is incomplete; its complete parts were read."
 _MESSAGE = re.compile(r"message (?P<name>\S+) 0x")  # in the comment of a decoded group
 
@@ -34,27 +34,27 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or is a bus log and no DBC file in its folder describes its frames.
     """
-    foreign = LibraryFile(path, "MDF")
-    library = foreign.library("asammdf")
-    with ExitStack() as stack, foreign.explain_damage():
-        mending = check_blocks(foreign)
-        file = stack.enter_context(mending.opened(path))
+    library_file = LibraryFile(path, "MDF")
+    library = library_file.library("asammdf")
+    with ExitStack() as stack, library_file.explain_damage():
+        repairs = check_blocks(library_file)
+        file = stack.enter_context(repairs.open_file(path))
         log = library.MDF(file, raise_on_multiple_occurrences=False, add_array_components=False)
         stack.callback(log.close)
         _refuse_outside(log)
-        foreign.cut = mending.cut
-        notes = [_CUT] if mending.cut else []
+        library_file.cut = repairs.cut
+        notes = [_CUT] if repairs.cut else []
         buses = [index for index, group in enumerate(log.groups) if _is_bus(group)]
-        groups = list(_groups(foreign, log, [index for index in log.virtual_groups if index not in buses]))
+        groups = list(_groups(library_file, log, [index for index in log.virtual_groups if index not in buses]))
         if any(log.groups[index].channel_group.cycles_nr for index in buses):
-            decoded, bus_notes = _decoded(foreign, log, bool(groups))
+            decoded, bus_notes = _decoded(library_file, log, bool(groups))
             notes += bus_notes
             if decoded is not None:
                 stack.callback(decoded.close)
-                groups += _groups(foreign, decoded, list(decoded.virtual_groups))
+                groups += _groups(library_file, decoded, list(decoded.virtual_groups))
         notes += [note for one in groups if set(one.columns) <= {TIME} for note in one.notes]  # groups without a table
         held = stack.pop_all()
-        return tables(foreign, "mf4", [one._replace(notes=(*one.notes, *notes)) for one in groups], held.close)
+        return tables(library_file, "mf4", [one._replace(notes=(*one.notes, *notes)) for one in groups], held.close)
 
 
 def _refuse_outside(log: Any) -> None:
@@ -70,12 +70,12 @@ def _is_bus(group: Any) -> bool:
     return bool(getattr(group.channel_group, "flags", 0) & _BUS_EVENT)
 
 
-def _decoded(foreign: LibraryFile, log: Any, more: bool) -> tuple[Any, list[str]]:
+def _decoded(library_file: LibraryFile, log: Any, more: bool) -> tuple[Any, list[str]]:
     """Decode the frames of a bus with the DBC files in the log's folder.
 
     If that fails, return None and the reason if there are `more` groups, otherwise raise an InputError.
     """
-    path = foreign.path
+    path = library_file.path
     databases = sorted(one for one in path.parent.iterdir() if one.suffix.lower() == ".dbc")
     why = f"{path} is a log of a CAN bus; put the .dbc file that describes its frames into the same folder."
     if databases:
@@ -93,7 +93,7 @@ def _decoded(foreign: LibraryFile, log: Any, more: bool) -> tuple[Any, list[str]
     return None, [why]
 
 
-def _groups(foreign: LibraryFile, log: Any, masters: Sequence[int]) -> Iterator[Group]:
+def _groups(library_file: LibraryFile, log: Any, masters: Sequence[int]) -> Iterator[Group]:
     for index in masters:
         group = log.groups[index].channel_group
         rows = min(
@@ -106,13 +106,13 @@ def _groups(foreign: LibraryFile, log: Any, masters: Sequence[int]) -> Iterator[
         named: list[tuple[str, Column]] = []
         for one, numbers in log.included_channels(index)[index].items():
             for number in numbers:
-                read_columns, note = columns_of(foreign, Mf4Channel(log, one, number))
+                read_columns, note = columns_of(library_file, Mf4Channel(log, one, number))
                 named += read_columns
                 notes += note
         master, time = _master(log, index)
         names = unique_names([*master, *(name for name, _ in named)])
         columns = dict(zip(names, [*master.values(), *(column for _, column in named)], strict=True))
-        foreign.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
+        library_file.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
         yield Group(_title(group), columns, rows, time, tuple(notes))
 
 

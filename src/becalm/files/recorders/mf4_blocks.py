@@ -16,14 +16,15 @@ from becalm.files.unpacking import unpacked
 
 _HEADER_LINKS = 88  # offset of the links of the first block, ##HD, in the file
 _HEAD = 24  # bytes of a block before its links
-_FLAGS = 60  # offset of two bytes of flags for what the recorder did not finish
+_FLAGS = 60  # offset of two bytes of flags that list what the recorder did not finish
 _VERSION = 8  # offset of the version
-_COUNTERS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10  # flags: numbers of rows, length of the last block, last list
+# Flags of what is not final: the counts of rows, the length of the last block of data, the last list of blocks.
+_COUNTERS, _LAST_LENGTH, _LAST_LIST = 0x1, 0x4, 0x10
 _MOST_BLOCKS = 1_000_000  # a file with more counts as a ring of blocks
 _PACKED = struct.Struct("<B5xQQ")  # at byte 26 of a ##DZ: method, unpacked and packed size
 _PACKED_AT, _PACKED_HEAD = 26, 48  # offsets of these numbers and of the packed data, in the block
-_PACKINGS = ("deflate", "deflate", "zstd", "zstd", "lz4", "lz4")  # every second one is transposed
-_COUNTED = (3, 6)  # kinds of channels that are not in the rows
+_PACKINGS = ("deflate", "deflate", "zstd", "zstd", "lz4", "lz4")  # by method; methods 1, 3 and 5 are also transposed
+_COUNTED = (3, 6)  # types of virtual channels, which have no bytes in the rows
 _MAY_BE_INVALID = 2  # flag of a channel whose rows have a bit of validity
 _NUMBERS = (b"##DT", b"##DV", b"##DI", b"##SD", b"##RD", b"##RV", b"##RI")  # blocks of data
 _ALL = -1  # stands for all links of a block
@@ -40,12 +41,14 @@ _FOLLOWED: dict[bytes, tuple[int, ...]] = {
     b"##DL": (_ALL,),
     b"##LD": (_ALL,),
 }
-"""The numbers of the links to follow, by kind of block: those to blocks that no other block links to."""
+"""By kind of block, the numbers of the links to follow; each followed block is the target of one such link."""
 _ANY = re.compile(rb"##[A-Z]{2}\0{4}")  # the first bytes of any block
 
 
 class _Link(NamedTuple):
-    place: int  # offset of the link itself
+    """A link to a block that is still to be checked; offsets are in bytes from the start of the file."""
+
+    place: int  # offset of the link
     source: bytes  # kind of the block that contains it
     group: int = 0  # offset of its data group
     channels: int = 0  # offset of its channel group
@@ -65,7 +68,7 @@ class Repairs(NamedTuple):
     patches: dict[int, bytes]
     cut: bool
 
-    def opened(self, path: Path) -> IO[bytes]:
+    def open_file(self, path: Path) -> IO[bytes]:
         """Open the file, or a repaired temporary copy that is removed when closed."""
         if not self.patches:
             return path.open("rb")
@@ -79,7 +82,7 @@ class Repairs(NamedTuple):
         return copy
 
 
-def check_blocks(foreign: LibraryFile) -> Repairs:
+def check_blocks(library_file: LibraryFile) -> Repairs:
     """Follow the blocks of a file of version 4 and return the repairs that it needs.
 
     Raises
@@ -89,14 +92,14 @@ def check_blocks(foreign: LibraryFile) -> Repairs:
     ValueError
         If blocks form a ring, there are far too many, or one is inconsistent.
     """
-    with foreign.path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+    with library_file.path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
         if data[_VERSION : _VERSION + 1] != b"4":  # other versions do not have these blocks
             return Repairs({}, False)
         if len(data) < _HEADER_LINKS + 48 or data[64:68] != b"##HD":
             raise ValueError("it has no header block")
         (flags,) = struct.unpack_from("<H", data, _FLAGS)
         patches: dict[int, bytes] = {}
-        cut, chained = _follow(foreign, data, flags, patches)
+        cut, chained = _follow(library_file, data, flags, patches)
         left = flags & ~_LAST_LENGTH | (_COUNTERS if patches else 0)
         if chained and left & _LAST_LIST:  # asammdf completes a single list, but loops forever in a chain of lists
             left, cut = left & ~_LAST_LIST, True
@@ -105,8 +108,8 @@ def check_blocks(foreign: LibraryFile) -> Repairs:
         return Repairs(patches, cut)
 
 
-def _follow(foreign: LibraryFile, data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
-    """Follow all blocks, and add patches for links that lead nowhere and for wrong lengths.
+def _follow(library_file: LibraryFile, data: mmap, flags: int, patches: dict[int, bytes]) -> tuple[bool, bool]:
+    """Follow all blocks, and add patches for links to missing blocks and for wrong lengths.
 
     Returns
     -------
@@ -143,27 +146,27 @@ def _follow(foreign: LibraryFile, data: mmap, flags: int, patches: dict[int, byt
         elif length > available:
             patches[link.place], cut = bytes(8), True
         else:
-            _check_claims(foreign, data, address, kind, link.channels)
+            _check_claims(library_file, data, address, kind, link.channels)
             todo += _links(data, address, kind, link)
     return cut, chained
 
 
-def _check_claims(foreign: LibraryFile, data: mmap, address: int, kind: bytes, channels: int) -> None:
+def _check_claims(library_file: LibraryFile, data: mmap, address: int, kind: bytes, channels: int) -> None:
     """Raise an error for a size or offset that is wrong; asammdf does not check it, and would return wrong numbers."""
     if kind == b"##DZ":
-        _check_packed(foreign, data, address)
+        _check_packed(library_file, data, address)
     elif kind == b"##CN":
         _check_channel(data, address, channels)
 
 
-def _check_packed(foreign: LibraryFile, data: mmap, address: int) -> None:
+def _check_packed(library_file: LibraryFile, data: mmap, address: int) -> None:
     """Raise an error if a packed block has another size than it claims; asammdf would return wrong numbers."""
     how, plain, packed = _PACKED.unpack_from(data, address + _PACKED_AT)
     if how >= len(_PACKINGS) or packed > _length(data, address) - _PACKED_HEAD:
         raise ValueError(f"the block at {address:#x} is packed in an unknown way, or beyond its end")
     if plain:
         at = address + _PACKED_HEAD
-        unpacked(foreign, _PACKINGS[how], data[at : at + packed], plain)
+        unpacked(library_file, _PACKINGS[how], data[at : at + packed], plain)
 
 
 def _is_open(flags: int, link: _Link, length: int) -> bool:

@@ -17,7 +17,7 @@ from becalm.files.library_reader import LibraryFile
 _LINEAR, _FORMULA, _TABLE_OF_TEXTS, _RANGES_OF_TEXTS = 1, 3, 7, 8  # types of conversions
 _MOST_PARTS = 4096  # most columns of one channel
 _ELSEWHERE = 1  # type of channel whose rows hold offsets into a block of values, each preceded by its length
-_LENGTH_BYTES = 4  # size of this length
+_LENGTH_BYTES = 4  # bytes of the length before each value
 _ENOUGH = 1000  # rows to inspect to decide whether a channel has names or numbers
 _MOSTLY = 0.5  # least share of rows without a number in a channel of names
 
@@ -25,7 +25,7 @@ NO_START = "Its first instant is not known; that of the file is another group's.
 """Comment of a channel group to which the start time of the file does not apply."""
 
 Values = NDArray[Any]
-Tidy = Callable[[Values], Values]  # converts samples of asammdf to those of a column
+Convert = Callable[[Values], Values]  # converts samples of asammdf to those of a column
 
 
 class Mf4Channel(NamedTuple):
@@ -58,11 +58,11 @@ class Mf4Channel(NamedTuple):
         )
         return values, invalid
 
-    def points_wrongly(self) -> bool:
+    def has_wrong_offsets(self) -> bool:
         """Return whether an offset lies outside the channel's values, or is less than that of the row before.
 
-        There, asammdf would read other bytes as a length. This uses internals of asammdf, because only they return
-        the offsets without following them.
+        At such an offset, asammdf would read other bytes as a length. This uses internals of asammdf, because only they
+        return the offsets without following them.
         """
         if getattr(self.head, "channel_type", 0) != _ELSEWHERE or not hasattr(self.log.groups[self.group], "sorted"):
             return False
@@ -81,20 +81,20 @@ class Mf4Channel(NamedTuple):
 
 
 class MasterTime:
-    """A reader of the times of a group since its first row, from its master channel."""
+    """A reader of a group's times since its first row; the times are in its master channel."""
 
     def __init__(self, channel: Mf4Channel) -> None:
         self._channel = channel
         conversion = channel.head.conversion
         scaled = conversion is not None and _is_linear(conversion)
-        self._second, self._offset = (float(conversion.a), float(conversion.b)) if scaled else (1.0, 0.0)
+        self._tick_s, self._offset = (float(conversion.a), float(conversion.b)) if scaled else (1.0, 0.0)
         self._linear = (conversion is None or scaled) and self._raw(0, 1).dtype.kind in "iuf"
         self._first = self._raw(0, 1)[0] if self._linear else self._seconds(0, 1)[0]
 
     @property
     def first_s(self) -> float:
         """Return the time of the first row in seconds since the start of the file."""
-        return float(self._first) * self._second + self._offset if self._linear else float(self._first)
+        return float(self._first) * self._tick_s + self._offset if self._linear else float(self._first)
 
     def read(self, first: int, last: int) -> Floats:
         """Return seconds since the first row; the difference is taken before scaling, so that no digits are lost."""
@@ -102,7 +102,7 @@ class MasterTime:
             return np.asarray(self._seconds(first, last) - self._first, np.float64)
         raw = self._raw(first, last)
         kind = np.float64 if raw.dtype.kind == "f" else np.int64
-        return np.asarray((raw.astype(kind) - kind(self._first)) * self._second, np.float64)
+        return np.asarray((raw.astype(kind) - kind(self._first)) * self._tick_s, np.float64)
 
     def _raw(self, first: int, last: int) -> Values:
         return self._channel.read(first, last, raw=True)[0]
@@ -112,12 +112,12 @@ class MasterTime:
         return np.asarray(log.get_master(group, record_offset=first, record_count=last - first))
 
 
-def columns_of(foreign: LibraryFile, channel: Mf4Channel) -> tuple[list[tuple[str, Column]], list[str]]:
+def columns_of(library_file: LibraryFile, channel: Mf4Channel) -> tuple[list[tuple[str, Column]], list[str]]:
     """Return the named columns of a channel, and notes about it."""
     conversion, name, unit = channel.head.conversion, channel.head.name, channel.unit
-    if why := _not_converted(foreign, conversion):
+    if why := _not_converted(library_file, conversion):
         return [], [f"{name!r} was left out: {why}."]
-    if channel.points_wrongly():
+    if channel.has_wrong_offsets():
         return [], [f"{name!r} was left out: its texts are not where its rows say."]
     if getattr(conversion, "conversion_type", 0) in (_TABLE_OF_TEXTS, _RANGES_OF_TEXTS):
         return [(name, _of_texts(channel))], []
@@ -128,15 +128,15 @@ def columns_of(foreign: LibraryFile, channel: Mf4Channel) -> tuple[list[tuple[st
     columns = []
     for title, pick in parts:
         flag = channel.head.bit_count == 1 and conversion is None
-        of_type, tidy = _type_of(pick(probe).astype(bool) if flag else pick(probe), conversion is not None)
+        of_type, convert = _type_of(pick(probe).astype(bool) if flag else pick(probe), conversion is not None)
         if of_type is None:
             return [], [f"{name!r} was left out: it holds values of an unknown type."]
-        columns.append((title, Column(of_type, _reader(channel, _both(pick, tidy)), unit)))
+        columns.append((title, Column(of_type, _reader(channel, _both(pick, convert)), unit)))
     return columns, []
 
 
 def _of_texts(channel: Mf4Channel) -> Column:
-    """Return a column of names, or of numbers if less than half of the values have a name such as "invalid"."""
+    """Return a column of texts, or of numbers if fewer than half of the values convert to a text such as "invalid"."""
     conversion = channel.head.conversion
     if np.isnan(_numbers(channel.read(0, _ENOUGH)[0])).mean() < _MOSTLY:
         return Column(pa.float64(), _reader(channel, _numbers), channel.unit)
@@ -147,17 +147,19 @@ def _of_texts(channel: Mf4Channel) -> Column:
     return Column(pa.string(), _reader(channel, named, raw=True), channel.unit)
 
 
-def _not_converted(foreign: LibraryFile, conversion: Any) -> str:
+def _not_converted(library_file: LibraryFile, conversion: Any) -> str:
     """Return why a conversion, or one that it refers to, cannot be applied, or "" if it can."""
     if conversion is None:
         return ""
     if getattr(conversion, "conversion_type", 0) == _FORMULA:
         formula = str(conversion.formula)
         numbers = {name: np.ones(1) for name in ("X", "X1", "INF", "NaN")}
-        if foreign.library("numexpr").validate(formula.replace("X1", "X"), local_dict=numbers) is not None:
+        if library_file.library("numexpr").validate(formula.replace("X1", "X"), local_dict=numbers) is not None:
             return f"its formula {formula[:60]!r} is not understood"
     others = getattr(conversion, "referenced_blocks", None) or {}
-    return next((why for one in others.values() if _is_conversion(one) and (why := _not_converted(foreign, one))), "")
+    return next(
+        (why for one in others.values() if _is_conversion(one) and (why := _not_converted(library_file, one))), ""
+    )
 
 
 def _is_conversion(block: Any) -> bool:
@@ -168,7 +170,7 @@ def _is_linear(conversion: Any) -> bool:
     return getattr(conversion, "conversion_type", 0) == _LINEAR and hasattr(conversion, "a")
 
 
-def _parts(name: str, values: Values) -> list[tuple[str, Tidy]]:
+def _parts(name: str, values: Values) -> list[tuple[str, Convert]]:
     """Split samples of several numbers; return the name of each part and a function that picks it."""
     if values.dtype.names:
         parts = []
@@ -181,15 +183,15 @@ def _parts(name: str, values: Values) -> list[tuple[str, Tidy]]:
     return [(name, np.asarray)]
 
 
-def _element(at: int) -> Tidy:
+def _element(at: int) -> Convert:
     return lambda values: values.reshape(len(values), -1)[:, at]
 
 
-def _both(one: Tidy, other: Tidy) -> Tidy:
+def _both(one: Convert, other: Convert) -> Convert:
     return lambda values: other(one(values))
 
 
-def _type_of(values: Values, converted: bool) -> tuple[pa.DataType | None, Tidy]:
+def _type_of(values: Values, converted: bool) -> tuple[pa.DataType | None, Convert]:
     """Return the type of a column, None if it is unknown, and the function that converts samples to it."""
     kind = values.dtype.newbyteorder("=")
     if kind.kind in "SUO":
@@ -212,12 +214,12 @@ def _numbers(values: Values) -> Values:
     return np.full(len(values), np.nan) if values.dtype.kind in "SUO" else values.astype(np.float64)
 
 
-def _reader(channel: Mf4Channel, tidy: Tidy, raw: bool = False) -> Callable[[int, int], Values]:
+def _reader(channel: Mf4Channel, convert: Convert, raw: bool = False) -> Callable[[int, int], Values]:
     def read_rows(first: int, last: int) -> Values:
         values, invalid = channel.read(first, last, raw)
         if len(values) != last - first:
             raise ValueError(f"a channel has {first + len(values)} values where {last} were promised")
-        tidied = tidy(values)
-        return tidied if invalid is None else np.ma.masked_array(tidied, np.asarray(invalid, bool))
+        converted = convert(values)
+        return converted if invalid is None else np.ma.masked_array(converted, np.asarray(invalid, bool))
 
     return read_rows

@@ -54,7 +54,7 @@ class Mf4Rows:
             self._tables[group] = MdfTable(self._library, group, metadata.get(START, ""))
         if self._log is None:
             self._log = self._empty_log()
-        with _sentence(self._library):
+        with _explain_errors(self._library):
             self._tables[group].write(self._log, table)
 
     def close(self) -> None:
@@ -67,7 +67,7 @@ class Mf4Rows:
         history.abs_time, history.tz_offset, history.daylight_save_time, history.time_flags = 0, 0, 0, _UTC
         history.comment = _comment(self._metadata)
         self._log.file_history.append(history)
-        with _sentence(self._library):
+        with _explain_errors(self._library):
             for table in self._tables.values():
                 table.close(self._log)
             self._log.save(self._file, add_history_block=False)
@@ -113,7 +113,7 @@ def _comment(metadata: Mapping[str, str]) -> str:
 
 
 @contextmanager
-def _sentence(library: ModuleType) -> Iterator[None]:
+def _explain_errors(library: ModuleType) -> Iterator[None]:
     """Turn an error of asammdf into an OutputError."""
     try:
         yield

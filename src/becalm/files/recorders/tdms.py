@@ -20,18 +20,18 @@ from becalm.files.source import FormatTime, RawTable
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.unit_spelling import tidy_unit
 
-_LEAD_IN = struct.Struct("<4siiQQ")  # of a segment: tag, flags, version, length of the rest, length of the metadata
+_LEAD_IN = struct.Struct("<4siiQQ")  # of a segment: tag, flags, version, length after this, length of metadata
 _UNFINISHED = 0xFFFFFFFFFFFFFFFF  # length of a segment that the recorder did not finish
 _BIG_ENDIAN = 1 << 6  # flag of a segment
 _HELD_BYTES = 1 << 22  # most bytes of a channel that are held in memory
 _PRESET_S = 1.0  # default time step of LabVIEW; a channel of times in the same group is more reliable
-_NOT_SET_BEFORE = np.datetime64("1905-01-01")  # the zero of TDMS times is 1904
+_NOT_SET_BEFORE = np.datetime64("1905-01-01")  # TDMS times count from 1904; an earlier start was not set
 
 
-class _Base(NamedTuple):
+class _TimeBase(NamedTuple):
     """The properties that channels with the same time share."""
 
-    rows: int  # number of rows that should have been written
+    rows: int  # number of rows of a complete file
     time: FormatTime | None
 
 
@@ -43,21 +43,21 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no channel of numbers.
     """
-    foreign = LibraryFile(path, "TDMS")
-    library = foreign.library("nptdms")
+    library_file = LibraryFile(path, "TDMS")
+    library = library_file.library("nptdms")
     file = path.open("rb")  # an open file, so that npTDMS does not use an index file, which may be outdated
     try:
-        with foreign.explain_damage():
+        with library_file.explain_damage():
             held = library.TdmsFile.open(file, raw_timestamps=True)
             status = held.file_status
             missing = {
                 name: one.expected_length - one.read_length
                 for name, one in ((status.channel_statuses or {}) if status.incomplete_final_segment else {}).items()
             }
-            groups = [one for group in held.groups() for one in _groups(foreign, group, missing)]
+            groups = [one for group in held.groups() for one in _groups(library_file, group, missing)]
             if status.incomplete_final_segment or not _ends_whole(path):
                 groups = [one._replace(notes=(*one.notes, _cut(one.rows))) for one in groups]
-            return tables(foreign, "tdms", groups, file.close)
+            return tables(library_file, "tdms", groups, file.close)
     except BaseException:
         file.close()
         raise
@@ -83,9 +83,9 @@ def _ends_whole(path: Path) -> bool:
     return at == size
 
 
-def _groups(foreign: LibraryFile, group: Any, missing: dict[str, int]) -> Iterator[Group]:
+def _groups(library_file: LibraryFile, group: Any, missing: dict[str, int]) -> Iterator[Group]:
     """Yield a table for each time base in a group."""
-    held: dict[_Base, list[Any]] = {}
+    held: dict[_TimeBase, list[Any]] = {}
     empty = [channel.name for channel in group.channels() if not len(channel)]
     clocks = {len(channel) for channel in group.channels() if is_time_name(channel.name)}
     name, start = (str(group.properties.get(key, other)) for key, other in ((GROUP, group.name), (START, "")))
@@ -94,9 +94,10 @@ def _groups(foreign: LibraryFile, group: Any, missing: dict[str, int]) -> Iterat
         if len(channel):
             preset = len(channel) in clocks and channel.properties.get("wf_increment") == _PRESET_S
             time = dated if preset or dated else _waveform_time(channel.properties)
-            base = _Base(len(channel) + missing.get(channel.path, 0), time)
+            base = _TimeBase(len(channel) + missing.get(channel.path, 0), time)
             held.setdefault(base, []).append(channel)
-    for base in [base for base in held if base.time is None]:  # they take the time of waveforms with as many rows
+    # Channels without a time get the time of waveforms with as many rows, if these waveforms have the same time.
+    for base in [base for base in held if base.time is None]:
         timed = [other for other in held if other.time is not None and other.rows == base.rows]
         if len(timed) == 1:
             order = {channel.path: number for number, channel in enumerate(group.channels())}
@@ -110,7 +111,7 @@ def _groups(foreign: LibraryFile, group: Any, missing: dict[str, int]) -> Iterat
             if not own:
                 notes.append(f"{channel.name!r} holds values of an unknown type, and was left out.")
             columns |= own
-        foreign.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
+        library_file.refuse_claim(rows * sum(least_bytes(column.type) for column in columns.values()))
         yield Group(name, columns, rows, base.time, tuple(notes))
 
 

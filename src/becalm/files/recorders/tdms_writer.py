@@ -45,7 +45,7 @@ class TdmsRows:
         self._library = _nptdms()
         self._out = self._library.TdmsWriter(file)
         self._groups: dict[str, str] = {}
-        self._fills: defaultdict[str, FillValues] = defaultdict(FillValues)  # of each TDMS group
+        self._fills: defaultdict[str, FillValues] = defaultdict(FillValues)  # by TDMS group
         self._out.open()
 
     def write(self, table: pa.Table) -> None:

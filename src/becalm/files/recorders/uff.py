@@ -1,4 +1,4 @@
-"""Read time responses in UFF58 and 58b, the universal files of vibration testing; sets of equal time form a table."""
+"""Read time responses in UFF58 and 58b, universal files of vibration testing; sets with equal times form a table."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.unit_spelling import tidy_unit
 
-_TIME_RESPONSE, _GENERAL, _ABSCISSA_TIME = 1, 0, 17  # types of functions; type of an abscissa that is a time
+_TIME_RESPONSE, _GENERAL, _ABSCISSA_TIME = 1, 0, 17  # two types of functions; the type of an abscissa that is a time
 _SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 _AXES = {0: "", 1: "X", 2: "Y", 3: "Z", 4: "RX", 5: "RY", 6: "RZ"}  # directions of a measurement
 _DATE = "%d-%b-%y %H:%M:%S"  # in the header of a set
 
 
 class _Set(NamedTuple):
-    """One function of time."""
+    """A set of the file: one function of time."""
 
     header: dict[str, Any]
     values: Values
@@ -44,14 +44,14 @@ class _Set(NamedTuple):
         return bool(self.header["abscissa_spacing"])
 
     @property
-    def second(self) -> float:
+    def unit_s(self) -> float:
         """Return the length of its unit of time in seconds."""
         return _SECONDS[_label(self.header, "abscissa")]
 
     @property
     def time(self) -> tuple[object, ...]:
         """Return a key that is equal for all sets of one table."""
-        shared = (self.rows, self.even, self.second, _start(self.header))
+        shared = (self.rows, self.even, self.unit_s, _start(self.header))
         if self.even:
             return (*shared, self.header["abscissa_min"], self.header["abscissa_inc"])
         return (*shared, hashlib.blake2b(self.values.abscissa(0, self.rows).tobytes()).digest())
@@ -65,9 +65,9 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no time response.
     """
-    foreign = LibraryFile(path, "UFF")
-    library = foreign.library("pyuff")
-    with foreign.explain_damage():
+    library_file = LibraryFile(path, "UFF")
+    library = library_file.library("pyuff")
+    with library_file.explain_damage():
         blocks, cut = blocks_of(path)
         if not blocks:
             raise InputError(f"{path} is UFF without a complete set 58; becalm needs a function of time.")
@@ -84,12 +84,12 @@ def read(path: Path) -> tuple[RawTable, ...]:
                 " as a function of time (type 1)."
             )
         ends = ("The file ends within the head of a set, which was left out.",) if cut else ()
-        return tables(foreign, "uff", list(_groups(sets, (*_left_out_notes(left_out), *ends))))
+        return tables(library_file, "uff", list(_groups(sets, (*_left_out_notes(left_out), *ends))))
 
 
 def _headers(reader: Callable[[str], Any], blocks: Sequence[UffBlock]) -> list[dict[str, Any]]:
     """Read the headers of all sets with the library, without their numbers."""
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         heads = Path(folder) / "heads.uff"
         heads.write_bytes(b"".join(b"    -1\n" + block.head + b"    -1\n" for block in blocks))
         headers = reader(str(heads)).read_sets(header_only=True)
@@ -130,7 +130,7 @@ def _groups(sets: Sequence[_Set], notes: tuple[str, ...]) -> Iterator[Group]:
         ]
         columns, time = {}, FormatTime(rate_hz=None, start=_start(first.header))
         if first.even:
-            time = FormatTime("", 1.0 / (first.header["abscissa_inc"] * first.second), time.start)
+            time = FormatTime("", 1.0 / (first.header["abscissa_inc"] * first.unit_s), time.start)
         else:
             columns[TIME] = Column(pa.float64(), _seconds(first), "s")
             time = FormatTime(TIME, None, time.start)
@@ -145,7 +145,7 @@ def _seconds(one: _Set) -> Callable[[int, int], Floats]:
     start = float(one.values.abscissa(0, 1)[0])
 
     def read_seconds(first: int, last: int) -> Floats:
-        return (one.values.abscissa(first, last) - start) * one.second
+        return (one.values.abscissa(first, last) - start) * one.unit_s
 
     return read_seconds
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
 
-_HEAD_LINES = 12  # lines of a header after the mark; the first of them has the set's number
+_HEAD_LINES = 12  # lines of a set's header; the first of them has the number of the set's type
 _LONGEST = 400  # largest number of bytes in such a line; 80 is usual
-_SIZE = slice(31, 43)  # columns of a binary set's first header line with the size of its numbers in bytes
-_LINE = re.compile(rb"^ {0,5}-1 *\r?(?:\n|\Z)", re.MULTILINE)  # a mark; four blanks are the rule
+_SIZE = slice(31, 43)  # columns in the first header line of a binary set: the size of its numbers in bytes
+_LINE = re.compile(rb"^ {0,5}-1 *\r?(?:\n|\Z)", re.MULTILINE)  # a mark: a line with -1, usually indented by four
 _MARK = re.compile(rb" {4}-1 *\r?(?:\n|\Z)")  # a mark anywhere, after binary numbers of unknown size
 _AFTER_NUMBERS = re.compile(rb"[\r\n ]*?-1 *\r?(?:\n|\Z)")  # a mark after binary numbers of known size
 
@@ -28,7 +28,7 @@ class Values(NamedTuple):
     pairs : (N,) or (N, 2) array
         The numbers in the order and type of the file.
     complete : bool
-        Whether there are as many as the header promises.
+        Whether there are as many numbers as the header states.
     """
 
     pairs: NDArray[np.generic]
@@ -112,7 +112,7 @@ def _lines(data: mmap, at: int, count: int) -> bytes:
 
 
 def _numbers(data: mmap, begin: int, first: bytes) -> tuple[int, int]:
-    """Return the offset of the end of a set's numbers, and that from which to search for the next set."""
+    """Return the offset at which a set's numbers end, and the offset from which to search for the next set."""
     if first[6:7].lower() != b"b":
         closing = _LINE.search(data, begin)
         if closing is None:  # drop the last, truncated line, because its numbers may be wrong
@@ -129,7 +129,7 @@ def _numbers(data: mmap, begin: int, first: bytes) -> tuple[int, int]:
 
 
 def _of_text(text: bytes, double: bool, uneven: bool, promised: int) -> Values:
-    """Read numbers in fixed-width columns; if the line lengths do not fit these, read numbers between blanks."""
+    """Read numbers in columns of fixed width; if the lengths of lines do not fit, read numbers separated by blanks."""
     time, signal = 13, 20 if double else 13
     width = time + signal if uneven else signal
     lines = [line.rstrip() for line in text.replace(b"D", b"E").splitlines()]

@@ -18,7 +18,7 @@ from becalm.files.groups import Group, tables
 from becalm.files.library_reader import LibraryFile
 from becalm.files.source import FormatTime, RawTable
 
-_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE  # codings of samples; the last one refers to a later field
+_PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE  # codings of samples; with the last, a later field has the coding
 _UNKNOWN = (0, 0xFFFFFFFF)  # lengths written by a recorder that was not stopped, or that writes to a pipe
 _MOST_FORMAT = 1024  # most bytes of the format that are read; it has 16 to 40
 _SCALE = "Samples are fractions of full scale, 1.0; a WAV file does not contain the sensor's unit and scale."
@@ -50,10 +50,10 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or its samples are not plain numbers.
     """
-    foreign = LibraryFile(path, "WAV")
-    decoder = foreign.library("scipy.io.wavfile")
-    with foreign.explain_damage():
-        sound = _header(foreign)
+    library_file = LibraryFile(path, "WAV")
+    decoder = library_file.library("scipy.io.wavfile")
+    with library_file.explain_damage():
+        sound = _header(library_file)
         channels, rate_hz, width = sound.field("H", 2), sound.field("I", 4), sound.field("H", 12)
         if sound.coding not in (_PCM, _FLOAT):
             raise InputError(
@@ -85,12 +85,12 @@ def read(path: Path) -> tuple[RawTable, ...]:
             () if sound.complete else (f"The file ends before its samples do; {rows} rows are whole and were read.",)
         )
         group = Group("", columns, rows, FormatTime(rate_hz=float(rate_hz)), (_SCALE,) * whole + notes)
-        return tables(foreign, "wav", (group,))
+        return tables(library_file, "wav", (group,))
 
 
-def _header(foreign: LibraryFile) -> _Sound:
-    size = foreign.path.stat().st_size
-    with foreign.path.open("rb") as file:
+def _header(library_file: LibraryFile) -> _Sound:
+    size = library_file.path.stat().st_size
+    with library_file.path.open("rb") as file:
         mark = file.read(12)[:4]
         order = ">" if mark == b"RIFX" else "<"
         form, long_length = b"", None
@@ -123,7 +123,7 @@ def _chunks(file: BinaryIO, order: str, size: int) -> Iterator[tuple[bytes, int,
 
 
 def _little_file(sound: _Sound, data: bytes) -> bytes:
-    """Return a WAV file in memory with some samples only, for the library to decode."""
+    """Return a WAV file in memory with only the given samples, for the library to decode."""
     mark = b"RIFX" if sound.order == ">" else b"RIFF"
     form, pad = sound.format, bytes(len(data) % 2)
     body = b"WAVEfmt " + struct.pack(sound.order + "I", len(form)) + form + bytes(len(form) % 2)

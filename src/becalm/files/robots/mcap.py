@@ -12,7 +12,7 @@ from becalm.files.bounded_file import BoundedFile, bounded_bytes
 from becalm.files.groups import tables
 from becalm.files.library_reader import LibraryFile
 from becalm.files.robots.ros_messages import IDL, MSG, Schema
-from becalm.files.robots.topics import Message, gathered
+from becalm.files.robots.topics import Message, collect_groups
 from becalm.files.source import RawTable
 from becalm.files.unpacking import unpacked
 
@@ -28,12 +28,12 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no numbers.
     """
-    foreign = LibraryFile(path, "MCAP")
-    foreign.library("mcap.stream_reader")
-    with foreign.explain_damage(), path.open("rb") as file:
-        log = McapLog(foreign, BoundedFile(file))
-        groups = gathered(foreign, log.messages(), log.notes)
-    return tables(foreign, "mcap", groups)
+    library_file = LibraryFile(path, "MCAP")
+    library_file.library("mcap.stream_reader")
+    with library_file.explain_damage(), path.open("rb") as file:
+        log = McapLog(library_file, BoundedFile(file))
+        groups = collect_groups(library_file, log.messages(), log.notes)
+    return tables(library_file, "mcap", groups)
 
 
 class McapLog:
@@ -41,16 +41,16 @@ class McapLog:
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file or folder that the user named, for messages.
     file : BoundedFile
         The file, at its start.
     """
 
-    def __init__(self, foreign: LibraryFile, file: BoundedFile) -> None:
-        self._foreign, self._file = foreign, file
-        self._library = foreign.library("mcap.stream_reader")
-        self._records = foreign.library("mcap.records")
+    def __init__(self, library_file: LibraryFile, file: BoundedFile) -> None:
+        self._library_file, self._file = library_file, file
+        self._library = library_file.library("mcap.stream_reader")
+        self._records = library_file.library("mcap.records")
         self._schemas: dict[int, Any] = {}
         self._channels: dict[int, tuple[str, Schema]] = {}
         self._ended = False
@@ -68,26 +68,26 @@ class McapLog:
     def messages(self) -> Iterator[Message]:
         """Yield the messages in the order of the file."""
         self._file.seek(_MAGIC_BYTES)
-        for record in self._whole(self._file):
+        for record in self._intact_records(self._file):
             if isinstance(record, self._records.DataEnd):
                 self._ended = True
                 return
             if isinstance(record, self._records.Chunk):
                 data = self._chunk(record)
-                for inner in () if data is None else self._whole(bounded_bytes(data)):
+                for inner in () if data is None else self._intact_records(bounded_bytes(data)):
                     yield from self._messages_in(inner)
             else:
                 yield from self._messages_in(record)
 
-    def _whole(self, file: BoundedFile) -> Iterator[Any]:
-        """Yield records up to the first damaged or truncated one; a truncated chunk is yielded with what is left."""
+    def _intact_records(self, file: BoundedFile) -> Iterator[Any]:
+        """Yield records up to the first damaged or truncated one; of a truncated chunk, yield the part in the file."""
         reader = self._library.StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=None)
         records = iter(reader.records)
         while True:
             start = file.tell()
             try:
                 record = next(records, None)
-            except self._foreign.library("mcap.exceptions").EndOfFile:
+            except self._library_file.library("mcap.exceptions").EndOfFile:
                 yield from self._rest_of_chunk(file, start)
                 return
             except Exception:  # the library raises many types for a damaged record
@@ -101,13 +101,13 @@ class McapLog:
         file.seek(start)
         if file.cut and file.read(_HEAD_BYTES)[:1] == _CHUNK:
             with suppress(Exception):  # the library raises many types if nothing is left
-                yield self._records.Chunk.read(self._foreign.library("mcap.data_stream").ReadDataStream(file))
+                yield self._records.Chunk.read(self._library_file.library("mcap.data_stream").ReadDataStream(file))
 
     def _chunk(self, chunk: Any) -> bytes | None:
         """Unpack a chunk; return None if it is damaged."""
         try:
             cut = self._file.cut
-            data = unpacked(self._foreign, chunk.compression, chunk.data, chunk.uncompressed_size, cut)
+            data = unpacked(self._library_file, chunk.compression, chunk.data, chunk.uncompressed_size, cut)
         except ValueError:
             self._damaged += 1
             return None
@@ -117,7 +117,7 @@ class McapLog:
         return data
 
     def _messages_in(self, record: Any) -> Iterator[Message]:
-        """Process a record that is not a chunk; yield its message, if it has one."""
+        """Process a record that is not a chunk; if it is a message, yield it."""
         if isinstance(record, self._records.Schema):
             self._schemas[record.id] = record
         elif isinstance(record, self._records.Channel):

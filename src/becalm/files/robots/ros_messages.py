@@ -27,7 +27,7 @@ _SECOND = 1_000_000_000  # in nanoseconds
 
 MSG, IDL = "ros2msg", "ros2idl"  # languages of definitions
 
-ColumnStatistics = Iterator[tuple[str, float]]  # names and values
+NamedNumbers = Iterator[tuple[str, float]]  # names and values
 
 
 class Schema(NamedTuple):
@@ -64,7 +64,7 @@ class RosDecoder:
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file.
     schema : Schema
         The type.
@@ -73,7 +73,7 @@ class RosDecoder:
     ----------
     units : mapping of str to str
         Units by the beginning of a field's name.
-    signals : bool
+    has_signals : bool
         Whether the messages hold signals, and not only texts, images and point clouds.
     left_out : set of str
         Names of fields that are not numbers, or are lists too long for columns.
@@ -84,24 +84,24 @@ class RosDecoder:
         Any exception of the library, if the type is unknown or its definition is damaged.
     """
 
-    def __init__(self, foreign: LibraryFile, schema: Schema) -> None:
-        typesys = foreign.library("rosbags.typesys")
-        kind = foreign.library("rosbags.typesys.msg").normalize_msgtype(schema.type)
+    def __init__(self, library_file: LibraryFile, schema: Schema) -> None:
+        typesys = library_file.library("rosbags.typesys")
+        kind = library_file.library("rosbags.typesys.msg").normalize_msgtype(schema.type)
         store = _store(typesys, schema, kind)
         fields = _Fields([], [], [], [], _stamp_path(store, kind))
         is_numeric = kind not in _LOGS and _gather(store, kind, fields, ("", ""), 0)
-        self.signals = is_numeric and any(not path.startswith("header.") for path in fields.paths)
+        self.has_signals = is_numeric and any(not path.startswith("header.") for path in fields.paths)
         self.left_out = set(fields.out)
         self.units = UNITS.get(kind, {})
         self._names = list(zip(fields.names, fields.most, strict=True))
         self._get = attrgetter(*fields.paths) if fields.paths else None
         self._one = len(fields.paths) == 1
         self._stamp = attrgetter(fields.stamp) if fields.stamp else None
-        self._foreign, self._ros1 = foreign, schema.encoding == "ros1"
+        self._library_file, self._ros1 = library_file, schema.encoding == "ros1"
         decode = store.deserialize_ros1 if self._ros1 else store.deserialize_cdr
         self._decode: Callable[[bytes], Any] = lambda data: decode(data, kind)
 
-    def __call__(self, data: bytes) -> tuple[int | None, ColumnStatistics]:
+    def __call__(self, data: bytes) -> tuple[int | None, NamedNumbers]:
         """Return the stamp of a message in nanoseconds, or None, and its numbers with their names."""
         message = self._decode(data if self._ros1 or not data.startswith(ZSTD) else self._plain(data))
         stamp = None
@@ -112,11 +112,11 @@ class RosDecoder:
         return stamp, self._numbers((values,) if self._one else values)
 
     def _plain(self, data: bytes) -> bytes:
-        """Unpack a message that is packed by itself; plain CDR never begins with the first bytes of zstd."""
-        size = self._foreign.library("zstandard").frame_content_size(data)
-        return unpacked(self._foreign, "zstd", data, size)
+        """Unpack a message that is compressed separately; plain CDR never begins with the first bytes of zstd."""
+        size = self._library_file.library("zstandard").frame_content_size(data)
+        return unpacked(self._library_file, "zstd", data, size)
 
-    def _numbers(self, values: tuple[Any, ...]) -> ColumnStatistics:
+    def _numbers(self, values: tuple[Any, ...]) -> NamedNumbers:
         for (name, most), value in zip(self._names, values, strict=True):
             if not most:
                 yield name, value

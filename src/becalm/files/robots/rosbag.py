@@ -14,7 +14,7 @@ from becalm.files.groups import tables
 from becalm.files.library_reader import LibraryFile
 from becalm.files.registry import BAG
 from becalm.files.robots import mcap, rosbag1, rosbag2
-from becalm.files.robots.topics import Message, few, gathered
+from becalm.files.robots.topics import Message, collect_groups, shorten_list
 from becalm.files.source import RawTable
 
 _MCAP = b"\x89MCAP0\r\n"  # the first bytes of an MCAP file
@@ -29,25 +29,25 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no numbers.
     """
-    foreign = LibraryFile(path, "ROS bag")
-    foreign.library("rosbags.typesys")
-    with foreign.explain_damage(), ExitStack() as held:
-        parts = _parts(foreign, path, held) if path.is_dir() else [path]
-        logs = [_log(foreign, part, held) for part in parts]
-        groups = gathered(foreign, _all(logs), lambda: _notes(parts, logs))
-    return tables(foreign, "rosbag", groups)
+    library_file = LibraryFile(path, "ROS bag")
+    library_file.library("rosbags.typesys")
+    with library_file.explain_damage(), ExitStack() as held:
+        parts = _parts(library_file, path, held) if path.is_dir() else [path]
+        logs = [_log(library_file, part, held) for part in parts]
+        groups = collect_groups(library_file, _all(logs), lambda: _notes(parts, logs))
+    return tables(library_file, "rosbag", groups)
 
 
-def _log(foreign: LibraryFile, part: Path, held: ExitStack) -> Any:
+def _log(library_file: LibraryFile, part: Path, held: ExitStack) -> Any:
     """Open one file of a bag."""
     file = held.enter_context(part.open("rb"))
     head = file.read(len(_MCAP))
     file.seek(0)
     if head == _MCAP:
-        return mcap.McapLog(foreign, BoundedFile(file))
+        return mcap.McapLog(library_file, BoundedFile(file))
     if head.startswith(b"#ROSBAG"):
-        return rosbag1.RosBag1(foreign, BoundedFile(file))
-    return held.enter_context(rosbag2.RosBag2(foreign, part))
+        return rosbag1.RosBag1(library_file, BoundedFile(file))
+    return held.enter_context(rosbag2.RosBag2(library_file, part))
 
 
 def _all(logs: list[Any]) -> Iterator[Message]:
@@ -62,10 +62,10 @@ def _notes(parts: list[Path], logs: list[Any]) -> tuple[str, ...]:
     return tuple(f"{part.name}: {note}" for part, log in zip(parts, logs, strict=True) for note in log.notes())
 
 
-def _parts(foreign: LibraryFile, folder: Path, held: ExitStack) -> list[Path]:
+def _parts(library_file: LibraryFile, folder: Path, held: ExitStack) -> list[Path]:
     """Return the files of a folder in the order of recording; compressed files are unpacked first."""
     try:
-        listed = foreign.library("ruamel.yaml").YAML(typ="safe").load((folder / BAG).read_text("utf-8"))
+        listed = library_file.library("ruamel.yaml").YAML(typ="safe").load((folder / BAG).read_text("utf-8"))
         info = listed["rosbag2_bagfile_information"]
         names = [PurePath(name) for name in info["relative_file_paths"]]
     except InputError:
@@ -80,18 +80,20 @@ def _parts(foreign: LibraryFile, folder: Path, held: ExitStack) -> list[Path]:
         )
     parts = [folder / name.name for name in names]
     if missing := [part.name for part in parts if not part.is_file()]:
-        raise InputError(f"{folder} lacks {few(missing)}, which its {BAG} names; copy the whole folder.")
+        raise InputError(f"{folder} lacks {shorten_list(missing)}, which its {BAG} names; copy the whole folder.")
     if not parts:
         raise InputError(f"{folder} is a ROS 2 bag without files; copy the whole folder.")
     if str(info.get("compression_mode", "")).lower() == "file":
-        return [_unpacked(foreign, part, held) for part in parts]
+        return [_unpacked(library_file, part, held) for part in parts]
     return parts
 
 
-def _unpacked(foreign: LibraryFile, part: Path, held: ExitStack) -> Path:
+def _unpacked(library_file: LibraryFile, part: Path, held: ExitStack) -> Path:
     """Unpack a file into a temporary folder, and return its path there."""
-    plain = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="becalm."))) / part.stem
-    library = foreign.library("zstandard")
+    plain = (
+        Path(held.enter_context(tempfile.TemporaryDirectory(prefix="becalm.", ignore_cleanup_errors=True))) / part.stem
+    )
+    library = library_file.library("zstandard")
     own, written = LibraryFile(part, "zstd"), 0
     with part.open("rb") as packed, plain.open("wb") as file:
         for block in library.ZstdDecompressor().read_to_iter(packed, write_size=_BLOCK):

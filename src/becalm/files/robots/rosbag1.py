@@ -25,7 +25,7 @@ class RosBag1:
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file or folder that the user named, for messages.
     file : BoundedFile
         The file, at its start.
@@ -36,9 +36,9 @@ class RosBag1:
         If it is of another version.
     """
 
-    def __init__(self, foreign: LibraryFile, file: BoundedFile) -> None:
-        self._foreign, self._file = foreign, file
-        self._library = foreign.library("rosbags.rosbag1.reader")
+    def __init__(self, library_file: LibraryFile, file: BoundedFile) -> None:
+        self._library_file, self._file = library_file, file
+        self._library = library_file.library("rosbags.rosbag1.reader")
         self._connections: dict[int, tuple[str, Schema]] = {}
         self._closed, self._cut = False, False
         self._damaged = 0
@@ -46,8 +46,8 @@ class RosBag1:
         if first != _VERSION:
             version = first[8:].decode("ascii", "replace").strip()
             raise InputError(
-                f"{foreign.path} is a ROS bag of version {version}; becalm reads 2.0. Type: rosbag fix"
-                f" {foreign.path.name}"
+                f"{library_file.path} is a ROS bag of version {version}; becalm reads 2.0. Type: rosbag fix"
+                f" {library_file.path.name}"
             )
 
     def notes(self) -> tuple[str, ...]:
@@ -100,12 +100,12 @@ class RosBag1:
         return header, data, cut
 
     def _messages_in(self, header: Any, data: bytes) -> Iterator[Message]:
-        """Process a record that is not a chunk; yield its message, if it has one."""
+        """Process a record that is not a chunk; if it is a message, yield it."""
         kind = header.get_uint8("op")
         if kind == _HEADER:
             self._closed = 0 < header.get_uint64("index_pos") <= self._file.size
             if header.get("encryptor"):
-                raise InputError(f"{self._foreign.path} is an encrypted ROS bag; decrypt it: rosbag decrypt.")
+                raise InputError(f"{self._library_file.path} is an encrypted ROS bag; decrypt it: rosbag decrypt.")
         elif kind == _CONNECTION:
             about = self._library.Header.read(_prefixed(data))
             schema = Schema(about.get_string("type"), "ros1", about.get_string("message_definition"), MSG)
@@ -122,7 +122,7 @@ class RosBag1:
         """Unpack a chunk; return None if it is damaged."""
         how, size = header.get_string("compression"), header.get_uint32("size")
         try:
-            return bounded_bytes(unpacked(self._foreign, how, data, size, cut))
+            return bounded_bytes(unpacked(self._library_file, how, data, size, cut))
         except ValueError:
             self._damaged += 1
             return None

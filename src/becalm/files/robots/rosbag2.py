@@ -26,7 +26,7 @@ class RosBag2:
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file or folder that the user named, for messages.
     path : Path
         The file.
@@ -37,8 +37,8 @@ class RosBag2:
         If it is a database, but not a bag.
     """
 
-    def __init__(self, foreign: LibraryFile, path: Path) -> None:
-        self._foreign = foreign
+    def __init__(self, library_file: LibraryFile, path: Path) -> None:
+        self._library_file = library_file
         self._held = ExitStack()
         self._undefined = False
         readable = _whole_pages(path, self._held)
@@ -118,7 +118,10 @@ def _whole_pages(path: Path, held: ExitStack) -> Path:
         page, size = 1 << 16 if page == 1 else page, path.stat().st_size
         if not page or size % page == 0:
             return path
-        copy = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="becalm."))) / path.name
+        copy = (
+            Path(held.enter_context(tempfile.TemporaryDirectory(prefix="becalm.", ignore_cleanup_errors=True)))
+            / path.name
+        )
         file.seek(0)
         with copy.open("wb") as whole:
             shutil.copyfileobj(file, whole)

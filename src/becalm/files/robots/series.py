@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 _FLAG, _WHOLE, _REAL = "b", "q", "d"  # type codes of arrays
 _MOST = 4096  # most columns
-_SPARSE, _ALWAYS = 64, 1 << 20  # missing cells that are allowed for each present cell, and in addition
+_SPARSE, _ALWAYS = 64, 1 << 20  # missing cells that are allowed: for each present cell, and in addition for any table
 _LEAST_WHOLE, _MOST_WHOLE = -(1 << 63), (1 << 63) - 1
 
 

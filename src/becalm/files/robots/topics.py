@@ -24,7 +24,7 @@ ROS = ("ros1", "cdr")
 """The encodings of messages that becalm reads."""
 
 _LATE_NS = 1_000_000_000  # a stamp further behind than this comes from another clock, not from a late message
-_BURST = 0.1  # if the median step is below this share of the mean step, messages were written in bursts
+_BURST = 0.1  # messages came in bursts if the median step is below this fraction of the mean step
 _SECOND = 1_000_000_000  # in nanoseconds
 _MOST_NAMED = 8  # names in a note
 
@@ -37,7 +37,7 @@ class Message(NamedTuple):
     topic : str
         Name of its topic, such as "/imu/data".
     schema : ros_messages.Schema
-        Its type; the encoding may also be JSON, or one that becalm cannot read.
+        Its type. The encoding may also be JSON, or an encoding that becalm cannot read.
     log_ns : int
         Time when it was logged, in nanoseconds since 1970.
     data : bytes
@@ -79,12 +79,12 @@ class Topics:
 
     Parameters
     ----------
-    foreign : LibraryFile
+    library_file : LibraryFile
         The file.
     """
 
-    def __init__(self, foreign: LibraryFile) -> None:
-        self._foreign = foreign
+    def __init__(self, library_file: LibraryFile) -> None:
+        self._library_file = library_file
         self._topics: dict[tuple[str, ros_messages.Schema], _Topic | None] = {}
         self._left_out: dict[str, list[str]] = {}
 
@@ -102,13 +102,13 @@ class Topics:
             return _Topic(json_messages.JsonDecoder())
         if message.schema.encoding in ROS:
             try:
-                decoder = ros_messages.RosDecoder(self._foreign, message.schema)
+                decoder = ros_messages.RosDecoder(self._library_file, message.schema)
             except InputError:
                 raise
             except Exception:  # the library raises many types for a damaged definition
                 why = "the file does not define their types correctly"
             else:
-                if decoder.signals:
+                if decoder.has_signals:
                     return _Topic(decoder)
                 why = "they hold images, point clouds, texts or lists of messages"
         self._left_out.setdefault(why, []).append(f"{message.topic} ({message.schema.type or 'no type'})")
@@ -127,7 +127,7 @@ class Topics:
         InputError
             If there is no such topic.
         """
-        notes += tuple(f"Left out, because {why}: {few(names)}." for why, names in self._left_out.items())
+        notes += tuple(f"Left out, because {why}: {shorten_list(names)}." for why, names in self._left_out.items())
         groups = [
             _group(name, topic, notes)
             for (name, _), topic in self._topics.items()
@@ -136,7 +136,7 @@ class Topics:
         if not groups:
             undecoded = any(topic is not None for topic in self._topics.values())
             why = " ".join(notes) or ("No message could be decoded." if undecoded else "It holds no messages.")
-            raise InputError(f"{self._foreign.path} holds no messages with numbers in them. {why}")
+            raise InputError(f"{self._library_file.path} holds no messages with numbers in them. {why}")
         return groups
 
 
@@ -157,12 +157,12 @@ def _omissions(topic: _Topic) -> Iterator[str]:
     if topic.undecoded:
         yield f"Messages that could not be decoded were left out: {topic.undecoded:,}."
     if topic.decode.left_out:
-        yield f"Texts, nested and long lists were left out: {few(sorted(topic.decode.left_out))}."
+        yield f"Texts, nested and long lists were left out: {shorten_list(sorted(topic.decode.left_out))}."
     if topic.series.full:
         yield "The messages have more names of numbers than a table can have columns; some were left out."
 
 
-def few(names: list[str]) -> str:
+def shorten_list(names: list[str]) -> str:
     """Return the first of some names, and how many more there are."""
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     return ", ".join(names[:_MOST_NAMED]) + more
@@ -209,7 +209,9 @@ def _by_log(logged: Ordered, why: str) -> Ordered:
     return logged._replace(notes=tuple(notes))
 
 
-def gathered(foreign: LibraryFile, messages: Iterator[Message], notes: Callable[[], tuple[str, ...]]) -> list[Group]:
+def collect_groups(
+    library_file: LibraryFile, messages: Iterator[Message], notes: Callable[[], tuple[str, ...]]
+) -> list[Group]:
     """Collect all messages; `notes`, called after the last one, returns the notes on the whole file.
 
     Raises
@@ -217,7 +219,7 @@ def gathered(foreign: LibraryFile, messages: Iterator[Message], notes: Callable[
     InputError
         If no message holds numbers.
     """
-    topics = Topics(foreign)
+    topics = Topics(library_file)
     for message in messages:
         topics.add(message)
     return topics.groups(notes())

@@ -15,12 +15,12 @@ from becalm.files.bounded_file import BoundedFile
 from becalm.files.column_statistics import NO_UNIT, Column
 from becalm.files.groups import TIME, Group, tables
 from becalm.files.library_reader import LibraryFile
-from becalm.files.robots.topics import few
+from becalm.files.robots.topics import shorten_list
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.integer_stamps import in_order, seconds_of
 
-_STAMP = ("uint64_t", 0, "timestamp")  # type, length of a list, and name
+_STAMP = ("uint64_t", 0, "timestamp")  # the field of stamps in a format: type, length of a list, and name
 _PADDING = "_padding"  # beginning of the names of fields without content
 _MOST_BYTES = 0xFFFF  # largest message in bytes, and so the largest number of its fields
 _MOST_FIELDS = 500_000  # largest number of fields in all logged topics; each takes some hundred bytes in pyulog
@@ -35,19 +35,19 @@ def read(path: Path) -> tuple[RawTable, ...]:
     InputError
         If it is damaged, or holds no messages.
     """
-    foreign = LibraryFile(path, "ULog")
-    library = foreign.library("pyulog")
-    with foreign.explain_damage(), path.open("rb") as file:
+    library_file = LibraryFile(path, "ULog")
+    library = library_file.library("pyulog")
+    with library_file.explain_damage(), path.open("rb") as file:
         opened = BoundedFile(file)
         heading = library.ULog(_KeptOpen(opened), parse_header_only=True)
-        sizes = _sizes(foreign, heading.message_formats)
+        sizes = _sizes(library_file, heading.message_formats)
         opened.seek(0)
         stamped = [name for name, one in heading.message_formats.items() if _STAMP in one.fields]
-        reader = _bounded(foreign, library, sizes)
+        reader = _bounded(library_file, library, sizes)
         log = reader(_KeptOpen(opened), stamped)  # without the list, it stops at the first message without a stamp
         notes = _notes(log, opened, _unstamped(log, stamped))
         groups = [_group(topic, log.start_timestamp, notes) for topic in log.data_list]
-    return tables(foreign, "ulog", groups)
+    return tables(library_file, "ulog", groups)
 
 
 class _KeptOpen:
@@ -60,7 +60,7 @@ class _KeptOpen:
         """Do nothing, so that the file stays open."""
 
 
-def _sizes(foreign: LibraryFile, formats: dict[str, Any]) -> dict[str, int]:
+def _sizes(library_file: LibraryFile, formats: dict[str, Any]) -> dict[str, int]:
     """Count the fields of each format; reject recursive formats, and those with more fields than a message's bytes."""
     sizes: dict[str, int] = {}
 
@@ -68,12 +68,12 @@ def _sizes(foreign: LibraryFile, formats: dict[str, Any]) -> dict[str, int]:
         if name not in formats:
             return 1  # a number, or an unknown type, which the library reports
         if name in within:
-            raise foreign.damaged(f"the format {name} contains itself")
+            raise library_file.damage_error(f"the format {name} contains itself")
         if name not in sizes:
             held = (max(1, count) * size(kind, (*within, name)) for kind, count, _ in formats[name].fields)
             sizes[name] = sum(held)
         if sizes[name] > _MOST_BYTES:
-            raise foreign.damaged(
+            raise library_file.damage_error(
                 f"the format {name} has {sizes[name]:,} fields, but a message has at most {_MOST_BYTES:,} bytes"
             )
         return sizes[name]
@@ -83,15 +83,15 @@ def _sizes(foreign: LibraryFile, formats: dict[str, Any]) -> dict[str, int]:
     return sizes
 
 
-def _bounded(foreign: LibraryFile, library: ModuleType, sizes: dict[str, int]) -> Any:
-    """Return the library's reader with a limit on the fields of all topics, because it makes an object for each."""
+def _bounded(library_file: LibraryFile, library: ModuleType, sizes: dict[str, int]) -> Any:
+    """Return the library's reader with a limit on the fields of all topics, as it makes an object per field."""
     original, left = library.ULog._MessageAddLogged, _MOST_FIELDS
 
     def subscribed(data: bytes, header: Any, formats: dict[str, Any]) -> Any:
         nonlocal left
         left -= sizes.get(library.ULog.parse_string(data[3:]), 0)
         if left < 0:
-            raise foreign.damaged(f"its topics have more than {_MOST_FIELDS:,} fields in all")
+            raise library_file.damage_error(f"its topics have more than {_MOST_FIELDS:,} fields in all")
         return original(data, header, formats)
 
     return type("_Bounded", (library.ULog,), {"_MessageAddLogged": staticmethod(subscribed)})
@@ -110,7 +110,7 @@ def _notes(log: Any, opened: BoundedFile, unstamped: list[str]) -> tuple[str, ..
     elif opened.cut:
         notes.append("The file ends in the middle of a message; those before it were read.")
     if unstamped:
-        notes.append(f"Left out, because their messages have no timestamp: {few(unstamped)}.")
+        notes.append(f"Left out, because their messages have no timestamp: {shorten_list(unstamped)}.")
     if log.dropouts:
         lost_s = sum(dropout.duration for dropout in log.dropouts) / 1000.0
         times = "once" if len(log.dropouts) == 1 else f"{len(log.dropouts):,} times"

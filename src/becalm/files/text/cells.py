@@ -18,7 +18,7 @@ from becalm.files.source import RawTable
 _SPELLED = ("NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "Null", "None", "#N/A", "#NA", "-", "--", "---")
 _NOT_A_NUMBER = ("-nan", "-NaN", "+nan", "-nan(ind)", "nan(ind)", "1.#QNAN", "-1.#IND", "1.#IND")
 MISSING: tuple[str, ...] = ("", *_SPELLED, *_NOT_A_NUMBER)
-"""Cells that stand for a missing measurement."""
+"""Cells that mean a missing measurement."""
 
 _TAIL = r"(?:[eE][+-]?[0-9]+)?"  # an exponent
 _ENDLESS = r"[iI][nN][fF](?:[iI][nN][iI][tT][yY])?"  # infinity
@@ -30,7 +30,7 @@ THOUSANDS = {
     ".": r"^\s*[+-]?[0-9]{1,3}(?:,[0-9]{3})+\.[0-9]+\s*$",
     ",": r"^\s*[+-]?[0-9]{1,3}(?:\.[0-9]{3})+,[0-9]+\s*$",
 }
-"""Patterns of numbers with both point and comma, of which one separates thousands, by their decimal separator."""
+"""By decimal separator, patterns of numbers whose thousands are separated by the other sign, such as 1,234.5."""
 
 _DATE_LIKE = r"\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3})[-/.]\d{1,4}"
 _CLOCK_LIKE = (
@@ -42,7 +42,7 @@ _POINT, _COMMA = re.compile(POINT), re.compile(COMMA)
 _THOUSANDS = {sign: re.compile(pattern) for sign, pattern in THOUSANDS.items()}
 _MISSING = frozenset(MISSING)
 
-NUMBER, TIME, GONE, WORDS = "number", "time", "missing", "words"
+NUMBER, TIME, MISSING_CELL, WORDS = "number", "time", "missing", "words"
 """Kinds of cells: a number, a date or time, a missing value, and any other text."""
 
 
@@ -61,7 +61,7 @@ def split(line: str, separator: str) -> list[str]:
 def kind_of(cell: str) -> str:
     """Return the kind of a cell; numbers may have either decimal separator."""
     if cell.strip() in _MISSING:
-        return GONE
+        return MISSING_CELL
     if _POINT.match(cell) or _COMMA.match(cell) or any(one.match(cell) for one in _THOUSANDS.values()):
         return NUMBER
     return TIME if _TIME_LIKE.match(cell) else WORDS
@@ -77,7 +77,7 @@ def decimal_of(cell: str) -> str:
 def is_row(line: str, separator: str, kinds: Sequence[str]) -> bool:
     """Return whether a line has enough cells for a row, and numbers and times in most of the columns that need them.
 
-    Quotes are ignored, because any of them may be a stray: separators within quotes count too.
+    Quotes are ignored, because any quote may be a stray one; separators within quotes count too.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def is_row(line: str, separator: str, kinds: Sequence[str]) -> bool:
     if len(cells) < width:
         return False
     signals = (column for column, kind in enumerate(kinds) if kind in (NUMBER, TIME))
-    # With extra separators, a column is tested at its place from the left and from the right.
+    # If there are extra separators, each column is tested at its position from the left and from the right.
     cell_kinds = [{kind_of(cells[column]), kind_of(cells[column - width])} for column in signals]
     return 2 * cell_kinds.count({WORDS}) <= len(cell_kinds)
 
@@ -189,12 +189,12 @@ def meant_as_numbers(raw: RawTable, name: str) -> bool:
     return _added(BadCells(), raw.head.column(name), raw.decimal, 0).few
 
 
-def bad_cell(raw: RawTable, name: str, bad: BadCells, way_out: str) -> InputError:
-    """Return the error that names the first bad cell; `way_out` continues the sentence "Correct the cell"."""
+def bad_cell(raw: RawTable, name: str, bad: BadCells, advice: str) -> InputError:
+    """Return the error that names the first bad cell; `advice` continues the sentence "Correct the cell"."""
     more = f" ({bad.cells} such cells)" if bad.cells > 1 else ""
     return InputError(
         f"Column {name!r} holds {bad.cell!r} in {raw.place(bad.row)}, which is not a number{more}."
-        f" Correct the cell{way_out}."
+        f" Correct the cell{advice}."
     )
 
 
@@ -207,11 +207,11 @@ def _added(before: BadCells, column: pa.ChunkedArray, decimal: str, row: int) ->
     return before._replace(cells=before.cells + int(bad.sum()), numbers=before.numbers + good)
 
 
-# Leave out rows of only separators, which some loggers write at the end of a text.
+# Leave out rows that consist of separators only, which some loggers write at the end of a file.
 
 
 def without_blank_end(raw: RawTable, found: list[tuple[str, ...]]) -> int:
-    """Return the number of rows without blank rows at the end; all rows if there is no time column, or no CSV file.
+    """Return the number of rows without blank rows at the end; all rows without a time column, and for other formats.
 
     Parameters
     ----------

@@ -8,17 +8,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from becalm.files.text.cells import GONE, NUMBER, kind_of, split
+from becalm.files.text.cells import MISSING_CELL, NUMBER, kind_of, split
 from becalm.files.unit_spelling import looks_like_unit, tidy_unit
 
 # Read the special headers that some loggers and oscilloscopes write above the rows.
 
-_STATION, _LABVIEW, _X = "TOA5", "LabVIEW Measurement", "X_Value"  # first cells of two headers; LabVIEW's time
+_STATION, _LABVIEW = "TOA5", "LabVIEW Measurement"  # first cells of the headers of Campbell and LabVIEW
+_X = "X_Value"  # LabVIEW's name of the time
 _CAMPBELL_ROWS = 4  # the station, names, units, and how each value was processed
-_NO_UNITS = ("TS", "RN", "Sequence", "unix time")  # texts in the row of units of stamps and record numbers
-_COMMENT_NAME = "Comment"  # a name without a cell in rows that have no comment
-_DEVICE = re.compile(r"calc|[0-9]+: ?\w+")  # the source of a channel in files of RaceChrono
-_STEP = re.compile(r"t(?:0|Inc)\s*=.*")  # in Rigol's row of names, without cells below
+_NO_UNITS = ("TS", "RN", "Sequence", "unix time")  # texts in a row of units that are not units
+_COMMENT_NAME = "Comment"  # the name of LabVIEW's last column; a row without a comment has no cell for it
+_DEVICE = re.compile(r"calc|[0-9]+: ?\w+")  # a cell of RaceChrono's third header row: the source of a channel
+_STEP = re.compile(r"t(?:0|Inc)\s*=.*")  # a start or step in Rigol's row of names; the rows have no cell for it
 
 Rows = Sequence[Sequence[str]]
 
@@ -227,7 +228,7 @@ def _cells(line: str, separator: str, width: int) -> list[str]:
 
 def _with_blank_names(cells: list[str], kinds: Sequence[str]) -> list[str]:
     """Add blank names for empty columns at the right, which trailing separators create."""
-    empty = all(kind == GONE for kind in kinds[len(cells) :])
+    empty = all(kind == MISSING_CELL for kind in kinds[len(cells) :])
     return _padded(cells, len(kinds)) if len(cells) > 1 and empty else cells
 
 
@@ -249,12 +250,12 @@ def _are_units(row: Sequence[str]) -> bool:
 
 
 def _are_units_above(upper: Sequence[str], names: Sequence[str], width: int) -> bool:
-    """Return whether a row of units is above a row of names, and the names are all different."""
+    """Return whether `upper` is a row of units above a row of names, and the names are all different."""
     return len(upper) == len(names) == width == len(set(names)) and _are_units(upper) and not _are_units(names)
 
 
 def _belong_together(upper: Sequence[str], lower: Sequence[str], at_top: bool) -> bool:
-    """Return whether two rows together make the names, instead of a note above a row of names."""
+    """Return whether two rows together hold the names; otherwise, the upper row is a note above the names."""
     repeated = max(Counter(cell for cell in lower if cell).values(), default=0) > 1
     if repeated or any(kind_of(cell) == NUMBER for cell in upper):  # a note has numbers: "Sample rate, 100"
         return repeated

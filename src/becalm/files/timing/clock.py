@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.core.time.clock import Clock
 from becalm.core.time.even_grid import BURSTS, JITTER, equal_bursts, even_grid
-from becalm.core.time.repair import Steps, one_clock, unwrapped
+from becalm.core.time.repair import StepStatistics, undo_clock_changes, unwrap
 from becalm.errors import TimeError
 from becalm.files.rows import Spool
 from becalm.files.source import TimeLayout
@@ -78,7 +78,7 @@ def _kind_of_cell(cell: str) -> str:
 
 
 class ClockReader:
-    """Read a column of dates, times of day, or both, block by block.
+    """A reader of a column of dates, times of day, or both, block by block.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class ClockReader:
                     " count rows with --rate HZ."
                 )
             if self._kind == TIME_OF_DAY:
-                ns = midnights.passed(ns, missing)
+                ns = midnights.add_days(ns, missing)
             row += len(text)
             yield Instants(self._kind, ns, missing, bool(pc.any(pc.not_equal(zones, "")).as_py()))
 
@@ -160,12 +160,14 @@ def _whole(text: pa.Array, empty: int = 0) -> Integers:
 
 
 class _Dates:
-    """Collect from all dates of a column what they show about the order of day, month and year."""
+    """The evidence in all dates of a column on the order of day, month and year."""
 
     def __init__(self) -> None:
-        self._named = self._day_wrong = self._month_wrong = False
-        self._first_years = self._last_years = self._halves = False
-        self._same = True
+        self._named = False  # whether months are written as names
+        self._day_wrong = self._month_wrong = False  # whether a date does not exist if read day or month first
+        self._first_years = self._last_years = False  # whether years come first, or last
+        self._halves = False  # whether AM or PM is written
+        self._same = True  # whether both orders give the same steps between rows
         self._mark = ""
         self._last: int | None = None
 
@@ -211,7 +213,7 @@ class _Dates:
 
 
 def _days(parts: pa.Array, present: Booleans, order: str) -> tuple[Integers, Booleans]:
-    """Return days since 1970, and a mask of dates that do not exist; in mixed order, of those with the year first."""
+    """Return days since 1970, and a mask of dates that do not exist; a mixed order marks those with the year first."""
     first, last = _field(parts, "a"), _field(parts, "c")
     if not present.any():
         return np.zeros(len(first), np.int64), ~present
@@ -259,7 +261,7 @@ def _time_of_day(parts: pa.Array) -> tuple[Integers, Booleans]:
 
 
 def _zone_ns(zones: pa.Array) -> Integers:
-    """Return how far the time zone of each cell is ahead of UTC, in nanoseconds."""
+    """Return the offset of each cell's time zone from UTC in nanoseconds, positive east of Greenwich."""
     coded = zones.dictionary_encode()
     ahead = np.array([_offset_ns(zone) for zone in coded.dictionary.to_pylist()] or [0], np.int64)
     return np.asarray(ahead[np.asarray(coded.indices)])
@@ -274,13 +276,13 @@ def _offset_ns(zone: str) -> int:
 
 
 class Midnights:
-    """Add a day to times of day wherever they jump back by more than half a day."""
+    """A counter of days, which grows where times of day jump back by more than half a day."""
 
     def __init__(self) -> None:
         self._last: int | None = None
         self._days = 0
 
-    def passed(self, ns: Integers, missing: Booleans) -> Integers:
+    def add_days(self, ns: Integers, missing: Booleans) -> Integers:
         """Return the next times of day, in nanoseconds since the first midnight."""
         present = np.flatnonzero(~missing)
         if not len(present):
@@ -317,12 +319,12 @@ def without_wraps(name: str, spool: Spool) -> tuple[Spool, tuple[str, ...]]:
 
     The given spool is closed if it is replaced.
     """
-    steps = Steps(spool.count)
+    steps = StepStatistics(spool.count)
     for block in spool.blocks():
         steps.add(np.asarray(block, np.float64))
     if (period := steps.wraps_at) is None:
         return spool, ()
-    corrected = Spool(unwrapped(spool.blocks(), period), spool.count)
+    corrected = Spool(unwrap(spool.blocks(), period), spool.count)
     spool.close()
     wraps = f"{steps.falls:,} wraps were" if steps.falls > 1 else "one wrap was"
     return corrected, (f"The counter of {name!r} wraps at {period:.0f}; {wraps} undone.",)
@@ -338,18 +340,20 @@ def on_one_clock(times: Times, layout: TimeLayout) -> tuple[Spool | None, TimeLa
     layout : TimeLayout
         How the times were read; its `start` is the first instant, without a time zone.
     """
-    steps = Steps(times.count)
+    steps = StepStatistics(times.count)
     for block in times.blocks():
         steps.add(block)
-    if steps.falls and not steps.falls_an_hour:
+    if steps.falls and not steps.falls_by_hours:
         return None, layout
     first_s = float(np.datetime64(layout.start, "ns").astype(np.int64)) / 1e9
     back = forth = 0
-    for hours in one_clock(times.blocks(), first_s, steps.median):
+    for hours in undo_clock_changes(times.blocks(), first_s, steps.median):
         back, forth = hours.back, hours.forth
     if not back + forth:
         return None, layout
-    corrected = Spool((hours.stamps_s for hours in one_clock(times.blocks(), first_s, steps.median)), times.count)
+    corrected = Spool(
+        (hours.stamps_s for hours in undo_clock_changes(times.blocks(), first_s, steps.median)), times.count
+    )
     moved = " and ".join(f"{way} {_times(n)}" for way, n in (("back", back), ("forth", forth)) if n)
     note = f"The clock of {_named(layout)} was put {moved} by an hour, as for summer time; that was undone"
     # Stamps that go back in time are refused, so keeping them as written is suggested only for shifts forward.
@@ -393,7 +397,7 @@ def clock_of(times: Times, layout: TimeLayout, as_written: bool = False) -> tupl
 
 
 def _burst_notes(times: Times, layout: TimeLayout) -> list[str]:
-    """Return a note with the rate of stamps in equal bursts, [] for others; a driver or the sampling makes bursts."""
+    """Return a note on stamps in equal bursts, [] for other stamps; a driver or the sampling may cause bursts."""
     bursts = equal_bursts(times.count, times.blocks)
     return (
         []

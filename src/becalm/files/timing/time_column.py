@@ -92,7 +92,7 @@ def _is_empty(raw: RawTable, name: str) -> bool:
 
 
 def _namesakes(raw: RawTable, candidates: list[tuple[str, ...]], kinds: dict[str, str]) -> list[str]:
-    """Return columns with the name of the only candidate and other values, such as an `X [s]` for each sensor."""
+    """Return columns that repeat the only candidate's name but not its values, such as an `X [s]` for each sensor."""
     if len(candidates) != 1 or kinds[candidates[0][0]] != NUMBERS:
         return []
     first = candidates[0][0]
@@ -106,11 +106,11 @@ def _same(raw: RawTable, one: str, other: str) -> bool:
 
 
 def times_with_bad_cells(raw: RawTable) -> list[str]:
-    """Return the columns with a name for time that hold numbers and fewer bad cells."""
-    return [name for name in raw.names if is_time_name(name) and _is_spoilt(raw, name)]
+    """Return the columns of text with a name for time that hold more numbers than bad cells."""
+    return [name for name in raw.names if is_time_name(name) and _has_bad_cells(raw, name)]
 
 
-def _is_spoilt(raw: RawTable, name: str) -> bool:
+def _has_bad_cells(raw: RawTable, name: str) -> bool:
     return not kind_of_column(raw.head.column(name)) and meant_as_numbers(raw, name)
 
 
@@ -187,4 +187,4 @@ def named_column(raw: RawTable, asked: str, origin: RequestOrigin) -> str:
     if bare:
         raise UsageError(f"{origin.name} {asked!r} matches {', '.join(map(repr, bare))}; write one of these in full.")
     listed = ", ".join(map(repr, names[:20])) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
-    raise UsageError(f"{origin.name} names {asked!r}, which is not a column; the columns are {listed}.{origin.way_out}")
+    raise UsageError(f"{origin.name} names {asked!r}, which is not a column; the columns are {listed}.{origin.advice}")

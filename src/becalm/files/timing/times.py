@@ -44,7 +44,7 @@ IMPLIED = {"millis": "ms", "micros": "us", "sec": "s", "secs": "s", "second": "s
 """Units that the name of a column implies."""
 
 EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
-"""Units of counts since 1970, each with the counts of the years 1999 and 2103."""
+"""Units of counts since 1970, each with the range of plausible counts: those of the years 1999 to 2103."""
 
 
 class Stamps:
@@ -150,7 +150,7 @@ def _from_text(
 
 
 class _SinceFirst:
-    """Convert ticks to seconds since the first tick that is not missing."""
+    """A converter of ticks to seconds since the first tick that is not missing."""
 
     def __init__(self, per_second: float) -> None:
         self._per_second = per_second
@@ -177,7 +177,7 @@ def _temporal(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
         for column in raw.column(name):
             ticks, missing = _ticks(column)
             if pa.types.is_time(kind):
-                ticks = midnights.passed(ticks * (10**9 // int(PER_SECOND[unit])), missing)
+                ticks = midnights.add_days(ticks * (10**9 // int(PER_SECOND[unit])), missing)
             yield since.seconds(ticks, missing)
 
     stamps = Stamps(Spool(seconds(), raw.count))
@@ -244,7 +244,7 @@ def _examined_blocks(
     """Yield the blocks of a column, and add each to the statistics; `exact` columns are int64, others float64."""
     for column in raw.column(name):
         if pa.types.is_float32(column.type):
-            column = column.cast(pa.string())  # to the shortest decimal: 0.01, not 0.009999999776
+            column = column.cast(pa.string())  # to the shortest decimal text: 0.01, not 0.009999999776
         values = numbers(column)
         if not np.isfinite(values).all():
             values = np.where(np.isfinite(values), values, np.nan)
@@ -369,9 +369,9 @@ def rows_between(times: RowTimes, start_s: float, stop_s: float) -> tuple[int, i
 
 
 def _rows_before(stamps: Stamps, start_s: float, stop_s: float) -> tuple[int, int, float]:
-    """Return the first rows that are not before two times, and the duration of all rows with a step at the end, in s.
+    """Return the first rows not before `start_s` and `stop_s`, and the duration of all rows in s, with a last step.
 
-    A row without a stamp is before a time if the next stamp is.
+    A row without a stamp counts as before a time if the next stamp is before it.
     """
     begin, last_s, first_rows, count = np.nan, 0.0, [stamps.count] * 2, 0
     for block in stamps.blocks():

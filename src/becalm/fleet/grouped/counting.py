@@ -1,4 +1,4 @@
-"""Count the rows of each sensor in a file of a lake; only the columns that identify sensors are read."""
+"""Count the rows of each sensor in a file of a lake; read only the columns that identify sensors."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 from becalm.errors import BecalmError, InputError
 from becalm.files.decoding import Original
 from becalm.files.parquet import read_parquet
-from becalm.fleet.marks import came_of
-from becalm.fleet.names import named, values_in
+from becalm.fleet.marks import hash_input
+from becalm.fleet.names import name_sensors, values_in
 
 
 class Count(NamedTuple):
@@ -24,9 +24,9 @@ class Count(NamedTuple):
     rows : dict of str to int
         Rows by the name of the sensor.
     hashed : str
-        A hash, which changes if the file changes.
+        A hash of the file, which changes if the file changes.
     failed : str
-        Why the file cannot be read, as a sentence; else empty.
+        A sentence on why the file cannot be read; empty if it was read.
     """
 
     rows: dict[str, int]
@@ -48,16 +48,16 @@ def count_rows(lake: str, keys: Sequence[str], file: str) -> Count:
     """
     try:
         path = Path(lake) / file
-        hashed = came_of([(file, path)], "", {})  # before the read, so that a change during it is detected
+        hashed = hash_input([(file, path)], "", {})  # before the read, so that a change during it is detected
         return Count(_rows(path, file, keys), hashed)
     except BecalmError as cause:
         return Count({}, failed=str(cause))
-    except Exception as cause:  # damage that no check expects
+    except Exception as cause:  # file damage that no check detects
         return Count({}, failed=f"{file} cannot be read: {type(cause).__name__}: {cause}")
 
 
-def not_counted(file: str, why: str) -> Count:
-    """Return the result for a file on which every worker died."""
+def report_lost_file(file: str, why: str) -> Count:
+    """Return the count of a file on which every worker died: no rows, and the reason."""
     return Count({}, failed=f"{file} cannot be read. {why}")
 
 
@@ -70,6 +70,6 @@ def _rows(path: Path, file: str, keys: Sequence[str]) -> dict[str, int]:
             f" {', '.join(table.names)}. Move it elsewhere, or clean it with: becalm clean"
         )
     for block in table.blocks(columns or table.names[:1]):
-        names, codes = named(block, keys, from_folders)
+        names, codes = name_sensors(block, keys, from_folders)
         rows.update(dict(zip(names, np.bincount(codes, minlength=len(names)).tolist(), strict=True)))
     return dict(rows)

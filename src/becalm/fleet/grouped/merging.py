@@ -1,4 +1,4 @@
-"""Merge the strips of one sensor: all of its rows in the order of time, in bounded memory."""
+"""Merge the strips of one sensor, so that its rows are in the order of time; the memory needed is bounded."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import pyarrow as pa
 
 from becalm.files.lake.folder import refuse_different
 from becalm.files.parquet import units_of
-from becalm.files.rows import HeldRows
+from becalm.files.rows import MemoryRows
 from becalm.files.source import RawTable
 from becalm.fleet.grouped.strips import RANK, Strip
 
 
 class StripCursor:
-    """A cursor that reads a strip in batches.
+    """A cursor that reads a strip message by message.
 
     Its file is open only during a read, because there may be thousands of strips.
 
@@ -30,15 +30,15 @@ class StripCursor:
     Attributes
     ----------
     columns : pyarrow.Schema
-        The columns of its rows, without the rank.
+        The columns of the strip, without the rank.
     left : int
-        Number of rows not read yet.
-    reach : int, float or None
+        Number of rows that have not been read yet.
+    last_rank : int, float or None
         The rank of the last row that was loaded; before the first load, the rank of the first row.
     """
 
     def __init__(self, strip: Strip) -> None:
-        self._path, self.left, self.reach = strip.path, strip.rows, strip.first
+        self._path, self.left, self.last_rank = strip.path, strip.rows, strip.first
         with pa.OSFile(self._path) as file:
             file.seek(strip.offset)
             self._schema: pa.Schema = pa.ipc.read_schema(file)
@@ -52,7 +52,7 @@ class StripCursor:
         return int(self._held.num_rows)
 
     def read(self) -> pa.Table:
-        """Read and return the next rows, without keeping them in memory."""
+        """Read the next message and return its rows, without keeping them in memory."""
         with pa.OSFile(self._path) as file:
             file.seek(self._at)
             batch = pa.ipc.read_record_batch(pa.ipc.read_message(file), self._schema)
@@ -61,23 +61,23 @@ class StripCursor:
         return pa.table(batch)
 
     def load(self) -> None:
-        """Load the next rows into memory, in place of the earlier ones."""
+        """Read the next message into memory, in place of the rows there."""
         self._held = self.read()
-        self.reach = _ranks(self._held)[-1]
+        self.last_rank = _ranks(self._held)[-1]
 
     def take(self, stop: Any, *, also_equal: bool) -> pa.Table:
-        """Return, and remove from memory, the rows whose rank is below `stop`, or with `also_equal` at most `stop`."""
+        """Remove from memory, and return, the rows with a rank below `stop`, with `also_equal` up to `stop`."""
         count = int(np.searchsorted(_ranks(self._held), stop, "right" if also_equal else "left"))
         taken, rest = self._held.slice(0, count), self._held.slice(count)
         self._held = rest if rest.num_rows else self._schema.empty_table()  # an empty slice would keep the whole buffer
         return taken
 
     def rest(self) -> pa.Table:
-        """Return the rows in memory."""
+        """Return all rows in memory."""
         return self._held
 
 
-def merged(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
+def merge_strips(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
     """Yield the rows of strips in the order of their ranks; rows of equal rank keep the order of strips and rows.
 
     If a strip has no ranks, all rows keep their original order.
@@ -85,24 +85,24 @@ def merged(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
     Parameters
     ----------
     lake : Path
-        The lake that the rows came from.
+        The lake of the rows, for messages.
     strips : sequence of Strip
         All strips of one sensor, in the order of its files.
 
     Raises
     ------
     InputError
-        If their files do not have the same columns.
+        If the strips do not have the same columns.
     """
     heads = [StripCursor(strip) for strip in strips]
     first = heads[0].columns
     for strip, head in zip(strips, heads, strict=True):
         if head.columns != first:
-            refuse_different(lake / strip.file, _raw(head.columns), lake / strips[0].file, _raw(first))
+            refuse_different(lake / strip.file, _empty_table(head.columns), lake / strips[0].file, _empty_table(first))
     schema = pa.schema([field.with_nullable(True) for field in first], first.metadata)
     ranked = all(strip.first is not None for strip in strips)
     for parts in _by_rank(heads) if ranked else _in_file_order(heads):
-        yield _joined([part for part in parts if part.num_rows], schema)
+        yield _join_sorted([part for part in parts if part.num_rows], schema)
 
 
 def _in_file_order(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
@@ -112,29 +112,29 @@ def _in_file_order(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
 
 
 def _by_rank(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
-    """Yield the rows of each cursor that come next: those that no row outside memory can precede.
+    """Yield, step by step, the loaded rows that come before all rows not loaded yet, as one table for each cursor.
 
-    A row that is not in memory has at least the least `reach` of all cursors. Only cursors with rows in memory are
-    considered; if strips follow each other in time, these are few.
+    A row that is not loaded yet has at least the smallest `last_rank` of the cursors that have unread rows. Only
+    cursors with loaded rows are considered; if strips follow each other in time, these cursors are few.
     """
-    unread = [(head.reach, place) for place, head in enumerate(heads)]
+    unread = [(head.last_rank, place) for place, head in enumerate(heads)]
     heapq.heapify(unread)
     at_work = list[int]()
     while unread:
-        reach, least = unread[0]
-        yield [heads[place].take(reach, also_equal=place <= least) for place in at_work]
+        last_rank, least = unread[0]
+        yield [heads[place].take(last_rank, also_equal=place <= least) for place in at_work]
         head = heads[least]
         head.load()
         at_work = sorted({place for place in at_work if heads[place].held} | {least})
         if head.left:
-            heapq.heapreplace(unread, (head.reach, least))
+            heapq.heapreplace(unread, (head.last_rank, least))
         else:
             heapq.heappop(unread)
     yield [heads[place].rest() for place in at_work]
 
 
-def _joined(parts: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
-    """Join the rows of several strips, sorted by rank."""
+def _join_sorted(parts: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
+    """Join tables of several strips and sort the rows by rank."""
     if not parts:
         return schema.empty_table()
     tables = [pa.table([part.column(name) for name in schema.names], schema=schema) for part in parts]
@@ -148,6 +148,6 @@ def _ranks(table: pa.Table) -> Any:
     return table.column(RANK).to_numpy()
 
 
-def _raw(columns: pa.Schema) -> RawTable:
-    """Return columns as an empty table of a file, for messages."""
-    return RawTable(HeldRows(columns.empty_table()), 0, "parquet", units_of(columns))
+def _empty_table(columns: pa.Schema) -> RawTable:
+    """Return an empty table with these columns, for error messages."""
+    return RawTable(MemoryRows(columns.empty_table()), 0, "parquet", units_of(columns))

@@ -1,4 +1,4 @@
-"""Rank rows by time, and detect rows that must keep their order because becalm repairs their clock when reading."""
+"""Rank rows by time. Detect rows that must keep their order, because becalm repairs their clock when it reads them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from becalm.core.time.repair import Steps
+from becalm.core.time.repair import StepStatistics
 from becalm.errors import TimeError, UsageError
 from becalm.files.lake.order import instants_of
 from becalm.files.source import HEAD_ROWS, RawTable
@@ -30,37 +30,37 @@ from becalm.files.timing.time_column import (
 from becalm.files.timing.times import PER_SECOND
 
 Ranks = NDArray[Any]
-"""Numbers that grow with time, (n,), int64, uint64 or float64; `latest` where the time is missing."""
+"""Ranks (n,), which increase with time: int64, uint64 or float64; the value of `latest` where the time is missing."""
 
-_TEXTS = [clock.DATE_TIME], [clock.DATE], [clock.DATE, clock.TIME_OF_DAY]  # kinds of text columns that give instants
+_TEXTS = [clock.DATE_TIME], [clock.DATE], [clock.DATE, clock.TIME_OF_DAY]  # text columns that give an instant
 
 
 def time_of(table: RawTable, asked: str | None) -> tuple[str, ...]:
-    """Return the columns of time, judged by their names or types; () if there are none.
+    """Return the names of the time columns, found by name or type; () if there are none.
 
     Parameters
     ----------
     table : RawTable
         A file of the lake.
     asked : str, optional
-        The column that a recipe names; None to search for one.
+        The time column that a recipe names; None to search for one.
     """
     if asked is None:
         candidates = find_time(replace(table, count=min(table.count, HEAD_ROWS)))
         return next((time for time in candidates if _is_surely_time(table, time[0])), ())
     try:
         return (named_column(table, asked, TIME_OPTION),)
-    except UsageError:  # the sensors with that recipe are refused when they are opened
+    except UsageError:  # sensors with this recipe are refused later, when they are opened
         return ()
 
 
 def ranks_of(times: pa.Table) -> Ranks | None:
-    """Return ranks that order rows by time, (n,); None if times cannot be read or have no date.
+    """Return ranks (n,) that order rows by time; None if the times cannot be read or have no date.
 
     Parameters
     ----------
     times : pyarrow.Table
-        The column of time, or a date and a time of day.
+        One time column, or a column of dates and one of times of day.
     """
     kinds = [kind_of_column(column) for column in times.columns]
     if kinds == [NUMBERS]:
@@ -75,10 +75,10 @@ def latest(ranks: Ranks) -> Any:
     return np.inf if ranks.dtype.kind == "f" else np.iinfo(ranks.dtype).max
 
 
-def is_mended(ranks: Ranks, time: pa.DataType) -> bool:
-    """Return whether times decrease only where a counter wrapped, or where local time was set back by an hour.
+def has_clock_reset(ranks: Ranks, time: pa.DataType) -> bool:
+    """Return whether times decrease because a counter wrapped, or because local time was set back by an hour.
 
-    Such rows must not be sorted by time, which would interleave the rows before and after that moment.
+    Such rows must not be sorted by time, because this would interleave the rows before and after the decrease.
 
     Parameters
     ----------
@@ -90,18 +90,18 @@ def is_mended(ranks: Ranks, time: pa.DataType) -> bool:
     present = ranks[ranks < latest(ranks)]
     if len(present) < 2:
         return False
-    steps, per_second = Steps(len(present)), _local_per_second(time)
+    steps, per_second = StepStatistics(len(present)), _local_per_second(time)
     steps.add((present - present[0]) / per_second if per_second else present.astype(np.float64))
-    return steps.falls_an_hour if per_second else not pa.types.is_temporal(time) and steps.wraps_at is not None
+    return steps.falls_by_hours if per_second else not pa.types.is_temporal(time) and steps.wraps_at is not None
 
 
 def _is_surely_time(table: RawTable, name: str) -> bool:
-    """Return whether a column has the name or the type of a time; other numbers that rise may be readings."""
+    """Return whether a column has the name or the type of a time; other increasing numbers may be readings."""
     return is_time_name(name) or kind_of_column(table.head.column(name)) != NUMBERS
 
 
 def _local_per_second(time: pa.DataType) -> float | None:
-    """Return the ticks per second of ranks that come from local time; None for other times."""
+    """Return the ticks per second of ranks if the column has local times; None for other columns."""
     if is_text(time):
         return PER_SECOND["ns"]
     return PER_SECOND[time.unit] if pa.types.is_timestamp(time) and time.tz is None else None

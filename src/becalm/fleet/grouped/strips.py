@@ -1,4 +1,4 @@
-"""Split the rows of a file by sensor into strips: rows of one sensor, in the order of time, as Arrow IPC messages."""
+"""Split a file into strips. A strip has rows of one sensor in the order of time, stored as Arrow IPC messages."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from becalm.files.atomic_file import explain_write_errors, replacing
 from becalm.files.decoding import Original
 from becalm.files.parquet import read_parquet
 from becalm.files.source import RawTable
-from becalm.fleet.grouped.order import Ranks, is_mended, ranks_of, time_of
-from becalm.fleet.marks import came_of
-from becalm.fleet.names import named, values_in
+from becalm.fleet.grouped.order import Ranks, has_clock_reset, ranks_of, time_of
+from becalm.fleet.marks import hash_input
+from becalm.fleet.names import name_sensors, values_in
 
 RANK = "becalm.rank"
-"""The last column of a strip, which orders its rows."""
+"""Name of the last column of a strip: the rank, by which its rows are sorted."""
 
 BATCH_ROWS = 1 << 13
-"""Rows of a message in a strip. While strips are merged, at most one message of each is in memory."""
+"""Rows of a message in a strip. During a merge, at most one message of each strip is in memory."""
 
 _PACKED = pa.ipc.IpcWriteOptions(compression="lz4")
 
 
 class Strip(NamedTuple):
-    """Some rows of one sensor.
+    """A strip: some rows of one sensor, stored in a temporary file.
 
     Attributes
     ----------
     path : str
         The file that contains the strip.
     offset : int
-        Its first byte in that file.
+        Position of the strip's first byte in that file.
     rows : int
         Number of rows.
     first : int, float or None
-        The rank of its first row; None if rows keep their original order.
+        The rank of the first row; None if the rows keep their original order.
     file : str
-        The file of the lake that the rows came from.
+        The file of the lake that the rows were read from.
     """
 
     path: str
@@ -60,11 +60,11 @@ class Lake(NamedTuple):
     Attributes
     ----------
     root : str
-        Its folder.
+        The folder of the lake.
     keys : tuple of str
         Columns, or keys of folders, that identify sensors.
     wanted : mapping of str to str or None
-        Sensors whose rows are needed, and the time columns that their recipes name.
+        For each sensor whose rows are needed, the time column that its recipe names, or None.
     """
 
     root: str
@@ -73,16 +73,16 @@ class Lake(NamedTuple):
 
 
 class StripPart(NamedTuple):
-    """Some rows of a file of a lake, for one task.
+    """A part of a file of a lake, which one task splits.
 
     Attributes
     ----------
     file : str
-        Its path within the lake.
+        The file's path within the lake.
     number, parts : int
-        Index of this part, and number of parts; each has about the same number of the file's row groups.
+        Index of this part, and number of parts of the file; all parts have about the same number of row groups.
     strips : str
-        The file to write.
+        Path of the file to write the strips to.
     hashed : str
         The hash of the file, to detect a change.
     """
@@ -99,40 +99,40 @@ class Strips(NamedTuple):
 
     Attributes
     ----------
-    of : dict of str to list of Strip
+    by_sensor : dict of str to list of Strip
         Strips by sensor, in the order of the file.
     failed : str
-        Why the file cannot be split, as a sentence; else empty.
+        A sentence on why the file cannot be split; empty if it was split.
     """
 
-    of: dict[str, list[Strip]]
+    by_sensor: dict[str, list[Strip]]
     failed: str = ""
 
 
 Time = tuple[str, ...]
-"""Names of the columns of time: one, or a date and a time of day."""
+"""Names of the time columns: one column, or a column of dates and one of times of day."""
 
 
-def part_rows(lake: Lake, part: StripPart) -> Strips:
-    """Split the rows of a file by sensor; an error is returned as `failed`, not raised.
+def split_rows(lake: Lake, part: StripPart) -> Strips:
+    """Split a part of a file by sensor; an error is returned as `failed`, not raised.
 
     Parameters
     ----------
     lake : Lake
         The lake of the file.
     part : StripPart
-        The rows to split, and the file to write.
+        The part of a file to split.
     """
     try:
         return Strips(_split(lake, part))
     except BecalmError as cause:
         return Strips({}, str(cause))
-    except Exception as cause:  # damage that no check expects
+    except Exception as cause:  # file damage that no check detects
         return Strips({}, f"{part.file}: {type(cause).__name__}: {cause}")
 
 
-def not_parted(part: StripPart, why: str) -> Strips:
-    """Return the result for a file on which every worker died."""
+def report_lost_part(part: StripPart, why: str) -> Strips:
+    """Return the strips of a part on which every worker died: none, and the reason."""
     return Strips({}, f"{part.file} cannot be read. {why}")
 
 
@@ -156,13 +156,13 @@ def _split(lake: Lake, part: StripPart) -> dict[str, list[Strip]]:
                 strips[name].append(Strip(part.strips, file.tell(), len(rows), first, part.file))
                 with explain_write_errors(target):
                     _write(file, block.take(rows), ranks)
-    if came_of([(part.file, path)], "", {}) != part.hashed:
+    if hash_input([(part.file, path)], "", {}) != part.hashed:
         raise InputError(f"{path} changed while it was read; wait until it is complete, and repeat.")
     return dict(strips)
 
 
 def _share_of(path: Path, table: RawTable, part: StripPart) -> Iterator[pa.Table]:
-    """Yield the rows of a part, in blocks."""
+    """Yield the rows of a part of a file, block by block."""
     ends = _group_ends(path)
     first, stop = (ends[(len(ends) - 1) * share // part.parts] for share in (part.number, part.number + 1))
     for block in table.blocks(table.names, first):
@@ -180,9 +180,9 @@ def _group_ends(path: Path) -> list[int]:
 
 
 def _rows_by_sensor(block: pa.Table, keys: Sequence[str], folders: Mapping[str, str | None]) -> dict[str, Integers]:
-    """Return the row numbers of each sensor, in the order of the block."""
-    names, codes = named(block, keys, folders)
-    order = np.argsort(codes.astype(np.min_scalar_type(len(names))), kind="stable")  # a small type sorts in one pass
+    """Return, by sensor, the indices of its rows in a block, in increasing order."""
+    names, codes = name_sensors(block, keys, folders)
+    order = np.argsort(codes.astype(np.min_scalar_type(len(names))), kind="stable")  # small integers sort faster
     ends = np.cumsum(np.bincount(codes, minlength=len(names)))
     return dict(zip(names, np.split(order, ends[:-1]), strict=True))
 
@@ -190,7 +190,7 @@ def _rows_by_sensor(block: pa.Table, keys: Sequence[str], folders: Mapping[str, 
 def _in_order(
     block: pa.Table, wanted: Mapping[str, Time], rows_of: Mapping[str, Integers]
 ) -> Iterator[tuple[str, Integers, Ranks | None]]:
-    """Yield each wanted sensor with its row numbers in the order of time, and their ranks; None to keep the order."""
+    """Yield each wanted sensor, its row indices sorted by time, and their ranks; None if the rows keep their order."""
     ranks = {time: ranks_of(block.select(time)) if time else None for time in set(wanted.values())}
     for name, time in wanted.items():
         rows = rows_of[name]
@@ -200,7 +200,7 @@ def _in_order(
         own = every[rows]
         if np.all(own[1:] >= own[:-1]):
             yield name, rows, own
-        elif is_mended(own, block.schema.field(time[0]).type):
+        elif has_clock_reset(own, block.schema.field(time[0]).type):
             yield name, rows, None
         else:
             order = np.argsort(own, kind="stable")

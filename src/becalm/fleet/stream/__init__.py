@@ -1,8 +1,8 @@
-"""Filter a fleet of sensors live: Spark's structured streaming keeps a state for each sensor.
+"""Filter a fleet of sensors live: Spark's structured streaming stores a state for each sensor.
 
 `run(spark, StreamPlan(...))` starts a stream from files, Kafka or NATS into Parquet files.
-`cleaned(frame, SensorPlan(...))` is the filter alone, for other sources and sinks. Spark is loaded when one of them is
-first used.
+`cleaned(frame, SensorPlan(...))` filters rows of any other source for any other sink. Spark is loaded when one of
+these functions is first used.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pack rows of one sensor into bytes, so that Spark moves a few blobs instead of single samples."""
+"""Pack rows of one sensor into bytes, so that Spark moves few binary values instead of single samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class UnreadableInput(NamedTuple):
     """The loss of rows, blocks or messages that could not be read."""
 
     things: int | None  # number of rows, blocks or messages; None if unknown
-    says: str  # one sentence
+    says: str  # a sentence on the loss
 
 
 class SensorRows(NamedTuple):
@@ -24,7 +24,7 @@ class SensorRows(NamedTuple):
     time_s: Floats  # (B,) stamps in seconds; NaN for a row without one
     values: Floats  # (B, m) readings of the channels, each in its unit; NaN where missing
     units: tuple[str, ...] = ()  # one for each channel; () if unknown
-    garbled: tuple[UnreadableInput, ...] = ()
+    garbled: tuple[UnreadableInput, ...] = ()  # losses to report with these rows
 
     def packed(self) -> bytes:
         """Return the rows as bytes."""
@@ -33,7 +33,7 @@ class SensorRows(NamedTuple):
 
     @classmethod
     def unpacked(cls, blob: bytes) -> SensorRows:
-        """Return the rows from the bytes of `packed`."""
+        """Return the rows from the bytes that `packed` returned."""
         arrays = unpacked(blob)
         units, garbled = json.loads(arrays["words"].tobytes())
         return cls(arrays["time"], arrays["values"], tuple(units), tuple(UnreadableInput(*one) for one in garbled))
@@ -42,10 +42,10 @@ class SensorRows(NamedTuple):
 class EstimatedBlock(NamedTuple):
     """The estimates for some rows of a sensor."""
 
-    places: Integers  # (k,) indices of the sensor's channels among those of the fleet
+    places: Integers  # (k,) indices of the sensor's channels among all channels of the fleet
     time_s: Floats  # (B,) stamps in seconds
     signal: Floats  # (B, k) estimates, each in the unit of its channel
-    sigma: Floats  # (B, k) their standard deviations
+    sigma: Floats  # (B, k) standard deviations of the estimates
     verdicts: Codes  # (B, k) codes of `Verdict`
 
     def packed(self) -> bytes:
@@ -54,7 +54,7 @@ class EstimatedBlock(NamedTuple):
 
     @classmethod
     def unpacked(cls, blob: bytes) -> EstimatedBlock:
-        """Return the estimates from the bytes of `packed`."""
+        """Return the estimates from the bytes that `packed` returned."""
         return cls(**unpacked(blob))
 
 
@@ -63,4 +63,4 @@ class Event(NamedTuple):
 
     kind: str  # a value of `becalm.live.block.LossKind`, or "refused", "recipe", "rate", "silent", "back"
     rows: int | None  # number of rows concerned; None if unknown
-    says: str  # one sentence
+    says: str  # a sentence on the event

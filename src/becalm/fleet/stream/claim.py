@@ -1,6 +1,6 @@
 """Check that a checkpoint and an output belong to this stream, and mark the checkpoint. This module needs Spark.
 
-With the checkpoint of another stream, Spark would continue from a position that this stream never reached.
+With the checkpoint of another stream, Spark would continue from the other stream's position.
 """
 
 from __future__ import annotations
@@ -31,34 +31,33 @@ def refuse_other(spark: SparkSession, plan: StreamPlan) -> None:
     Parameters
     ----------
     spark : SparkSession
-        The Spark that reads the folders, on any file system.
+        The Spark session; it reads the folders, on any file system.
     plan : StreamPlan
         The stream.
 
     Raises
     ------
     OutputError
-        If the checkpoint or the output belongs to another stream, or is not a folder. Spark would skip rows that it
-        believes to be written, or continue from a position that this stream never reached.
+        If the checkpoint or the output belongs to another stream, or is not a folder.
     """
     with _as_output_error(plan):
         _refuse(_Folders(spark), plan)
 
 
 def claim(spark: SparkSession, plan: StreamPlan) -> None:
-    """Record in a checkpoint which stream it belongs to; call `refuse_other` first.
+    """Write into a checkpoint which stream it belongs to; call `refuse_other` first.
 
     Parameters
     ----------
     spark : SparkSession
-        The Spark that writes the file.
+        The Spark session; it writes the file.
     plan : StreamPlan
         The stream.
 
     Raises
     ------
     OutputError
-        If it cannot be written.
+        If the file cannot be written.
     """
     with _as_output_error(plan):
         folders, place = _Folders(spark), f"{plan.checkpoint_folder}/{_CLAIM}"
@@ -69,7 +68,7 @@ def claim(spark: SparkSession, plan: StreamPlan) -> None:
 
 @contextmanager
 def _as_output_error(plan: StreamPlan) -> Iterator[None]:
-    """Convert errors of Spark in the `with` to an OutputError that names the folders."""
+    """Raise an OutputError that names the folders for each error of Spark in the `with`."""
     try:
         yield
     except (Py4JError, PySparkException) as cause:
@@ -118,7 +117,7 @@ def _refuse_changed(plan: StreamPlan, before: str) -> None:
 
 
 def _claim_of(plan: StreamPlan) -> dict[str, str]:
-    """Return the options of a stream that must not change; the server of its messages may change."""
+    """Return the options of a stream that must not change; the server part of a message source may change."""
     source = plan.source
     if "://" in source:
         address = Address.parsed(plan.source)
@@ -154,7 +153,7 @@ class _Folders:
             stream.close()
 
     def write(self, path: str, text: str) -> None:
-        """Write a text to another file and rename that, so that the file is never partial."""
+        """Write a text to a temporary file and rename that file, so that the target is never partial."""
         files, place = self._located(path)
         _, part = self._located(f"{path}.part")
         stream = files.create(part, True)

@@ -1,4 +1,4 @@
-"""Define the columns of a stream's rows: input, messages, packed blocks, and output."""
+"""Define the columns of a stream's input rows, messages, packed blocks and output rows."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from becalm.files.tables import VERDICT
 Stamps = Literal["timestamp", "timestamp_ntz", "double"]
 
 KIND, READINGS, EVENTS = "kind", "readings", "events"
-"""The column that distinguishes estimates from events of the stream, and its two values."""
+"""Name of the output column that distinguishes estimates from events, and its two values."""
 
 BATCH = "sensor string, place bigint, batch binary, stored_s double"
 """The Spark schema of the filters' input: packed rows, or messages."""
 
 MESSAGE = {"place": "place", "message": "batch", "stored_s": "stored_s"}
-"""The columns of messages, and their names in `BATCH`."""
+"""Names of the columns of messages, and the corresponding names in `BATCH`."""
 
 ANSWER = (
     "sensor string, estimates binary, recipe string, event string, event_rows bigint, says string, noticed_ms bigint"
@@ -44,7 +44,7 @@ class StreamSchema:
     stamps : {"timestamp", "timestamp_ntz", "double"}
         The type of stamps; doubles are in seconds.
     in_blocks : bool
-        Whether a row has arrays of stamps and readings. If so, the output has arrays too.
+        Whether each row is a block, with arrays of stamps and readings. If so, the output has arrays too.
     """
 
     key: str
@@ -98,7 +98,7 @@ def quoted(name: str) -> str:
 
 
 def shape_of(columns: Sequence[tuple[str, str]], key: str, time: str, channels: Sequence[str]) -> StreamSchema:
-    """Check the columns of rows, and return their description.
+    """Check the columns of input rows, and return their description.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def shape_of(columns: Sequence[tuple[str, str]], key: str, time: str, channels: 
     key, time : str
         The column that names the sensor of a row, and the column of stamps.
     channels : sequence of str
-        The channels of all sensors; rows need not have all of them.
+        The channels of all sensors; the rows need not have every channel.
 
     Raises
     ------

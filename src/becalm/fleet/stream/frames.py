@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 def blocks_of(frame: DataFrame, plan: SensorPlan) -> tuple[StreamSchema, DataFrame]:
-    """Return the columns of a frame of rows or messages, and its blocks of one sensor each.
+    """Return the columns of a frame of rows or messages, and a frame with blocks of one sensor each.
 
-    The plan must name all channels.
+    The plan must name its channels.
 
     Raises
     ------

@@ -11,7 +11,7 @@ import pyarrow as pa
 from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.fleet.stream.blocks import SensorRows, UnreadableInput
 
-_HELD_ROWS = 1 << 18  # rows that are held before they are released
+_HELD_ROWS = 1 << 18  # rows in the buffer at which all are released
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}  # ticks of Arrow timestamps
 
 Seconds = Callable[[pa.Array], Floats]
@@ -21,7 +21,7 @@ Seconds = Callable[[pa.Array], Floats]
 class _Samples(NamedTuple):
     """Rows of many sensors, one after another."""
 
-    whose: Integers  # (N,) number of each row's sensor, from `SensorBlockBuffer.whose`
+    sensor_numbers: Integers  # (N,) the sensor's number for each row, from `SensorBlockBuffer.number_sensors`
     time_s: Floats  # (N,) stamps in seconds; NaN where missing
     values: Floats  # (N, m) readings of the channels; NaN where missing
 
@@ -42,29 +42,29 @@ class SensorBlockBuffer:
         self._garbled: dict[int, list[UnreadableInput]] = {}
         self._rows = 0
 
-    def whose(self, sensors: pa.Array, units: tuple[str, ...] = ()) -> Integers:
-        """Return the number of each row's sensor, (N,); a sensor has a separate number for each set of `units`."""
+    def number_sensors(self, sensors: pa.Array, units: tuple[str, ...] = ()) -> Integers:
+        """Return the sensor's number for each row, (N,); rows with other `units` have another number."""
         own = sensors.fill_null("").dictionary_encode()
         numbers = np.array([self._number(name, units) for name in own.dictionary.to_pylist()], np.int64)
         return np.asarray(numbers[own.indices.to_numpy()])
 
-    def garble(self, sensor: str, garbled: UnreadableInput) -> None:
-        """Record a loss of a sensor, to be released with its next block."""
+    def add_loss(self, sensor: str, garbled: UnreadableInput) -> None:
+        """Store a loss of a sensor, which is released with the sensor's next block."""
         self._garbled.setdefault(self._number(sensor, ()), []).append(garbled)
 
-    def add(self, whose: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> Iterator[pa.RecordBatch]:
-        """Add rows, or blocks of rows; once enough rows are held, yield blocks with the columns of `columns.BATCH`.
+    def add(self, sensor_numbers: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> Iterator[pa.RecordBatch]:
+        """Add rows, or blocks of rows; if enough rows are buffered, yield all, with the columns of `columns.BATCH`.
 
         Parameters
         ----------
-        whose : (N,) int array
-            The number of each row's sensor, from `whose`.
+        sensor_numbers : (N,) int array
+            The sensor's number for each row, from `number_sensors`.
         columns : sequence of (N,) Arrow arrays
             Stamps, and the readings of each channel.
         seconds : callable
             Converts stamps to seconds.
         """
-        samples, garbled = _samples(whose, columns, seconds)
+        samples, garbled = _samples(sensor_numbers, columns, seconds)
         for number, lost in enumerate(np.bincount(garbled)):
             if lost:
                 says = f"{lost} blocks came with columns of different lengths; they were left out."
@@ -75,11 +75,11 @@ class SensorBlockBuffer:
             yield from self.rest()
 
     def rest(self) -> Iterator[pa.RecordBatch]:
-        """Yield all rows that are held, as blocks with the columns of `columns.BATCH`."""
+        """Yield all buffered rows as blocks of one sensor each, with the columns of `columns.BATCH`."""
         nothing = _Samples(np.empty(0, np.int64), np.empty(0), np.empty((0, self._width)))
-        whose, time_s, values = (np.concatenate(parts) for parts in zip(nothing, *self._held, strict=True))
-        order = np.argsort(whose, kind="stable")
-        ends = np.cumsum(np.bincount(whose, minlength=len(self._numbers)))
+        sensor_numbers, time_s, values = (np.concatenate(parts) for parts in zip(nothing, *self._held, strict=True))
+        order = np.argsort(sensor_numbers, kind="stable")
+        ends = np.cumsum(np.bincount(sensor_numbers, minlength=len(self._numbers)))
         time_s, values = time_s[order], values[order]
         packed: list[tuple[str, bytes]] = []
         for number, (sensor, units) in enumerate(self._numbers):
@@ -97,7 +97,7 @@ class SensorBlockBuffer:
     def _batch(self, packed: Sequence[tuple[str, bytes]]) -> pa.RecordBatch:
         columns = [
             pa.array([sensor for sensor, _ in packed], pa.string()),
-            pa.array(np.zeros(len(packed), np.int64)),  # rows are sorted by stamp, not by place
+            pa.array(np.zeros(len(packed), np.int64)),  # rows without a place are sorted by stamp
             pa.array([blob for _, blob in packed], pa.binary()),
             pa.array(np.zeros(len(packed))),
         ]
@@ -105,10 +105,10 @@ class SensorBlockBuffer:
 
 
 def gathered(width: int, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Yield blocks of one sensor each from rows, or blocks of rows, with a sensor, a stamp and `width` channels."""
+    """Yield blocks of one sensor each, from rows or blocks of rows with a sensor, stamps and `width` channels."""
     gathering = SensorBlockBuffer(width)
     for batch in batches:
-        yield from gathering.add(gathering.whose(batch.column(0)), batch.columns[1:], seconds_of)
+        yield from gathering.add(gathering.number_sensors(batch.column(0)), batch.columns[1:], seconds_of)
     yield from gathering.rest()
 
 
@@ -118,7 +118,7 @@ def seconds_of(column: pa.Array) -> Floats:
         return numbers_in(column)
     per_second = _PER_SECOND[column.type.unit]
     ticks = column.cast(pa.int64()).fill_null(0).to_numpy()
-    if per_second == _PER_SECOND["ns"]:  # too many digits for a double: convert microseconds and the rest separately
+    if per_second == _PER_SECOND["ns"]:  # too many digits for a double: convert in two parts
         whole, rest = np.divmod(ticks, 1000)
         seconds = whole / _PER_SECOND["us"] + rest / per_second
     else:
@@ -131,18 +131,19 @@ def numbers_in(column: pa.Array) -> Floats:
     return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), np.float64)
 
 
-def _samples(whose: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> tuple[_Samples, Integers]:
-    """Return the samples of rows or blocks, and the sensor's number of each block left out for unequal lengths."""
+def _samples(sensor_numbers: Integers, columns: Sequence[pa.Array], seconds: Seconds) -> tuple[_Samples, Integers]:
+    """Return the samples of rows or blocks, and the sensor's number of each block with arrays of unequal lengths."""
     time, *channels = columns
     if not pa.types.is_list(time.type):
-        return _Samples(whose, seconds(time), np.column_stack([*map(numbers_in, channels)])), whose[:0]
+        values = np.column_stack([*map(numbers_in, channels)])
+        return _Samples(sensor_numbers, seconds(time), values), sensor_numbers[:0]
     lengths, fits = _lengths(time), np.ones(len(time), np.bool_)
     for one in channels:
         fits &= (_lengths(one) == lengths) | ~_valid(one)
     lengths = np.where(fits, lengths, 0)
-    values = [_laid_out(one, lengths) for one in channels]
+    values = np.column_stack([_concatenated(one, lengths) for one in channels])
     stamps = seconds(time.filter(pa.array(fits)).flatten())
-    return _Samples(np.repeat(whose, lengths), stamps, np.column_stack(values)), whose[~fits]
+    return _Samples(np.repeat(sensor_numbers, lengths), stamps, values), sensor_numbers[~fits]
 
 
 def _valid(column: pa.ListArray) -> Booleans:
@@ -153,8 +154,8 @@ def _lengths(column: pa.ListArray) -> Integers:
     return np.asarray(column.value_lengths().fill_null(0).to_numpy(zero_copy_only=False), np.int64)
 
 
-def _laid_out(column: pa.ListArray, lengths: Integers) -> Floats:
-    """Return the lists of a column end to end, (N,), with the given lengths; NaN where a list is missing."""
+def _concatenated(column: pa.ListArray, lengths: Integers) -> Floats:
+    """Return the lists of a column, concatenated (N,), with the given lengths; NaN where a list is missing."""
     kept = _valid(column) & (_lengths(column) == lengths)
     values = numbers_in(column.filter(pa.array(kept)).flatten())
     if kept.all():

@@ -1,6 +1,7 @@
-"""A Spark source that reads the messages of a NATS JetStream stream by their numbers. This module needs Spark.
+"""A Spark source that reads the messages of a NATS JetStream stream by sequence numbers. This module needs Spark.
 
-A micro-batch is a range of numbers, so a repeated read gives the same messages. The server keeps no position for it.
+A micro-batch is a range of sequence numbers, so a repeated read gives the same messages. Spark stores the position in
+the stream; the server does not.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 _NAME = "becalm_nats"
 _SCHEMA = "sensor string, place bigint, message binary, stored_s double"
-_FEWEST = 2000  # least messages of a task if there are several
+_FEWEST = 2000  # fewest messages of a task if a micro-batch has several tasks
 _log = logging.getLogger(__name__)
 
 
@@ -54,12 +55,12 @@ class _Source(DataSource):
 class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
     """A reader that finds the available messages and reads them.
 
-    An offset consists of the number of the last message that was read, and the time when the stream was created.
+    An offset has the sequence number of the last message that was read, and the time at which the stream was created.
     """
 
     def __init__(self, address: Address, tasks: int) -> None:
         self._address, self._tasks = address, tasks
-        self._end: int | None = None  # last message to read; None if the query does not end
+        self._end: int | None = None  # sequence number of the last message to read; None if the query has no end
 
     def initialOffset(self) -> dict[str, Any]:  # noqa: N802
         span = found_in(self._address)
@@ -70,7 +71,7 @@ class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
         try:
             span = found_in(self._address)
         except AwayError as cause:
-            if self._end is not None:  # otherwise the query would end too early, as if it had read all messages
+            if self._end is not None:  # without an error, the query would end as if it had read all messages
                 raise
             _log.warning("%s", cause)
             return dict(start)
@@ -108,13 +109,13 @@ class _Reader(DataSourceStreamReader, SupportsTriggerAvailableNow):
 def nats_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
     """Return the messages of a stream, `nats://HOST:PORT/STREAM?subject=plant.>&start=first|now&most=N`.
 
-    The subject of a message names its sensor. Other options are those of `becalm live`; workers read secrets from
-    their own environment, or from files.
+    The subject of a message is the name of its sensor. The other options of the address are those of `becalm live`.
+    Each worker reads secrets from its own environment, or from files.
 
     Raises
     ------
     BecalmError
-        If the stream does not exist, its server cannot be reached, or it deletes messages once they are read.
+        If the stream does not exist, deletes messages after they are read, or its server cannot be reached.
     """
     found_in(address)
     spark.dataSource.register(_Source)
@@ -124,7 +125,7 @@ def nats_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
 
 
 def _after(start: Mapping[str, Any], span: StreamRange) -> int:
-    """Return the number after which to read; log a warning if that is not the last message that was read."""
+    """Return the sequence number after which to read; log a warning if it is not the last one that was read."""
     read = int(start["message"])
     if start["created"] != span.created:
         _log.warning("The stream was created anew since message %d; it is read from its beginning.", read)

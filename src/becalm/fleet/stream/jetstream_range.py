@@ -1,4 +1,4 @@
-"""Read a range of a JetStream stream's messages by their numbers; deleted messages are skipped, no others."""
+"""Read a range of a JetStream stream's messages by sequence numbers; only deleted messages are skipped."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from becalm.live.protocols import AwayError
 if TYPE_CHECKING:
     from nats.aio.msg import Msg
 
-_AT_ONCE, _WAIT_S = 1024, 0.2  # most messages that are taken at once; longest wait for the first
-_AGAIN_S = (1.0, 2.0, 4.0, 8.0, 15.0)  # waits between retries; a server restarts in less than their sum
+_AT_ONCE, _WAIT_S = 1024, 0.2  # largest number of messages in a list; longest wait for the first message of a list
+_AGAIN_S = (1.0, 2.0, 4.0, 8.0, 15.0)  # waits before retries; a server restarts in less than their sum
 
 
 class StreamRange(NamedTuple):
-    """The numbers of the first and the last message that a stream holds."""
+    """The sequence numbers of the first and the last message that a stream holds."""
 
     first: int
     last: int
-    created: str  # when the stream was created; it distinguishes streams of the same name
+    created: str  # time at which the stream was created, which distinguishes streams of the same name
 
 
 class SequencedMessage(NamedTuple):
     """A message of a stream."""
 
     subject: str
-    number: int
+    number: int  # sequence number in the stream
     payload: bytes
-    stored_s: float  # when the server stored it, in seconds since 1970
+    stored_s: float  # time at which the server stored it, in seconds since 1970
 
 
 def found_in(address: Address) -> StreamRange:
@@ -45,9 +45,9 @@ def found_in(address: Address) -> StreamRange:
     Raises
     ------
     AwayError
-        If its server cannot be reached now.
+        If the server cannot be reached now.
     BecalmError
-        If there is no such stream, or it deletes messages once they are read.
+        If the stream does not exist, or deletes messages after they are read.
     """
     remote = Remote.parsed(address, PORT, PORT)
     name = stream_of(remote)
@@ -64,12 +64,12 @@ def found_in(address: Address) -> StreamRange:
 
 
 def messages_of(address: Address, first: int, last: int) -> Iterator[list[SequencedMessage]]:
-    """Yield the messages numbered `first` to `last`, in order, some at a time.
+    """Yield the messages with sequence numbers `first` to `last`, in order, as lists.
 
     Raises
     ------
     AwayError
-        If the server is away for longer than half a minute.
+        If the server cannot be reached for longer than half a minute.
     """
     again = iter(_AGAIN_S)
     while first <= last:
@@ -102,14 +102,14 @@ def _read(address: Address, first: int, last: int) -> Iterator[list[SequencedMes
 
 
 class _RangePull(NatsPull):
-    """A pull that also returns the subjects of messages, and whether more follow."""
+    """A pull that also returns the subjects of messages, and whether more messages follow."""
 
     def __init__(self, remote: Remote, link: NatsLink) -> None:
         super().__init__(remote, link)
-        self._extras: deque[tuple[str, int]] = deque()  # for each held message: its subject, how many follow
+        self._extras: deque[tuple[str, int]] = deque()  # the subject of each message, and how many messages follow it
 
     def take_until(self, last: int) -> tuple[list[SequencedMessage], bool]:
-        """Return the next messages up to a number, and whether there may be more."""
+        """Return the next messages up to sequence number `last`, and whether more may follow."""
         taken = self.take(_WAIT_S, _AT_ONCE)
         if not taken:
             return [], self._is_more()
@@ -121,16 +121,16 @@ class _RangePull(NatsPull):
         ]
         return messages, taken[-1].number < last and extras[-1][1] > 0
 
-    def _hold(self, message: Msg) -> None:
-        held = len(self._came)
-        super()._hold(message)
-        if len(self._came) > held:
+    def _buffer(self, message: Msg) -> None:
+        held = len(self._buffered)
+        super()._buffer(message)
+        if len(self._buffered) > held:
             self._extras.append(
                 (message.subject, int(message.reply.split(".")[8 if message.reply.count(".") == 8 else 10]))
             )
 
     def _is_more(self) -> bool:
-        """Ask the server whether it has messages that it has not sent yet, or that have not arrived."""
+        """Ask the server, and return whether it has messages that are not sent yet, or are still on their way."""
         from nats.errors import Error
 
         try:
@@ -138,7 +138,7 @@ class _RangePull(NatsPull):
         except (Error, OSError) as cause:
             raise self._remote.away(cause) from cause
         with self._link.changed:
-            return bool(info.num_pending > 0 or info.delivered.consumer_seq > self._last or self._came)
+            return bool(info.num_pending > 0 or info.delivered.consumer_seq > self._last or self._buffered)
 
 
 @contextmanager

@@ -1,7 +1,7 @@
-"""Read the Parquet files of a lake in tasks. Spark only finds the files and passes on their paths, not their rows.
+"""Read the Parquet files of a lake in tasks. Spark only finds the files and sends their paths; becalm reads the rows.
 
-Therefore a file that cannot be read is reported and does not stop the stream, and units and nanoseconds are kept; Spark
-has no type for nanoseconds.
+Therefore a file that cannot be read is reported and does not stop the stream. Also, units and nanoseconds are
+preserved; Spark has no type for nanoseconds.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from becalm.fleet.stream.gathering import Seconds, SensorBlockBuffer, numbers_in
 from becalm.fleet.stream.plan import SensorPlan
 from becalm.live.lines.cells import NumberStamps, stamp_reader
 
-_ROWS = 1 << 16  # rows that are read at a time
-# Names of types in Spark, by their names in Arrow.
+_ROWS = 1 << 16  # rows that are read at once
+# Spark's names of types, by Arrow's names.
 _KINDS = {"float": "float", "halffloat": "float", "int8": "int", "int16": "int", "int32": "int", "int64": "bigint"}
 _KINDS |= {"uint8": "int", "uint16": "int", "uint32": "bigint", "uint64": "bigint"}
 # Errors of the machine or its network, not of the file; a retry may help.
-_PASSING = {
+_TRANSIENT_ERRNOS = {
     errno.EIO,
     errno.ESTALE,
     errno.ETIMEDOUT,
@@ -41,8 +41,9 @@ _PASSING = {
     errno.ENFILE,
     errno.ENOMEM,
 }
-_PASSING |= {errno.ENOTCONN, errno.ECONNRESET, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ENETDOWN, errno.ENETUNREACH}
-_LOOKED_AT = 20  # files to try when a stream begins; one of them must be readable
+_TRANSIENT_ERRNOS |= {errno.ENOTCONN, errno.ECONNRESET}
+_TRANSIENT_ERRNOS |= {errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ENETDOWN, errno.ENETUNREACH}
+_MOST_TRIED = 20  # number of files to try when a stream starts; one of them must be readable
 
 
 def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
@@ -51,12 +52,12 @@ def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
     Raises
     ------
     BecalmError
-        If no file can be read, a column is missing, or a column has a type that cannot be used.
+        If no file can be read, or if the files lack a column or have a type that cannot be used.
     """
     if not Path(lake).is_dir():
         raise InputError(f"{lake} is not a folder; give the folder that receives the Parquet files.")
     why: BecalmError | None = None
-    for _, path in zip(range(_LOOKED_AT), _files(Path(lake)), strict=False):
+    for _, path in zip(range(_MOST_TRIED), _files(Path(lake)), strict=False):
         try:
             schema = ParquetRows(path, Original(path)).schema
         except InputError as cause:
@@ -68,7 +69,7 @@ def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
         in_seconds = [(name, _stamp_kind(kind) if name == plan.time else kind) for name, kind in columns]
         try:
             return shape_of(in_seconds, plan.key, plan.time, plan.channels)
-        except UsageError as cause:  # perhaps a file that does not belong to the stream
+        except UsageError as cause:  # the file may not belong to the stream, so try the next one
             why = cause if why is None else why
     raise why or InputError(
         f"{lake} holds no Parquet file yet; a stream needs at least one at its start, to find the columns."
@@ -78,12 +79,12 @@ def lake_shape(lake: str, plan: SensorPlan) -> StreamSchema:
 def read_files(lake: str, shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
     """Yield blocks of one sensor each, with the columns of `columns.BATCH`, from files.
 
-    The first column of `batches` has the paths of the files.
+    The first column of `batches` contains the paths of the files.
 
     Raises
     ------
     InputError
-        If a file cannot be read now because of the machine, not of the file; Spark then repeats the read.
+        If a file cannot be read now because of the machine, such as its disk; Spark then repeats the read.
     """
     gathering = SensorBlockBuffer(len(shape.channels))
     for batch in batches:
@@ -93,24 +94,24 @@ def read_files(lake: str, shape: StreamSchema, batches: Iterator[pa.RecordBatch]
             try:
                 for piece in _pieces(path, shape, gathering, sensor):
                     yield from gathering.add(*piece)
-            except Exception as cause:  # any damage, expected or not
-                if _passes(cause):
+            except Exception as cause:  # damage of any kind
+                if _is_transient(cause):
                     raise InputError(
                         f"{path} cannot be read now ({cause}); if it still cannot after a restart of the stream, move"
                         " the file away."
                     ) from cause
                 says = str(cause) if isinstance(cause, BecalmError) else f"{path}: {type(cause).__name__}: {cause}."
-                gathering.garble(sensor or "", _left_out(says))
+                gathering.add_loss(sensor or "", _left_out(says))
     yield from gathering.rest()
 
 
-def _passes(cause: BaseException | None) -> bool:
-    """Return whether the cause is the machine, such as its disk, network or memory, so that a retry may help.
+def _is_transient(cause: BaseException | None) -> bool:
+    """Return whether an error comes from the machine, such as its disk, network or memory, so that a retry may help.
 
-    Arrow's own out-of-memory error does not count: it comes from a damaged file that claims an impossible size.
+    Arrow's own out-of-memory error does not count, because a damaged file with an impossible size causes it too.
     """
     while cause is not None:
-        if type(cause) is MemoryError or (isinstance(cause, OSError) and cause.errno in _PASSING):
+        if type(cause) is MemoryError or (isinstance(cause, OSError) and cause.errno in _TRANSIENT_ERRNOS):
             return True
         cause = cause.__cause__ or cause.__context__
     return False
@@ -123,19 +124,19 @@ def _left_out(why: str) -> UnreadableInput:
 
 
 class _Piece(NamedTuple):
-    """Some rows of a file, as `SensorBlockBuffer.add` takes them."""
+    """Some rows of a file: the arguments of `SensorBlockBuffer.add`."""
 
-    whose: Integers
+    sensor_numbers: Integers
     columns: list[pa.Array]
     seconds: Seconds
 
 
 class _Clock:
-    """A reader of stamps in seconds. It takes the unit of numbers from metadata, the column's name or their size."""
+    """A converter of stamps to seconds. The unit of numbers comes from metadata, the column's name or their size."""
 
     def __init__(self, name: str, unit: str) -> None:
         self._name, self._unit = name, unit
-        self._second = 0.0  # counts per second; 0 before the first stamp
+        self._second = 0.0  # ticks per second; 0 before the first stamp
 
     def __call__(self, column: pa.Array) -> Floats:
         if pa.types.is_timestamp(column.type):
@@ -143,14 +144,14 @@ class _Clock:
         numbers = numbers_in(column)
         finite = numbers[np.isfinite(numbers)]
         if not self._second and len(finite):
-            reader = stamp_reader(self._name, self._unit, float(np.median(finite)))  # robust against odd stamps
+            reader = stamp_reader(self._name, self._unit, float(np.median(finite)))  # robust against wrong stamps
             assert isinstance(reader, NumberStamps)  # because the argument is a number
             self._second = reader.per_second / reader.factor
         return numbers / (self._second or 1.0)
 
 
 def _pieces(path: Path, shape: StreamSchema, gathering: SensorBlockBuffer, sensor: str | None) -> Iterator[_Piece]:
-    """Read a file some rows at a time; raise BecalmError if it cannot be read, or has other columns."""
+    """Yield a file's rows in pieces; raise BecalmError if the file cannot be read, or has other columns."""
     rows = ParquetRows(path, Original(path))
     channels = [name for name in shape.channels if name in rows.schema.names]
     _refuse_other(path, rows.schema, shape, channels, has_key=sensor is not None)
@@ -161,9 +162,10 @@ def _pieces(path: Path, shape: StreamSchema, gathering: SensorBlockBuffer, senso
     for table in rows.blocks([*keyed, shape.time, *channels], _ROWS):
         columns = {name: table.column(name).combine_chunks() for name in table.column_names}
         names = columns[shape.key].cast(pa.string()) if sensor is None else pa.repeat(sensor, len(table))
-        whose = gathering.whose(names, units)
+        sensor_numbers = gathering.number_sensors(names, units)
         missing = pa.nulls(len(table), pa.list_(pa.float64()) if shape.in_blocks else pa.float64())
-        yield _Piece(whose, [columns[shape.time], *(columns.get(name, missing) for name in shape.channels)], clock)
+        channel_columns = [columns.get(name, missing) for name in shape.channels]
+        yield _Piece(sensor_numbers, [columns[shape.time], *channel_columns], clock)
 
 
 def _refuse_other(path: Path, schema: pa.Schema, shape: StreamSchema, channels: list[str], *, has_key: bool) -> None:
@@ -193,7 +195,7 @@ def _files(lake: Path) -> Iterator[Path]:
 
 
 def _key_in(lake: Path, path: Path, key: str) -> str | None:
-    """Return the value of a key in the folders of a path, such as `sensor=17`; "" for a null, None if there is none."""
+    """Return the value of a key in a path, such as "17" of `sensor=17`; "" for a null, None if the key is absent."""
     whole, path = lake.absolute(), path.absolute()
     values = values_in((path.relative_to(whole) if path.is_relative_to(whole) else path).parent)
     return (values[key] or "") if key in values else None

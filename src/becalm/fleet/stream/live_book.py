@@ -1,4 +1,4 @@
-"""Read recipes from a disk, again whenever they change while a stream runs."""
+"""Read recipes from a disk; while a stream runs, read changed recipes again."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from becalm.fleet.recipes import DEFAULT, ENDING, recipes_in
 
 @dataclass(frozen=True)
 class LiveBook:
-    """One recipe for all sensors, or a folder of recipes, checked for changes in every micro-batch.
+    """One recipe for all sensors, or a folder of recipes; every micro-batch checks them for changes.
 
     Attributes
     ----------
     path : Path
-        A recipe; or a folder with `SENSOR.toml`, or `KEY=SENSOR.toml` as for batch jobs over a lake, for each sensor
-        that has its own, and `default.toml` for all others. Every worker must see it, on a shared disk.
+        A recipe file, or a folder of recipes. In a folder, the recipe of a single sensor is `SENSOR.toml`, or
+        `KEY=SENSOR.toml` as for batch jobs over a lake; `default.toml` is for all other sensors. Every worker must be
+        able to read this path, on a shared disk.
     key : str
         The column that identifies sensors.
     """
@@ -34,7 +35,7 @@ class LiveBook:
         Raises
         ------
         RecipeError
-            If there is none, or it cannot be read.
+            If there is no recipe, or it cannot be read.
         """
         if not self.path.is_dir():
             return _current(self.path)
@@ -53,7 +54,7 @@ class LiveBook:
         Raises
         ------
         RecipeError
-            If there is no recipe, or one cannot be read, or has a path or name that no sensor uses.
+            If there is no recipe, or if a recipe cannot be read or has a path or name that no sensor uses.
         """
         paths = recipes_in(self.path) if self.path.is_dir() else [self.path]
         if lost := [path for path in paths if self.path.is_dir() and not self._is_usable(path)]:
@@ -76,7 +77,7 @@ class LiveBook:
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except OSError:  # the name is not valid for a file
+    except OSError:  # the name is not a valid file name
         return False
 
 
@@ -90,5 +91,5 @@ def _current(path: Path) -> Recipe:
 
 @lru_cache(maxsize=4096)
 def _read(path: Path, changed_ns: int, size: int) -> Recipe:
-    """Read a recipe; the cache repeats the read only if its file has changed."""
+    """Read a recipe. The result is cached, so a file is read again only if it has changed."""
     return Recipe.load(path)

@@ -1,4 +1,4 @@
-"""Convert the filters' packed output to rows, or blocks of rows, in the output columns."""
+"""Convert the filters' packed output to rows, or blocks of rows, with the output columns."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 import pyarrow as pa
 
 from becalm.files.roles import SIGMA
-from becalm.files.tables import VERDICT, in_words
+from becalm.files.tables import VERDICT, verdict_words
 from becalm.fleet.stream.blocks import EstimatedBlock
 from becalm.fleet.stream.columns import EVENTS, KIND, READINGS, StreamSchema
 
-_ROWS = 1 << 15  # least rows of an output batch, except the last
+_ROWS = 1 << 15  # fewest rows of an output batch, except the last batch
 _MICRO = 1e6  # microseconds per second
 _TYPES = {
     "string": pa.string(),
@@ -37,7 +37,7 @@ class _Answer(NamedTuple):
 
 
 def to_output_batches(shape: StreamSchema, batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-    """Yield the filters' output, batches of `columns.ANSWER`, in the columns of `StreamSchema.output_columns`."""
+    """Convert batches with the columns of `columns.ANSWER` to batches with `StreamSchema.output_columns`."""
     writer = _OutputBatches(shape)
     for batch in batches:
         answers = [_Answer(*row) for row in zip(*(column.to_pylist() for column in batch.columns), strict=True)]
@@ -66,12 +66,12 @@ class _OutputBatches:
         return self._batch(own, len(answers))
 
     def readings(self, answers: Sequence[_Answer]) -> Iterator[pa.RecordBatch]:
-        """Yield the rows of estimates; a batch joins those of several answers."""
+        """Yield estimates as rows; each batch joins the rows of several answers."""
         held: list[pa.RecordBatch] = []
         rows = 0
         for answer in answers:
             estimates = EstimatedBlock.unpacked(answer.estimates or b"")
-            held.append(self._of(answer, estimates))
+            held.append(self._rows_of(answer, estimates))
             rows += len(estimates.time_s)
             if rows >= _ROWS:
                 yield pa.concat_batches(held)
@@ -79,7 +79,7 @@ class _OutputBatches:
         if held:
             yield pa.concat_batches(held)
 
-    def _of(self, answer: _Answer, estimates: EstimatedBlock) -> pa.RecordBatch:
+    def _rows_of(self, answer: _Answer, estimates: EstimatedBlock) -> pa.RecordBatch:
         shape, many = self._shape, self._readings(estimates)
         rows = 1 if shape.in_blocks else len(estimates.time_s)
         if shape.in_blocks:
@@ -97,7 +97,7 @@ class _OutputBatches:
             name = self._shape.channels[place]
             columns[name] = pa.array(signal[k])
             columns[name + SIGMA] = pa.array(sigma[k])
-            columns[name + VERDICT] = in_words(verdicts[k]).dictionary_decode()
+            columns[name + VERDICT] = verdict_words(verdicts[k]).dictionary_decode()
         return columns
 
     def _batch(self, own: dict[str, Any], rows: int) -> pa.RecordBatch:

@@ -13,12 +13,12 @@ from becalm.live.address import Address
 from becalm.live.learning_buffer import FEW_STAMPS
 
 FIRST_ROWS = FEW_STAMPS
-"""Rows of a sensor that must arrive before its first estimate; they show the resolution of its stamps."""
+"""Rows of a sensor that must arrive before its first estimate, because they show the resolution of its stamps."""
 
 START, MOST = "start", "most"
-"""Options of brokers: where a new stream begins, and the largest number of messages in a micro-batch."""
+"""Options of a broker's address: where a new stream starts, and the largest number of messages in a micro-batch."""
 
-_MESSAGES = 100_000  # default of MOST
+_MESSAGES = 100_000  # default of the option `MOST`
 
 
 def most_of(address: Address) -> int:
@@ -27,13 +27,13 @@ def most_of(address: Address) -> int:
     Raises
     ------
     UsageError
-        If the address has another value than a number of 1 or more.
+        If the value in the address is not a number of 1 or more.
     """
     return int(address.number(MOST, _MESSAGES, least=1))
 
 
 class Book(Protocol):
-    """A book that returns the recipe of each sensor. It must be picklable; workers call it in every micro-batch."""
+    """A source of each sensor's recipe. It must be picklable; workers call it in every micro-batch."""
 
     def recipe_for(self, sensor: str) -> Recipe:
         """Return the current recipe of a sensor.
@@ -41,7 +41,7 @@ class Book(Protocol):
         Raises
         ------
         BecalmError
-            If there is none, or it cannot be read.
+            If there is no recipe, or it cannot be read.
         """
         ...
 
@@ -51,36 +51,36 @@ class Book(Protocol):
         Raises
         ------
         BecalmError
-            If there is no recipe, or one cannot be read.
+            If there is no recipe, or a recipe cannot be read.
         """
         ...
 
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """The part of a stream's options that concerns each sensor.
+    """The options of a stream that concern each sensor.
 
     Attributes
     ----------
     recipes : Book
-        The recipe of each sensor. It may change while the stream runs; the estimates do not jump then.
+        The recipe of each sensor. A recipe may change while the stream runs, without a jump in the estimates.
     key : str
         The column that names the sensor of a row.
     time : str
-        The column of stamps: timestamps, or seconds. In files of a lake, numbers may have the unit that their column's
-        name or metadata states, or a unit that their size suggests, such as milliseconds since 1970.
+        The column of stamps: timestamps, or numbers in seconds. In files of a lake, numbers may have another unit,
+        which the column's name or metadata states, or which their size suggests, such as milliseconds since 1970.
     channels : tuple of str
-        The channels of all sensors; each gets columns in the output. With () they are those of all recipes at the start
-        of the stream.
+        The channels of all sensors; each channel has columns in the output. With (), they are the channels of all
+        recipes that exist when the stream starts.
     lateness_s : float
         How long a row waits for rows with earlier stamps that arrive in a later micro-batch, in seconds of the stamps.
-        With a *small* value estimates come soon, and more late rows are left out. With 0, rows are sorted only within a
-        micro-batch. Messages keep the order of their broker. Rows whose stamps do not count from 1970 never wait.
+        With a *small* value estimates come sooner, but more late rows are left out. With 0, rows are sorted only within
+        a micro-batch. Messages keep the order of their broker. Rows never wait if their stamps do not count from 1970.
     silent_s : float or None
-        Seconds without a row, by the clock of Spark, after which a sensor is reported as silent; None to report none.
+        Seconds without a row, by Spark's clock, after which a sensor is reported as silent; None for no such reports.
     messages : Address or None
-        The address of the messages that contain the rows, with the options of their columns, as in `becalm live`; None
-        if rows are not messages.
+        The address of the source, if its rows are messages, with the options of their columns as in `becalm live`; None
+        for rows of files.
     """
 
     recipes: Book
@@ -104,12 +104,12 @@ class SensorPlan:
             )
 
     def with_channels(self) -> SensorPlan:
-        """Return the plan with its channels; if it names none, with those of all recipes.
+        """Return the plan with channels: its own, or if it names none, those of all recipes.
 
         Raises
         ------
         BecalmError
-            If there is no recipe, or one cannot be read.
+            If there is no recipe, or a recipe cannot be read.
         """
         return self if self.channels else replace(self, channels=self.recipes.channels())
 
@@ -123,21 +123,21 @@ class StreamPlan:
     source : str
         A folder of Parquet files that all workers see, `kafka://HOST:PORT/TOPIC`, or `nats://HOST:PORT/STREAM`.
     output : str
-        The output folder. Estimates are in OUTPUT/kind=readings/SENSOR_COLUMN=NAME/*.parquet, events of the stream in
-        OUTPUT/kind=events. Its log, `_spark_metadata`, lists the valid files; read the whole folder with Spark, or the
-        folder of one sensor with `becalm.read`.
+        The output folder. Estimates are in OUTPUT/kind=readings/SENSOR_COLUMN=NAME/*.parquet, events in
+        OUTPUT/kind=events. Spark's log in it, `_spark_metadata`, lists the valid files; read the whole folder with
+        Spark, or the folder of one sensor with `becalm.read`.
     sensors : SensorPlan
         The options of each sensor.
     checkpoint : str
-        The folder where Spark stores positions and filter states; "" for OUTPUT/_checkpoint. Only this stream may use
-        it.
+        The folder where Spark stores positions and filter states; "" for OUTPUT/_checkpoint. No other stream may use
+        this folder.
     every_s : float
-        Seconds between the starts of micro-batches. With a *small* value estimates come soon, but in many small files:
-        one for each sensor and micro-batch.
+        Seconds between the starts of micro-batches. With a *small* value estimates come sooner, but in many small
+        files: one file for each sensor and micro-batch.
     partitions : int
-        Number of tasks that filter the sensors. It cannot be changed after the first start of a stream.
+        Number of tasks that filter the sensors. This number cannot change after the first start of a stream.
     once : bool
-        Whether to end after the data that exist now.
+        Whether to stop after all data that exist at the start.
     """
 
     source: str

@@ -22,19 +22,19 @@ _SHOWN = 12  # digits of a recipe's hash in the output
 
 
 class SensorProcessor(StatefulProcessor):
-    """A Spark processor that keeps each sensor's state in Spark's state store.
+    """A Spark processor whose state for each sensor is in Spark's state store.
 
     Parameters
     ----------
-    walk : SensorStreamProcessor
-        The processing of one sensor.
+    sensor_stream : SensorStreamProcessor
+        The processor of one sensor's rows.
     """
 
-    def __init__(self, walk: SensorStreamProcessor) -> None:
-        self._walk = walk
+    def __init__(self, sensor_stream: SensorStreamProcessor) -> None:
+        self._sensor_stream = sensor_stream
 
     def init(self, handle: StatefulProcessorHandle) -> None:
-        """Get access to the state store at the start of a micro-batch."""
+        """Open the state store at the start of a micro-batch."""
         self._handle = handle
         self._state = handle.getValueState("sensor", "state binary")
 
@@ -47,7 +47,9 @@ class SensorProcessor(StatefulProcessor):
         """Process the new rows of a sensor."""
         now_ms = timerValues.getCurrentProcessingTimeInMs()
         entries = [Entry(row.place, row.batch, row.stored_s) for row in rows]
-        return self._done(key[0], self._walk.hear(key[0], self._stored(), entries, now_ms), now_ms)
+        return self._store_step(
+            key[0], self._sensor_stream.process_rows(key[0], self._stored(), entries, now_ms), now_ms
+        )
 
     def handleExpiredTimer(  # noqa: N802
         self,
@@ -55,9 +57,11 @@ class SensorProcessor(StatefulProcessor):
         timerValues: TimerValues,  # noqa: N803
         expiredTimerInfo: ExpiredTimerInfo,  # noqa: N803
     ) -> Iterator[Row]:
-        """Check whether a sensor is silent."""
+        """Check whether a sensor is silent; Spark calls this when its timer expires."""
         now_ms, before = timerValues.getCurrentProcessingTimeInMs(), self._stored()
-        return iter(()) if before is None else self._done(key[0], self._walk.wake(before, now_ms), now_ms)
+        if before is None:
+            return iter(())
+        return self._store_step(key[0], self._sensor_stream.check_silence(before, now_ms), now_ms)
 
     def close(self) -> None:
         """Do nothing; Spark requires this method."""
@@ -66,14 +70,14 @@ class SensorProcessor(StatefulProcessor):
         held = self._state.get()
         return None if held is None else SensorState.unpacked(bytes(held[0]))
 
-    def _done(self, sensor: str, step: SensorStep, now_ms: int) -> Iterator[Row]:
+    def _store_step(self, sensor: str, step: SensorStep, now_ms: int) -> Iterator[Row]:
         if step.state is None:
             self._state.clear()
         else:
             self._state.update((step.state.packed(),))
-        if step.wake_ms is not None:
-            self._handle.registerTimer(step.wake_ms)
-        return iter(_answers(self._walk.output_name(sensor), step, now_ms))
+        if step.timer_ms is not None:
+            self._handle.registerTimer(step.timer_ms)
+        return iter(_answers(self._sensor_stream.output_name(sensor), step, now_ms))
 
 
 def _answers(sensor: str, step: SensorStep, now_ms: int) -> Sequence[Row]:

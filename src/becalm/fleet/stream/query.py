@@ -20,7 +20,7 @@ from becalm.fleet.stream.output_batches import to_output_batches
 from becalm.fleet.stream.plan import SensorPlan, StreamPlan
 from becalm.fleet.stream.processor import SensorProcessor
 from becalm.fleet.stream.sensor import SensorStreamProcessor
-from becalm.fleet.stream.sources import opened
+from becalm.fleet.stream.sources import open_source
 
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
@@ -37,7 +37,7 @@ _STATES = {
     "spark.sql.streaming.stateStore.rocksdb.changelogCheckpointing.enabled": "true",
 }
 _FILES = {
-    "spark.sql.caseSensitive": "true",  # so that channels may be called p and P
+    "spark.sql.caseSensitive": "true",  # so that two channels may have the names p and P
     "spark.sql.session.timeZone": "UTC",
     "spark.sql.parquet.outputTimestampType": "TIMESTAMP_MICROS",  # the default is the deprecated INT96 type
 }
@@ -45,34 +45,34 @@ _EMPTY_BATCHES = "spark.sql.streaming.noDataMicroBatches.enabled"
 
 
 def cleaned(frame: DataFrame, plan: SensorPlan) -> DataFrame:
-    """Return the estimates of a stream's rows, for any sink.
+    """Return a stream of estimates from a stream of rows, for any sink.
 
-    This changes the session: it sets the state store. Spark runs micro-batches without rows only if the plan reports
-    silent sensors.
+    This function changes settings of the Spark session: the state store, and whether Spark runs micro-batches without
+    rows, which is needed only to report silent sensors.
 
     Parameters
     ----------
     frame : DataFrame
-        A stream of rows with a column for the sensor, one for the stamp, and one of numbers for each channel, null
-        where missing. Or a stream of blocks of rows, whose stamps and channels are arrays. Or, if the plan has
-        `messages`, a stream of messages: the key, `message` (binary), `place` (bigint: their order), `stored_s`
-        (double: seconds since 1970).
+        A stream of one of three kinds. Rows: a column for the sensor, one for the stamp, and one of numbers for each
+        channel, null where missing. Blocks: the same with arrays of stamps and readings. Messages, if the plan has
+        `messages`: the key, `message` (binary), `place` (bigint, the order of messages), and `stored_s` (double,
+        seconds since 1970).
     plan : SensorPlan
         The options of each sensor.
 
     Returns
     -------
     DataFrame
-        Rows, or blocks, like the input: the key, `kind`, the stamp, for each channel NAME, NAME_sigma and NAME_verdict,
-        and `recipe`, the first digits of its hash. Rows of kind "events" describe an event of a sensor's stream
-        instead: `event`, `event_rows`, `says` and `noticed`.
+        Rows, or blocks if the input has blocks. Their columns are the key, `kind`, the stamp, for each channel NAME,
+        NAME_sigma and NAME_verdict, and `recipe`, the first digits of the recipe's hash. Rows of kind "events" instead
+        describe an event of a sensor's stream, in `event`, `event_rows`, `says` and `noticed`.
 
     Raises
     ------
     UsageError
         If a column is missing, or has a type that cannot be used.
     BecalmError
-        If the plan names no channels, and its recipes cannot be read.
+        If the plan names no channels and a recipe cannot be read.
     """
     plan = plan.with_channels()
     _set_all(frame.sparkSession, _STATES | {_EMPTY_BATCHES: _word(plan.silent_s is not None)})
@@ -85,7 +85,7 @@ def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
     Parameters
     ----------
     spark : SparkSession
-        The Spark to use. Its settings are not changed.
+        The Spark to use. Its settings do not change.
     plan : StreamPlan
         The source, the output and the options.
 
@@ -103,7 +103,7 @@ def run(spark: SparkSession, plan: StreamPlan) -> StreamingQuery:
 
 
 def prepared(spark: SparkSession, plan: StreamPlan) -> Callable[[], StreamingQuery]:
-    """Check a stream, and return a function that starts it as `run` does; nothing is written before its call.
+    """Check a stream, and return a function that starts the stream; nothing is written before its call.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def prepared(spark: SparkSession, plan: StreamPlan) -> Callable[[], StreamingQue
     of_plan = {_EMPTY_BATCHES: _word(checks_silence), "spark.sql.shuffle.partitions": str(plan.partitions)}
     _set_all(session, _STATES | _FILES | of_plan)
     refuse_other(session, plan)
-    shape, blocks, sensors = opened(session, plan)
+    shape, blocks, sensors = open_source(session, plan)
     estimates = _filtered(shape, blocks, sensors)
     writer = (
         estimates.writeStream.format("parquet")
@@ -148,7 +148,7 @@ def wait(query: StreamingQuery) -> None:
     Raises
     ------
     InputError
-        If the stream failed, with the reason in a sentence.
+        If the stream failed; the message has the reason.
     """
     try:
         query.awaitTermination()

@@ -1,4 +1,4 @@
-"""Join the rows of one sensor in a micro-batch into one ordered block; drop late rows and rows without a stamp."""
+"""Join the rows of one sensor in a micro-batch into one sorted block; drop late rows and rows without a stamp."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.live.block import Block, Loss, LossKind
 from becalm.live.messages.stream import MessageStream
 from becalm.live.tables import EPOCH_S
 
-_DAY_S = 86400.0  # stamps farther ahead than this are taken as wrong
+_DAY_S = 86400.0  # a stamp farther in the future than this counts as wrong
 
 
 class Entry(NamedTuple):
@@ -25,22 +25,22 @@ class Entry(NamedTuple):
 
     place: int  # position among the sensor's messages; 0 for rows of files
     batch: bytes  # packed `SensorRows`, or a message
-    stored_s: float  # when its broker stored it, in seconds since 1970; 0 for rows of files
+    stored_s: float  # time at which the broker stored the message, in seconds since 1970; 0 for rows of files
 
 
 def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) -> Block:
-    """Return the new rows of a lake together with the rows that waited, sorted by their stamps.
+    """Return the new rows of a lake together with the waiting rows (`held`), sorted by stamp.
 
-    Rows with equal stamps keep the order of their block. Spark delivers blocks in any order, so they are sorted first:
-    the result does not depend on it.
+    Rows with equal stamps keep the order of their block. Spark delivers blocks in any order; they are sorted before the
+    rows, so that the result does not depend on this order.
     """
     parts = sorted((SensorRows.unpacked(entry.batch) for entry in sorted(entries)), key=_first_stamp)
-    waited = _units_under(channels, held)
-    units = waited if any(waited) else _most([part for part in parts if any(part.units)])
-    kept = [part for part in parts if _alike(part.units, units)]
+    waited = _units_of_channels(channels, held)
+    units = waited if any(waited) else _most_frequent_units([part for part in parts if any(part.units)])
+    kept = [part for part in parts if _units_agree(part.units, units)]
     units = _merged_units([units, *(part.units for part in kept)])
     time_s = np.concatenate([held.time_s, *(part.time_s for part in kept)])
-    values = np.concatenate([_under(channels, held), *(part.values for part in kept)])
+    values = np.concatenate([_values_of_channels(channels, held), *(part.values for part in kept)])
     if not (np.diff(time_s) >= 0).all():
         order = np.argsort(time_s, kind="stable")  # rows without a stamp come last
         time_s, values = time_s[order], np.ascontiguousarray(values[order])
@@ -58,20 +58,20 @@ def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) ->
 def read_messages(
     entries: Sequence[Entry], address: Address, held: Block, state: Mapping[str, Any]
 ) -> tuple[Block, Mapping[str, Any]]:
-    """Return the rows that waited, then those of messages in their broker's order; and the state of the numbering."""
+    """Return the waiting rows, then those of messages in the broker's order; and the new state of the numbering."""
     stream = MessageStream(address)
     stream.resume(state)
     stream.take_many([(entry.batch, entry.stored_s) for entry in sorted(entries)])
     block = stream.block()
-    return held if block is None else _after(held, block), stream.state
+    return held if block is None else _append_rows(held, block), stream.state
 
 
 def _first_stamp(part: SensorRows) -> float:
     return float(part.time_s[0]) if len(part.time_s) else -np.inf
 
 
-def _alike(units: Sequence[str], others: Sequence[str]) -> bool:
-    """Return whether units are equal where both are known; a file need not have every channel."""
+def _units_agree(units: Sequence[str], others: Sequence[str]) -> bool:
+    """Return whether units are equal where both are known; they are unknown for channels that a file lacks."""
     return all(not one or not other or one == other for one, other in zip(units, others, strict=False))
 
 
@@ -80,8 +80,8 @@ def _merged_units(parts: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     return tuple(next(filter(None, units), "") for units in zip(*filter(None, parts), strict=True))
 
 
-def _after(held: Block, block: Block) -> Block:
-    """Return the rows that waited, followed by the new ones."""
+def _append_rows(held: Block, block: Block) -> Block:
+    """Return the waiting rows followed by the new rows."""
     if not len(held):
         return block
     if not len(block):
@@ -92,16 +92,16 @@ def _after(held: Block, block: Block) -> Block:
     return replace(block, losses=(Loss(LossKind.GARBLED, len(held), says), *block.losses))
 
 
-def _most(parts: Sequence[SensorRows]) -> tuple[str, ...]:
-    """Return the units that most rows have; () without parts."""
+def _most_frequent_units(parts: Sequence[SensorRows]) -> tuple[str, ...]:
+    """Return the units that most rows have; () if there are no parts."""
     rows = Counter[tuple[str, ...]]()
     for part in parts:
         rows[part.units] += len(part.time_s)
     return max(rows, key=lambda units: (rows[units], units), default=())
 
 
-def _under(channels: Sequence[str], held: Block) -> Floats:
-    """Return the readings that waited, in the order of the stream's channels; NaN where a channel is new."""
+def _values_of_channels(channels: Sequence[str], held: Block) -> Floats:
+    """Return the readings of waiting rows, in the order of the stream's channels; NaN for a channel they lack."""
     values = np.full((len(held), len(channels)), np.nan)
     for place, name in enumerate(channels):
         if name in held.names:
@@ -109,42 +109,43 @@ def _under(channels: Sequence[str], held: Block) -> Floats:
     return values
 
 
-def _units_under(channels: Sequence[str], held: Block) -> tuple[str, ...]:
-    """Return the units of the rows that waited, in the order of the stream's channels; "" if unknown."""
+def _units_of_channels(channels: Sequence[str], held: Block) -> tuple[str, ...]:
+    """Return the units of waiting rows, in the order of the stream's channels; "" if unknown."""
     units = dict(zip(held.names, held.units, strict=False))
     return tuple(units.get(name, "") for name in channels)
 
 
-def stamped(block: Block) -> Block:
+def drop_unstamped(block: Block) -> Block:
     """Drop rows without a finite stamp, because their time is unknown."""
     finite = np.isfinite(block.time_s)
     if finite.all():
         return block
     count = len(finite) - int(np.count_nonzero(finite))
     says = f"{count} rows came without a stamp that is a number; they were left out."
-    return replace(_some(block, finite), losses=(*block.losses, Loss(LossKind.GARBLED, count, says)))
+    return replace(_select_rows(block, finite), losses=(*block.losses, Loss(LossKind.GARBLED, count, says)))
 
 
-def timely(block: Block, taken_to_s: float, now_s: float) -> Block:
-    """Drop all rows of a lake with stamps before that of the last row taken.
+def drop_late(block: Block, last_stamp_s: float, now_s: float) -> Block:
+    """Drop the rows of a lake whose stamps are before `last_stamp_s`, the stamp of the last filtered row.
 
-    In a live stream, eight such rows mean that the clock was set back; in a lake they come from a late file. The rule
-    of live streams still applies if stamps do not count from 1970, or if the last row taken is more than a day ahead.
+    In a live stream, eight such rows mean that the clock was set back. In a lake, they come from a late file. If stamps
+    do not count from 1970, or if `last_stamp_s` is more than a day after `now_s`, the rule of live streams applies, and
+    this function drops nothing.
     """
-    late = block.time_s < taken_to_s
+    late = block.time_s < last_stamp_s
     count = int(np.count_nonzero(late))
-    if not count or taken_to_s < EPOCH_S or taken_to_s > now_s + _DAY_S:
+    if not count or last_stamp_s < EPOCH_S or last_stamp_s > now_s + _DAY_S:
         return block
     says = f"{count} rows came with stamps before that of a row already taken; they were left out."
-    return replace(_some(block, ~late), losses=(*block.losses, Loss(LossKind.LATE, count, says)))
+    return replace(_select_rows(block, ~late), losses=(*block.losses, Loss(LossKind.LATE, count, says)))
 
 
-def parted(block: Block, lateness_s: float) -> tuple[Block, Block]:
-    """Split sorted rows into those to filter now, and those that wait because earlier rows may still come.
+def split_by_lateness(block: Block, lateness_s: float) -> tuple[Block, Block]:
+    """Split sorted rows into rows to filter now, and rows that wait because earlier rows may still arrive.
 
-    A row waits until eight rows have stamps at least `lateness_s` after its own, so that one wrong stamp does not end
-    the wait. A row more than a day ahead of the eighth newest row does not wait if other rows are ready before it. Rows
-    whose stamps do not count from 1970 do not wait either, because their clock may restart.
+    A row waits until eight rows have stamps at least `lateness_s` after its own; with eight, a single wrong stamp does
+    not end the wait. A row whose stamp is more than a day after that of the eighth newest row does not wait if other
+    rows are ready. Rows whose stamps do not count from 1970 do not wait, because their clock may restart.
     """
     if not lateness_s or not len(block) or not np.fmax.reduce(block.time_s) > EPOCH_S:
         return block, Block.of_losses()
@@ -153,10 +154,10 @@ def parted(block: Block, lateness_s: float) -> tuple[Block, Block]:
     waits = block.time_s > newest_s - lateness_s
     if not waits.all():
         waits &= block.time_s <= newest_s + _DAY_S
-    return replace(_some(block, ~waits), losses=block.losses), _some(block, waits)
+    return replace(_select_rows(block, ~waits), losses=block.losses), _select_rows(block, waits)
 
 
-def _some(block: Block, which: Booleans) -> Block:
+def _select_rows(block: Block, which: Booleans) -> Block:
     if which.all():
         return block
     return Block(block.names, block.units, block.time_s[which], block.values[which])

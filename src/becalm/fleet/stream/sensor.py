@@ -1,6 +1,6 @@
-"""Process the stream of one sensor by micro-batches: from a state and new rows, return a new state and estimates.
+"""Process the stream of one sensor in micro-batches: from a state and new rows, return a new state and estimates.
 
-Nothing is remembered between calls, so a repeated micro-batch gives the same result on any worker.
+Nothing is stored between calls, so a repeated micro-batch gives the same result on any worker.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from becalm.files.unit_spelling import parse_header
 from becalm.fleet.names import folder_name
 from becalm.fleet.stream.blocks import EstimatedBlock, Event
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
-from becalm.fleet.stream.reading import Entry, parted, read_messages, read_rows, stamped, timely
+from becalm.fleet.stream.reading import Entry, drop_late, drop_unstamped, read_messages, read_rows, split_by_lateness
 from becalm.fleet.stream.state import SensorState
 from becalm.live.block import Block, Loss, Output
 from becalm.live.learning_buffer import resolution_of
 from becalm.live.messages.stream import MessageStream
 from becalm.live.stream import Stream
 
-_LONGEST_NAME, _SHOWN = 255, 40  # bytes of a folder's name; letters of a longer name that a message shows
+_LONGEST_NAME, _SHOWN = 255, 40  # largest length of a folder's name in bytes; letters of a longer name in messages
 _ODD = 1.5  # smallest ratio of a stream's rate to its recipe's rate, or the inverse, that is reported
 
 
@@ -37,19 +37,19 @@ class SensorStep(NamedTuple):
     state: SensorState | None  # None if nothing needs to be stored
     estimates: EstimatedBlock | None = None
     events: tuple[Event, ...] = ()
-    wake_ms: int | None = None  # when to check whether it is silent; None leaves the timer unchanged
+    timer_ms: int | None = None  # time of the next check for silence, in ms since 1970; None: keep the timer
     recipe: str = ""  # the hash of the recipe that was used
 
 
 class SensorStreamProcessor:
-    """A processor of one micro-batch of any sensor; it keeps no state of its own.
+    """A processor of micro-batches of any sensor; it stores no state.
 
     Parameters
     ----------
     plan : SensorPlan
         The options of each sensor.
     channels : tuple of str
-        The channels of all sensors; each has some of them.
+        The channels of all sensors; each sensor has some of these.
     """
 
     def __init__(self, plan: SensorPlan, channels: tuple[str, ...]) -> None:
@@ -60,94 +60,100 @@ class SensorStreamProcessor:
         """Return the name of a sensor in the output, or "" if it is too long for a folder's name."""
         return sensor if len(folder_name(self._plan.key, sensor).encode(errors="replace")) <= _LONGEST_NAME else ""
 
-    def hear(self, sensor: str, before: SensorState | None, entries: Sequence[Entry], now_ms: int) -> SensorStep:
+    def process_rows(
+        self, sensor: str, before: SensorState | None, entries: Sequence[Entry], now_ms: int
+    ) -> SensorStep:
         """Process the new entries of a sensor.
 
         Parameters
         ----------
         sensor : str
-            Its name.
+            Name of the sensor.
         before : SensorState or None
-            Its state before; None for a new sensor.
+            State of the sensor before the micro-batch; None for a new sensor.
         entries : sequence of Entry
             The new rows or messages, in any order.
         now_ms : int
-            The clock of Spark, in milliseconds since 1970.
+            The time of Spark's clock, in milliseconds since 1970.
 
         Raises
         ------
         ModelError
-            If the stored state is damaged, or has another version; then no entry is processed.
+            If the stored state is damaged or of another version; no entry is processed then.
         """
-        state, back, wake_ms = self._awake(before, now_ms)
+        state, back, timer_ms = self._with_rows_received(before, now_ms)
         stream = None if state.stream is None else Stream.resumed(state.stream)
-        block, numbers = self._read(entries, state, -np.inf if stream is None else stream.taken_to_s)
+        block, numbers = self._read(entries, state, -np.inf if stream is None else stream.last_stamp_s)
         unchanged = state = replace(state, messages=numbers, held=Block.of_losses())
-        if not sensor and not len(block):  # only losses of an unknown sensor
+        if not sensor and not len(block):  # there are only losses, of an unknown sensor
             return SensorStep(None, None, _events(block.losses))
         remarks: tuple[Event, ...] = ()
         try:
             if stream is None:
-                stream, state = self._begun(sensor, state, block)
+                stream, state = self._begin(sensor, state, block)
                 remarks = () if stream is None else _odd_rate(stream.recipe, block.time_s)
             else:
-                remarks, state = self._retuned(sensor, stream, state)
+                remarks, state = self._retune(sensor, stream, state)
             if stream is None:
                 step = SensorStep(replace(state, held=replace(block, losses=())), None, _events(block.losses))
             else:
                 if back:
-                    stream.opened()
+                    stream.notify_source_opened()
                 ready, held = self._split(block)
-                step = self._after(stream, replace(state, held=held), stream.take(ready))
+                step = self._step_of(stream, replace(state, held=held), stream.take(ready))
         except BecalmError as cause:
-            state = unchanged  # another recipe has not taken over, either
-            kept = None if state.stream is None and not numbers else state  # a name without a recipe needs no state
-            remarks, step = (), SensorStep(kept, None, (*_events(block.losses), _left_out(cause, len(block))))
-        wake_ms = None if step.state is None else wake_ms
-        return step._replace(events=(*back, *remarks, *step.events), wake_ms=wake_ms, recipe=state.taken)
+            state = unchanged  # a new recipe was not applied either
+            kept = None if state.stream is None and not numbers else state  # a sensor without a recipe needs no state
+            remarks, step = (), SensorStep(kept, None, (*_events(block.losses), _refusal(cause, len(block))))
+        timer_ms = None if step.state is None else timer_ms
+        return step._replace(events=(*back, *remarks, *step.events), timer_ms=timer_ms, recipe=state.taken)
 
-    def wake(self, before: SensorState, now_ms: int) -> SensorStep:
-        """Check whether a sensor is silent; if so, report it, and filter the rows that wait for earlier ones."""
+    def check_silence(self, before: SensorState, now_ms: int) -> SensorStep:
+        """Check whether a sensor is silent; if so, report this, and filter the rows that wait for earlier rows."""
         if self._plan.silent_s is None or before.is_silent:
             return SensorStep(replace(before, is_watched=False))
         until_ms = before.heard_ms + _milliseconds(self._plan.silent_s)
         if until_ms > now_ms:
-            return SensorStep(before, wake_ms=until_ms)
+            return SensorStep(before, timer_ms=until_ms)
         state = replace(before, is_silent=True, is_watched=False)
         silent = Event("silent", None, f"No row came for {(now_ms - before.heard_ms) / 1000:g} s.")
         if state.stream is None:
             return SensorStep(state, None, (silent,))
         stream, emptied = Stream.resumed(state.stream), replace(state, held=Block.of_losses())
         try:
-            step = self._after(stream, emptied, stream.take(state.held))
+            step = self._step_of(stream, emptied, stream.take(state.held))
         except BecalmError as cause:  # for example if a restart of the stream removed its channels
-            step = SensorStep(emptied, None, (_left_out(cause, len(state.held)),) if len(state.held) else ())
+            step = SensorStep(emptied, None, (_refusal(cause, len(state.held)),) if len(state.held) else ())
         return step._replace(events=(silent, *step.events), recipe=state.taken)
 
-    def _awake(self, before: SensorState | None, now_ms: int) -> tuple[SensorState, tuple[Event, ...], int | None]:
-        """Return the state of a sensor to which rows came, an event if it was silent, and when to check it next."""
+    def _with_rows_received(
+        self, before: SensorState | None, now_ms: int
+    ) -> tuple[SensorState, tuple[Event, ...], int | None]:
+        """Return the state of a sensor after rows arrived, an event if it was silent, and the time of a new timer."""
         before = before or SensorState(now_ms)
-        wake_ms = None
+        timer_ms = None
         if self._plan.silent_s is not None and not before.is_watched:
-            wake_ms = now_ms + _milliseconds(self._plan.silent_s)
-        is_watched = before.is_watched or wake_ms is not None
+            timer_ms = now_ms + _milliseconds(self._plan.silent_s)
+        is_watched = before.is_watched or timer_ms is not None
         state = replace(before, heard_ms=now_ms, is_silent=False, is_watched=is_watched)
         says = f"Rows came again after {(now_ms - before.heard_ms) / 1000:g} s."
-        return state, (Event("back", None, says),) if before.is_silent else (), wake_ms
+        return state, (Event("back", None, says),) if before.is_silent else (), timer_ms
 
-    def _read(self, entries: Sequence[Entry], state: SensorState, taken_to_s: float) -> tuple[Block, Mapping[str, Any]]:
+    def _read(
+        self, entries: Sequence[Entry], state: SensorState, last_stamp_s: float
+    ) -> tuple[Block, Mapping[str, Any]]:
         if self._plan.messages is None:
-            rows = stamped(read_rows(entries, self._channels, state.held))
-            return timely(rows, taken_to_s, state.heard_ms / 1000), state.messages
+            rows = drop_unstamped(read_rows(entries, self._channels, state.held))
+            return drop_late(rows, last_stamp_s, state.heard_ms / 1000), state.messages
         block, numbers = read_messages(entries, self._plan.messages, state.held, state.messages)
-        return stamped(block) if block.elapsed is None else block, numbers
+        return drop_unstamped(block) if block.elapsed is None else block, numbers
 
     def _split(self, block: Block) -> tuple[Block, Block]:
-        """Split rows into those to filter now, and those that wait; messages never wait."""
-        return parted(block, self._plan.lateness_s if self._plan.messages is None else 0.0)
+        """Split rows into rows to filter now, and rows that wait; rows of messages never wait."""
+        return split_by_lateness(block, self._plan.lateness_s if self._plan.messages is None else 0.0)
 
-    def _begun(self, sensor: str, state: SensorState, block: Block) -> tuple[Stream | None, SensorState]:
-        """Return a sensor's new stream of filters, or None while its rows are too few to begin, and its state."""
+    def _begin(self, sensor: str, state: SensorState, block: Block) -> tuple[Stream | None, SensorState]:
+        """Return a new stream of filters for a sensor, or None while it has too few rows; and the sensor's state."""
         if not sensor:
             raise RecipeError(f"The rows have no sensor name in {self._plan.key!r}.")
         if not self.output_name(sensor):
@@ -162,24 +168,24 @@ class SensorStreamProcessor:
         taken = _hash_of(recipe)
         return stream, replace(state, asked=taken, taken=taken)
 
-    def _retuned(self, sensor: str, stream: Stream, state: SensorState) -> tuple[tuple[Event, ...], SensorState]:
-        """Change to the book's recipe if that has changed, but not while an earlier change is in progress."""
+    def _retune(self, sensor: str, stream: Stream, state: SensorState) -> tuple[tuple[Event, ...], SensorState]:
+        """Apply the book's recipe if it has changed, but not while an earlier change is in progress."""
         recipe, says, hashed = _current_recipe(self._plan, sensor)
-        if hashed == state.asked or stream.gives_way:
+        if hashed == state.asked or stream.is_handing_over:
             return (), state
         state = replace(state, asked=hashed)
         if hashed == state.taken:
             return (), state
         if recipe is not None:
             try:
-                stream.retuned(recipe)
+                stream.retune(recipe)
             except BecalmError as cause:
                 says = str(cause)
             else:
                 return (Event("recipe", None, "Another recipe takes over."),), replace(state, taken=hashed)
         return (Event("refused", None, f"{says} The earlier recipe stays in use."),), state
 
-    def _after(self, stream: Stream, state: SensorState, output: Output) -> SensorStep:
+    def _step_of(self, stream: Stream, state: SensorState, output: Output) -> SensorStep:
         estimates = None
         if len(output):
             places = np.array([self._place(channel.name) for channel in stream.recipe.channel], np.int64)
@@ -200,7 +206,7 @@ class SensorStreamProcessor:
 
 
 def _current_recipe(plan: SensorPlan, sensor: str) -> tuple[Recipe | None, str, str]:
-    """Return the current recipe of a sensor, or why there is none, and the hash of either."""
+    """Return the current recipe of a sensor, or None and an error message; and the hash of the recipe or message."""
     try:
         recipe = plan.recipes.recipe_for(sensor)
     except BecalmError as cause:
@@ -215,7 +221,7 @@ def _hash_of(recipe: Recipe) -> str:
 
 
 def _odd_rate(recipe: Recipe, time_s: Floats) -> tuple[Event, ...]:
-    """Return an event if the rate of the rows differs so much from the recipe's that steps would be gaps or repeats."""
+    """Return an event if the rate of the rows differs by a factor of `_ODD` or more from the recipe's rate."""
     steps_s = np.diff(time_s[np.isfinite(time_s)][:FIRST_ROWS])
     steps_s = steps_s[steps_s > 0]
     if not len(steps_s) or 1 / _ODD < np.median(steps_s) * recipe.nominal_rate_hz < _ODD:
@@ -226,7 +232,7 @@ def _odd_rate(recipe: Recipe, time_s: Floats) -> tuple[Event, ...]:
     return (Event("rate", None, f"{says}; tune a recipe on rows at this rate."),)
 
 
-def _left_out(cause: BecalmError, rows: int) -> Event:
+def _refusal(cause: BecalmError, rows: int) -> Event:
     return Event("refused", rows, f"{cause} {rows} rows were left out." if rows else str(cause))
 
 

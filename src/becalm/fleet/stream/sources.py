@@ -25,16 +25,16 @@ from becalm.live.messages.stream import MessageStream
 if TYPE_CHECKING:
     from pyspark.sql import DataFrame, SparkSession
 
-_EVER = "36500d"  # oldest file that Spark reads; by default, it skips files a week older than the newest
-_LAKE_BYTES = 256 << 20  # largest input of a micro-batch, whose rows are sorted in memory
-_FILE = "path string, modificationTime timestamp, length bigint, content binary"  # only the path is used
-_PATTERN = re.compile(r"[][*?{}\\]")  # Spark would read these characters in a folder's name as a pattern
+_EVER = "36500d"  # age of the oldest file to read; by default, Spark skips files a week older than the newest
+_LAKE_BYTES = 256 << 20  # largest input of a micro-batch in bytes; its rows are sorted in memory
+_FILE = "path string, modificationTime timestamp, length bigint, content binary"  # becalm uses only the path
+_PATTERN = re.compile(r"[][*?{}\\]")  # characters that Spark would read as a pattern in a folder's name
 _KAFKA_START = {"first": "earliest", "now": "latest"}
 _KAFKA = "org.apache.spark:spark-sql-kafka-0-10_2.13"
 
 
-def opened(spark: SparkSession, plan: StreamPlan) -> tuple[StreamSchema, DataFrame, SensorPlan]:
-    """Return the columns of a source, its blocks, and the plan of its sensors, with `messages` if rows are messages.
+def open_source(spark: SparkSession, plan: StreamPlan) -> tuple[StreamSchema, DataFrame, SensorPlan]:
+    """Return the columns of a source, its blocks, and the sensors' plan, with `messages` if the rows are messages.
 
     Raises
     ------
@@ -73,9 +73,9 @@ def _messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
 
 
 def _paths(spark: SparkSession, lake: str) -> DataFrame:
-    """Return a stream of the paths of a folder's Parquet files, present and future, at any depth.
+    """Return a stream of the paths of all present and future Parquet files in a folder and its subfolders.
 
-    They are read in the order of their last change. Each file must appear complete, by a rename.
+    Files are read in the order of their modification times. A new file must be complete when it appears, by a rename.
     """
     reader = spark.readStream.format("binaryFile").schema(_FILE).option("maxBytesPerTrigger", str(_LAKE_BYTES))
     reader = reader.option("maxFileAge", _EVER)
@@ -86,7 +86,7 @@ def _paths(spark: SparkSession, lake: str) -> DataFrame:
 
 
 def kafka_messages(spark: SparkSession, address: Address, key: str) -> DataFrame:
-    """Return the messages of a topic, `kafka://HOST:PORT/TOPIC?start=first|now&most=N`; their key names the sensor.
+    """Return the messages of a topic, `kafka://HOST:PORT/TOPIC?start=first|now&most=N`; a message's key is its sensor.
 
     Raises
     ------

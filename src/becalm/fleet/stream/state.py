@@ -23,21 +23,21 @@ class SensorState:
     Attributes
     ----------
     heard_ms : int
-        When rows last came, by the clock of Spark, in milliseconds since 1970.
+        Time at which rows last arrived, by Spark's clock, in milliseconds since 1970.
     is_silent : bool
-        Whether the sensor has been reported as silent since then.
+        Whether the sensor was reported as silent after `heard_ms`.
     is_watched : bool
         Whether a timer is set to check for silence.
     asked : str
-        Hash of the recipe that the book last returned for the sensor, or of the error message if there was none.
+        Hash of the recipe that the book last returned for the sensor, or of its error message.
     taken : str
-        Hash of the recipe that its filters use.
+        Hash of the recipe that the filters use.
     stream : Checkpoint or None
-        The state of its filters; None before the first estimate.
+        The state of the filters; None before the first estimate.
     held : Block
-        Rows that wait for the filters to begin, or for earlier rows.
+        Rows that wait for enough rows to start the filters, or for rows with earlier stamps.
     messages : mapping
-        The state of the numbering of its messages, as `MessageStream.state`.
+        The state of the numbering of messages, as `MessageStream.state`.
     """
 
     heard_ms: int
@@ -72,12 +72,12 @@ class SensorState:
 
     @classmethod
     def unpacked(cls, blob: bytes) -> SensorState:
-        """Return the state from the bytes of `packed`.
+        """Return the state from the bytes that `packed` returned.
 
         Raises
         ------
         ModelError
-            If they are damaged, or of another version.
+            If the bytes are damaged, or of another version.
         """
         try:
             arrays = unpacked(blob)

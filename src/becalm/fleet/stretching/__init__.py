@@ -1,1 +1,1 @@
-"""Clean a very long recording in stretches of time: each warms up on the rows before it, and the seams are checked."""
+"""Clean a very long recording in stretches of time. Filters warm up on the rows before a stretch; seams are checked."""

@@ -1,4 +1,4 @@
-"""Clean long sensors: survey each, cut it into stretches, clean these in parallel, and check the seams."""
+"""Clean long sensors: survey each sensor, cut it into stretches, clean these in parallel, and check the seams."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.marks import CompletionMark
 from becalm.fleet.outcome import Outcome
-from becalm.fleet.sensor_cleaning import all_died, clean_whole, commit, refuse_on_error
+from becalm.fleet.sensor_cleaning import clean_whole, commit, refuse_on_error, report_lost_sensor
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.joining import joined_outcome
 from becalm.fleet.stretching.long_sensor import LongSensor, TaskStretch
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 
 class Task(NamedTuple):
-    """A stretch of one of several long sensors."""
+    """A task: clean one stretch of one long sensor."""
 
     sensor: int  # index in the list of long sensors
     stretch: TaskStretch
 
 
 class LongSensorProgress:
-    """The progress of one long sensor: which stretches have run, and which run next.
+    """The progress of one long sensor: the stretches that have run, and those to run next.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class LongSensorProgress:
     failed : Outcome or None
         The refusal, if the sensor cannot be cleaned.
     whole : bool
-        Whether the sensor cannot be cut and must be cleaned as a whole.
+        Whether cutting has failed, so that the sensor must be cleaned as a whole.
     """
 
     def __init__(self, long: LongSensor) -> None:
@@ -52,16 +52,16 @@ class LongSensorProgress:
         self._estimates: dict[int, StretchEstimates] = {}
         self._again, self._took_s = set[int](), long.took_s
 
-    def hear(self, result: StretchEstimates | Outcome) -> None:
-        """Store the result of a stretch."""
+    def add_result(self, result: StretchEstimates | Outcome) -> None:
+        """Store the result of a stretch, or the refusal of the sensor."""
         if isinstance(result, Outcome):
             self.failed = result
         else:
             self._estimates[result.stretch.number] = result
             self._took_s += result.took_s
 
-    def next(self) -> list[TaskStretch]:
-        """Return the stretches to run next: first all, then those that began in a state other than the correct one."""
+    def next_stretches(self) -> list[TaskStretch]:
+        """Return the stretches to run next: first all, later those that started in a wrong state; [] at the end."""
         if self.failed is not None or self.whole:
             return []
         if not self._estimates:
@@ -75,7 +75,7 @@ class LongSensorProgress:
         return [] if self.whole else again or []
 
     def finish(self) -> Outcome:
-        """Move the output into place, and return the outcome of the sensor.
+        """Move the output into its folder, and return the outcome of the sensor.
 
         Raises
         ------
@@ -87,11 +87,13 @@ class LongSensorProgress:
         long, stretches = self.long, self._in_order
         outcome = joined_outcome(long, stretches, len(self._again), self._took_s)
         names = tuple(piece.name for one in stretches for piece in one.pieces)
-        commit(long.job, long.sensor, Path(long.staged), CompletionMark(long.hashed, names, outcome, job=long.job.own))
+        commit(
+            long.job, long.sensor, Path(long.staged), CompletionMark(long.hashed, names, outcome, job=long.job.job_id)
+        )
         return outcome
 
     def _was_run(self, stretch: TaskStretch) -> bool:
-        """Return whether a stretch already ran from exactly this state, so that another run would change nothing."""
+        """Return whether a stretch has already run from this state, so that another run would give the same result."""
         return self._estimates[stretch.number].stretch == stretch
 
     @property
@@ -100,7 +102,7 @@ class LongSensorProgress:
 
 
 def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list[Outcome]:
-    """Clean sensors that may be long; cut those that are, and clean their stretches in parallel.
+    """Clean sensors that may be long: cut those that are long, and clean their stretches in parallel.
 
     Parameters
     ----------
@@ -111,17 +113,17 @@ def clean_long(spark: SparkSession, job: Job, sensors: Sequence[Sensor]) -> list
     sensors : sequence of Sensor
         The sensors of the lake that may be long.
     """
-    surveys = run_tasks(spark, partial(survey, job), sensors, lost=all_died)
-    courses = [LongSensorProgress(one) for one in surveys if isinstance(one, LongSensor)]
-    while tasks := [Task(place, stretch) for place, course in enumerate(courses) for stretch in course.next()]:
-        longs = [course.long for course in courses]
-        results = run_tasks(spark, partial(_run, longs), tasks, lost=partial(_died, longs))
+    surveys = run_tasks(spark, partial(survey, job), sensors, lost=report_lost_sensor)
+    in_progress = [LongSensorProgress(one) for one in surveys if isinstance(one, LongSensor)]
+    while tasks := [Task(k, stretch) for k, one in enumerate(in_progress) for stretch in one.next_stretches()]:
+        longs = [one.long for one in in_progress]
+        results = run_tasks(spark, partial(_run, longs), tasks, lost=partial(_report_lost, longs))
         for task, result in zip(tasks, results, strict=True):
-            courses[task.sensor].hear(result)
-    uncut = [course.long.sensor for course in courses if course.whole]
+            in_progress[task.sensor].add_result(result)
+    uncut = [one.long.sensor for one in in_progress if one.whole]
     outcomes = [one for one in surveys if isinstance(one, Outcome)]
-    outcomes += run_tasks(spark, partial(clean_whole, job), uncut, lost=all_died)
-    return outcomes + [refuse_on_error(course.long.sensor, course.finish) for course in courses if not course.whole]
+    outcomes += run_tasks(spark, partial(clean_whole, job), uncut, lost=report_lost_sensor)
+    return outcomes + [refuse_on_error(one.long.sensor, one.finish) for one in in_progress if not one.whole]
 
 
 def _run(longs: Sequence[LongSensor], task: Task) -> StretchEstimates | Outcome:
@@ -129,5 +131,5 @@ def _run(longs: Sequence[LongSensor], task: Task) -> StretchEstimates | Outcome:
     return refuse_on_error(long.sensor, lambda: run_stretch(long, task.stretch))
 
 
-def _died(longs: Sequence[LongSensor], task: Task, why: str) -> Outcome:
-    return all_died(longs[task.sensor].sensor, why)
+def _report_lost(longs: Sequence[LongSensor], task: Task, why: str) -> Outcome:
+    return report_lost_sensor(longs[task.sensor].sensor, why)

@@ -19,11 +19,11 @@ _NO_FAULT = (Verdict.USED, Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict
 
 
 class _Part(NamedTuple):
-    """A channel in one stretch."""
+    """The results of one channel in one stretch."""
 
     estimates: StretchEstimates
     report: ChannelReport
-    counts: dict[Verdict, int]
+    counts: dict[Verdict, int]  # number of rows with each verdict
 
     @property
     def used(self) -> int:
@@ -40,9 +40,9 @@ def joined_outcome(long: LongSensor, estimates: Sequence[StretchEstimates], agai
     estimates : sequence of StretchEstimates
         The results of its stretches, in order.
     again : int
-        The number of stretches that ran a second time.
+        The number of stretches that ran twice.
     took_s : float
-        The time of all stretches together, in seconds.
+        The computing time of all stretches together, in seconds.
     """
     parts = [[_Part(one, one.reports[c], one.counts[c]) for one in estimates] for c in range(len(long.first))]
     rows = tuple(_row(long, channel) for channel in parts)
@@ -50,7 +50,7 @@ def joined_outcome(long: LongSensor, estimates: Sequence[StretchEstimates], agai
 
 
 def _seams(stretches: Sequence[StretchEstimates], again: int) -> str:
-    """Return a sentence on how the stretches fit together."""
+    """Return a sentence on how well the stretches join."""
     seams = stretches[0].seams
     count, smoothed = len(stretches), seams is not None and seams.end is None
     if smoothed:
@@ -76,8 +76,8 @@ def _row(long: LongSensor, parts: Sequence[_Part]) -> FleetRow:
         faults=faults_text(_faults(counts)),
         says=_says(worst),
         recipe=long.sensor.recipe[:SHOWN],
-        rows=long.known.rows,
-        rate_hz=long.known.clock.rate_hz,
+        rows=long.parsed_source.rows,
+        rate_hz=long.parsed_source.clock.rate_hz,
     )
 
 

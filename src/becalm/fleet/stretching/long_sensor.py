@@ -1,4 +1,4 @@
-"""Describe a sensor that is cut in time; the tasks of all its stretches receive this description."""
+"""Describe a sensor that is cut in time; the tasks of its stretches receive this description."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ State = tuple[bytes, ...]
 class Extremes(NamedTuple):
     """The range of all readings before a row."""
 
-    row: int  # its index
-    least: tuple[float, ...]  # one for each channel
-    most: tuple[float, ...]
+    row: int  # index of this row
+    least: tuple[float, ...]  # minimum of each channel
+    most: tuple[float, ...]  # maximum of each channel
 
 
 class LongSensor(NamedTuple):
@@ -25,17 +25,17 @@ class LongSensor(NamedTuple):
 
     job: Job
     sensor: Sensor
-    recipe: str  # the text of its recipe, fitted to its channels
+    recipe: str  # the text of the recipe, fitted to the sensor's channels
     causal: bool  # whether estimates use only the past
-    known: ParsedSource  # its channels, clock and number of rows
+    parsed_source: ParsedSource  # the channels, the clock and the number of rows
     files: tuple[OutputFile, ...]  # the output files, one for each input file, in order
-    staged: str  # the staging folder of its output
-    hashed: str  # the hash of its input
+    staged: str  # path of the staging folder for the output
+    hashed: str  # the hash of the input
     cuts: tuple[int, ...]  # the first row of each stretch, and the number of rows
-    first: tuple[float, ...]  # the first usable reading of each channel
-    extremes: tuple[Extremes, ...]  # in the order of rows; () if the files do not have them
-    notes: tuple[str, ...]  # sentences about its files and clock
-    took_s: float  # the time of the survey, in seconds
+    first: tuple[float, ...]  # the first usable reading of each channel; NaN if there is none
+    extremes: tuple[Extremes, ...]  # in the order of rows; () if the files have no statistics
+    notes: tuple[str, ...]  # sentences about the files and the clock, for the report
+    took_s: float  # the duration of the survey, in seconds
 
 
 class TaskStretch(NamedTuple):
@@ -44,4 +44,4 @@ class TaskStretch(NamedTuple):
     number: int  # index among the stretches of the sensor
     first: int  # first row
     stop: int  # row after the last
-    state: State | None = None  # the filters' state after the rows before it, if that is known
+    state: State | None = None  # the filters' state before the first row; None to find it by a warm-up

@@ -1,4 +1,4 @@
-"""Compute the rows that filters need before and after a stretch, until their initial state no longer matters."""
+"""Compute how many rows filters need before and after a stretch, so that their initial state no longer matters."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from becalm.files.shared_source import SharedSource
 from becalm.native.scans import REACH
 
 TIMES = 16
-"""Warm-up of a causal filter, as a multiple of the readings after which 1e-13 of its initial state is left.
+"""Warm-up of a causal filter, in multiples of the readings after which its initial state has decayed to 1e-13.
 
 After this warm-up, the states of two filters with different initial states are bitwise equal.
 """
 
 SMOOTHED_TIMES = 2
-"""The same for a smoother, on each side of a stretch; its estimates must be right to 1e-10 only."""
+"""The same multiple for a smoother, on each side of a stretch; its estimates must be right only to 1e-10."""
 
-_GATED = 1024  # additional readings for a gate, which reconsiders the readings that it rejected in succession
+_GATED = 1024  # additional readings for a gate: it may reconsider the readings of a series that it rejected
 
 
 class Margin(NamedTuple):
     """The rows that filters need on each side of a stretch."""
 
-    readings: float  # least readings of each filtered channel, and least time in steps; inf if no number is enough
-    aligned: int  # filters must begin at a multiple of this many rows
+    readings: float  # least number of readings of each filtered channel, and of time steps; inf if no number is enough
+    aligned: int  # the row at which filters start must be a multiple of this number
 
 
 def margin_of(recipe: Recipe, step_s: float) -> Margin:
@@ -40,20 +40,20 @@ def margin_of(recipe: Recipe, step_s: float) -> Margin:
     Raises
     ------
     RecipeError
-        If a channel's settings do not make a valid filter at this step.
+        If a channel's settings do not give a valid filter at this sampling interval.
     """
     lag = None if recipe.mode == "smoothed" else 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
     filters = [Filter(channel, step_s, lag) for channel in recipe.channel if channel.motion is not None]
     times = TIMES if lag == 0 else SMOOTHED_TIMES
-    readings = max((times * one.forgotten_after + _GATED * (one.gate is not None) for one in filters), default=0.0)
-    aligned = int(np.lcm.reduce([BLOCK, *(one.aligned for one in filters)]))
+    readings = max((times * one.readings_to_forget + _GATED * (one.gate is not None) for one in filters), default=0.0)
+    aligned = int(np.lcm.reduce([BLOCK, *(one.row_multiple for one in filters)]))
     return Margin(readings, aligned)
 
 
 def warm_up_start(source: SharedSource, recipe: Recipe, margin: Margin, first: int, most: int) -> int | None:
-    """Return the row at which to begin, so that each filtered channel has enough readings before `first`.
+    """Return the row at which a warm-up starts, so that each filtered channel has enough readings before `first`.
 
-    Return None if that takes more than `most` rows.
+    Return None if the warm-up needs more than `most` rows.
     """
     rows = int(margin.readings) + BLOCK + REACH
     while rows <= most:
@@ -66,11 +66,11 @@ def warm_up_start(source: SharedSource, recipe: Recipe, margin: Margin, first: i
     return None
 
 
-def ended(source: SharedSource, recipe: Recipe, margin: Margin, span: tuple[int, int], most: int) -> int | None:
-    """Return the row at which to stop, so that each filtered channel has enough readings after a stretch.
+def margin_end(source: SharedSource, recipe: Recipe, margin: Margin, span: tuple[int, int], most: int) -> int | None:
+    """Return the row before which to stop, so that each filtered channel has enough readings after a stretch.
 
-    `span` is the row after the stretch, and the number of rows of the sensor. Return None if more than `most` rows are
-    needed.
+    `span` has two values: the row after the stretch, and the number of rows of the sensor. Return None if the margin
+    needs more than `most` rows.
     """
     stop, last = span
     rows = int(margin.readings) + BLOCK + REACH
@@ -84,7 +84,7 @@ def ended(source: SharedSource, recipe: Recipe, margin: Margin, span: tuple[int,
 
 
 def _is_long(source: SharedSource, recipe: Recipe, margin: Margin, first: int, stop: int) -> bool:
-    """Return whether the rows from `first` to before `stop` have the readings and the time of a margin."""
+    """Return whether the rows from `first` up to, not including, `stop` have the readings and steps of a margin."""
     counts, steps = np.zeros(len(recipe.channel), np.int64), 0.0
     for chunk in source.chunks(first, stop, stop - first):
         counts += _readings(columns_of(chunk, recipe))

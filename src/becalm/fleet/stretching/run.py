@@ -1,4 +1,4 @@
-"""Clean one stretch in a task: warm up on the rows before it, write it, and return the states at its seams."""
+"""Clean one stretch in a task: warm up on the rows before it, write its estimates, and return the values to compare."""
 
 from __future__ import annotations
 
@@ -18,44 +18,46 @@ from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
 from becalm.core.reading_verdicts import Verdict, counted
 from becalm.core.snapshot_bytes import packed, unpacked
-from becalm.files.chunked_cleaning import CleanChunk, answered, rows_of_chunks
+from becalm.files.chunked_cleaning import CleanChunk, iter_clean_chunks, rows_of_chunks
 from becalm.files.opening import select_table
-from becalm.files.read_options import asked_by
+from becalm.files.read_options import options_of_recipe
 from becalm.files.shared_source import SharedSource
 from becalm.fleet.pieces import OutputFile, Pieces
 from becalm.fleet.sensor_cleaning import metadata_of
 from becalm.fleet.stretching.long_sensor import LongSensor, State, TaskStretch
-from becalm.fleet.stretching.margins import ended, margin_of, warm_up_start
+from becalm.fleet.stretching.margins import margin_end, margin_of, warm_up_start
 
 OVERLAP = 64
-"""Largest number of rows that are compared where two smoothed stretches meet."""
+"""Largest number of rows that are compared at the seam of two smoothed stretches."""
 
 Write = Callable[[CleanChunk], None]
 
 
 class Seams(NamedTuple):
-    """The values that are compared where a stretch meets its neighbours."""
+    """The values of a stretch that are compared with those of the stretches before and after it."""
 
-    start: State | None = None  # comparable states of causal filters before the stretch
-    end: State | None = None  # the same after the stretch
-    left: State | None = None  # complete states after the stretch, from which the next one can run
-    alive: tuple[bool, ...] = ()  # for each channel, whether the phase of its dead-sensor window does not matter
-    head: Floats | None = None  # (m, 2, n) smoothed signal and sigma of its first rows, n <= OVERLAP
-    beyond: Floats | None = None  # the same for the first rows after it
+    start: State | None = None  # causal filters: their comparable states before the stretch
+    end: State | None = None  # causal filters: their comparable states after the stretch
+    complete_end: State | None = None  # complete states after the stretch, from which the next stretch can run
+    alive: tuple[bool, ...] = ()  # for each channel, whether to ignore the phase of its dead-sensor window
+    first_rows: Floats | None = None  # smoothers: (m, 2, n) signal and sigma of the stretch's first rows, n <= OVERLAP
+    next_rows: Floats | None = None  # smoothers: the same for the first rows after the stretch
 
 
 class StretchEstimates(NamedTuple):
-    """The result of a stretch, without its estimates, which are in files."""
+    """The result of a stretch; its estimates are in files."""
 
     stretch: TaskStretch
-    seams: Seams | None = None  # None if the rows around the stretch are too few to warm up its filters
+    seams: Seams | None = None  # None if there are too few rows around the stretch to warm up the filters
     reports: tuple[ChannelReport, ...] = ()
-    counts: tuple[dict[Verdict, int], ...] = ()  # for each channel, how often each verdict was written
-    pieces: tuple[OutputFile, ...] = ()
+    counts: tuple[dict[Verdict, int], ...] = ()  # for each channel, the number of rows with each verdict
+    pieces: tuple[OutputFile, ...] = ()  # the files that were written
     took_s: float = 0.0
 
 
 class _Work(NamedTuple):
+    """A stretch that is being cleaned."""
+
     long: LongSensor
     stretch: TaskStretch
     recipe: Recipe
@@ -68,7 +70,7 @@ class _Work(NamedTuple):
 
     @property
     def is_last(self) -> bool:
-        return self.stretch.stop == self.long.known.rows
+        return self.stretch.stop == self.long.parsed_source.rows
 
 
 def run_stretch(long: LongSensor, stretch: TaskStretch) -> StretchEstimates:
@@ -79,7 +81,7 @@ def run_stretch(long: LongSensor, stretch: TaskStretch) -> StretchEstimates:
     long : LongSensor
         The sensor.
     stretch : TaskStretch
-        The rows, and perhaps the filters' state after the rows before them.
+        The rows to clean, and the filters' state before them, if known.
 
     Raises
     ------
@@ -88,7 +90,7 @@ def run_stretch(long: LongSensor, stretch: TaskStretch) -> StretchEstimates:
     """
     began = monotonic()
     recipe = Recipe.from_toml(long.recipe)
-    source = _reopened(long, recipe)
+    source = _reopen(long, recipe)
     work = _Work(long, stretch, recipe, source, rows_of_chunks(source, len(recipe.channel)))
     counts = [Counter[Verdict]() for _ in recipe.channel]
     pieces = pieces_of(long.files, stretch)
@@ -109,7 +111,7 @@ def run_stretch(long: LongSensor, stretch: TaskStretch) -> StretchEstimates:
 
 
 def pieces_of(files: tuple[OutputFile, ...], stretch: TaskStretch) -> list[OutputFile]:
-    """Return the files that a stretch writes: one for each input file, or part of an input file, with rows of it."""
+    """Return the files that a stretch writes: one for each input file with rows of the stretch."""
     pieces, begins = list[OutputFile](), accumulate((file.rows for file in files), initial=0)
     for (name, rows), begin in zip(files, begins, strict=False):
         first, stop = max(begin, stretch.first), min(begin + rows, stretch.stop)
@@ -121,18 +123,18 @@ def pieces_of(files: tuple[OutputFile, ...], stretch: TaskStretch) -> list[Outpu
     return pieces
 
 
-def _reopened(long: LongSensor, recipe: Recipe) -> SharedSource:
+def _reopen(long: LongSensor, recipe: Recipe) -> SharedSource:
     job, sensor = long.job, long.sensor
-    options = asked_by(recipe, job.another)
+    options = options_of_recipe(recipe, job.tune_command)
     raw, _ = select_table(job.input_of(sensor), job.tables_of(sensor), options)
-    return SharedSource(raw, long.known)
+    return SharedSource(raw, long.parsed_source)
 
 
 def _causal(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelReport, ...]]:
     start, left = None, None
     if not work.is_first:
         with Cleaner(work.recipe, work.source.clock.step_s) as before:
-            if not _warmed_up(work, before):
+            if not _warm_up(work, before):
                 return None, ()
             start, left = before.comparable_state(), before.saved()
         if start is None or left is None:
@@ -141,14 +143,15 @@ def _causal(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRepor
         if left is not None:
             own.restore(left)
         _, first, stop, _ = work.stretch
-        for answer in answered(own, work.recipe, work.source.chunks(first, stop, work.rows), ends=work.is_last):
+        chunks = work.source.chunks(first, stop, work.rows)
+        for answer in iter_clean_chunks(own, work.recipe, chunks, ends=work.is_last):
             write(answer)
-        seams = Seams(_packed(start), _packed(own.comparable_state()), _packed(own.saved()), tuple(own.surely_alive()))
+        seams = Seams(_pack(start), _pack(own.comparable_state()), _pack(own.saved()), tuple(own.surely_alive()))
         return seams, own.reports()
 
 
-def _warmed_up(work: _Work, cleaner: Cleaner) -> bool:
-    """Bring filters into their state before a stretch; return whether the rows before it are enough."""
+def _warm_up(work: _Work, cleaner: Cleaner) -> bool:
+    """Set filters to their state before a stretch; return False if there are too few rows before it for a warm-up."""
     if work.stretch.state is not None:
         cleaner.restore([unpacked(blob) for blob in work.stretch.state])
         return True
@@ -158,7 +161,7 @@ def _warmed_up(work: _Work, cleaner: Cleaner) -> bool:
         return False
     if begin:
         cleaner.set_history(_histories(work, begin))
-    for _ in answered(cleaner, work.recipe, work.source.chunks(begin, first, work.rows), ends=False):
+    for _ in iter_clean_chunks(cleaner, work.recipe, work.source.chunks(begin, first, work.rows), ends=False):
         pass
     return True
 
@@ -167,7 +170,7 @@ def _smoothed(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRep
     margin, (_, first, stop, _) = margin_of(work.recipe, work.source.clock.step_s), work.stretch
     most = 2 * (stop - first)
     begin = warm_up_start(work.source, work.recipe, margin, first, most)
-    end = ended(work.source, work.recipe, margin, (stop, work.long.known.rows), most)
+    end = margin_end(work.source, work.recipe, margin, (stop, work.long.parsed_source.rows), most)
     if begin is None or end is None:
         return None, ()
     heads, tails = list[CleanChunk](), list[CleanChunk]()
@@ -176,24 +179,24 @@ def _smoothed(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRep
             own.set_history(_histories(work, begin))
         spans = (begin, first), (first, stop), (stop, end)
         chunks = chain.from_iterable(work.source.chunks(*span, work.rows) for span in spans if span[0] < span[1])
-        for answer in answered(own, work.recipe, chunks):
+        for answer in iter_clean_chunks(own, work.recipe, chunks):
             if first <= answer.chunk.first_row < stop:
                 write(answer)
                 heads += [answer] * (not heads)
             elif answer.chunk.first_row >= stop:
                 tails += [answer] * (not tails)
-        return Seams(head=_overlap(heads), beyond=_overlap(tails)), own.reports()
+        return Seams(first_rows=_overlap(heads), next_rows=_overlap(tails)), own.reports()
 
 
 def _overlap(answers: list[CleanChunk]) -> Floats | None:
-    """Return signal and sigma of the first rows of each channel, (m, 2, n); None if there are no rows."""
+    """Return signal and sigma of the first rows of each channel, (m, 2, n); None if there is no chunk."""
     if not answers:
         return None
     return np.array([[one.signal[:OVERLAP], one.sigma[:OVERLAP]] for one in answers[0].estimates])
 
 
 def _histories(work: _Work, begin: int) -> list[History]:
-    """Return each channel's history before the row at which the warm-up of a stretch begins."""
+    """Return each channel's history before row `begin`, at which a warm-up starts."""
     earlier = [one for one in work.long.extremes if one.row <= begin]
     steps = work.source.steps_before(begin)
     nothing = (np.inf,) * len(work.recipe.channel)
@@ -205,5 +208,5 @@ def _histories(work: _Work, begin: int) -> list[History]:
     ]
 
 
-def _packed(arrays: list[dict[str, Floats]] | None) -> State | None:
+def _pack(arrays: list[dict[str, Floats]] | None) -> State | None:
     return None if arrays is None else tuple(packed(own) for own in arrays)

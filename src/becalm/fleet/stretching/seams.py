@@ -1,8 +1,8 @@
-"""Compare the filters' states where two stretches meet. If they differ, the later stretch runs again.
+"""Compare the filters' states at the seam of two stretches. If the states differ, the later stretch runs again.
 
-If every stretch starts in exactly the state in which the one before it ended, the output equals that of a single run,
-and does not depend on the cuts. Smoothed rows also depend on later rows, so smoothed stretches are compared in the rows
-where they overlap.
+If every stretch starts in exactly the state in which the stretch before it ended, the output equals that of a single
+run, and does not depend on the cuts. Smoothed estimates also depend on later rows; therefore smoothed stretches are
+compared by their estimates in the rows where they overlap.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from becalm.fleet.stretching.long_sensor import State, TaskStretch
 from becalm.fleet.stretching.run import StretchEstimates
 
 SMOOTHED_TO = 1e-10
-"""Largest difference of two smoothed stretches, as a share of the channel's largest value in the compared rows."""
+"""Largest allowed difference of two smoothed stretches, relative to the channel's largest value in these rows."""
 
 
 def to_run_again(estimates: Sequence[StretchEstimates]) -> list[TaskStretch] | None:
@@ -32,24 +32,24 @@ def to_run_again(estimates: Sequence[StretchEstimates]) -> list[TaskStretch] | N
     Returns
     -------
     list of TaskStretch or None
-        The stretches that did not start in that state; None if the sensor cannot be cut, because rows at a seam still
-        wait for later ones.
+        The stretches that did not start in this state. None if the sensor cannot be cut, because estimates at a seam
+        still wait for later rows.
     """
     again = list[TaskStretch]()
     for before, now in pairwise(estimates):
         if before.seams is None:
             continue  # the earlier stretch runs again first
-        if before.seams.end is None or before.seams.left is None:
+        if before.seams.end is None or before.seams.complete_end is None:
             return None
         if now.seams is None or not _fits(before.seams.end, now.seams.start, now.seams.alive):
-            again.append(now.stretch._replace(state=before.seams.left))
+            again.append(now.stretch._replace(state=before.seams.complete_end))
     return again
 
 
 def overlaps_agree(estimates: Sequence[StretchEstimates]) -> bool:
     """Return whether smoothed stretches agree in the rows where they overlap."""
     return all(now.seams is not None for now in estimates) and all(
-        _agree(before.seams.beyond, now.seams.head)
+        _agree(before.seams.next_rows, now.seams.first_rows)
         for before, now in pairwise(estimates)
         if before.seams is not None and now.seams is not None
     )

@@ -1,4 +1,4 @@
-"""Survey a long sensor before it is cut in time: find its clock, its first readings, their range, and the cuts."""
+"""Survey a long sensor before it is cut in time: find its clock, first readings, range of readings, and the cuts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from becalm.cleaning.faults import SensorWatch
 from becalm.cleaning.filters import Filter
-from becalm.cleaning.limits_entry import rows_that_judge
+from becalm.cleaning.limits_entry import outlier_test_rows
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import judge
@@ -25,7 +25,7 @@ from becalm.fleet.sensor_cleaning import (
     finished,
     hash_of,
     notes_of,
-    opened,
+    open_sensor,
     refuse_foreign,
     refuse_on_error,
 )
@@ -33,11 +33,11 @@ from becalm.fleet.stretching.long_sensor import Extremes, LongSensor
 from becalm.fleet.stretching.margins import margin_of
 
 FEWEST = 4
-"""Smallest length of a stretch, in margins; for shorter ones the warm-up would cost too much."""
+"""Smallest length of a stretch, in margins; for shorter stretches the warm-up would take too long."""
 
 
 def survey(job: Job, sensor: Sensor) -> LongSensor | Outcome:
-    """Survey a sensor that is to be cut; clean any other one at once, and return its outcome.
+    """Return the description of a sensor that can be cut; clean any other sensor at once, and return its outcome.
 
     Parameters
     ----------
@@ -46,20 +46,20 @@ def survey(job: Job, sensor: Sensor) -> LongSensor | Outcome:
     sensor : Sensor
         A sensor that may be long.
     """
-    return refuse_on_error(sensor, lambda: _surveyed(job, sensor))
+    return refuse_on_error(sensor, lambda: _survey(job, sensor))
 
 
-def _surveyed(job: Job, sensor: Sensor) -> LongSensor | Outcome:
+def _survey(job: Job, sensor: Sensor) -> LongSensor | Outcome:
     if job.tables_of(sensor)[0].count < 2 * job.stretch_rows:
         return clean_whole(job, sensor)
     hashed = hash_of(job, sensor)
     if kept := finished(job, sensor, hashed):
         return kept
-    return _long(job, sensor, hashed) or clean_whole(job, sensor)
+    return _describe_long(job, sensor, hashed) or clean_whole(job, sensor)
 
 
-def _long(job: Job, sensor: Sensor, hashed: str) -> LongSensor | None:
-    began, parts = monotonic(), opened(job, sensor)
+def _describe_long(job: Job, sensor: Sensor, hashed: str) -> LongSensor | None:
+    began, parts = monotonic(), open_sensor(job, sensor)
     with parts.source as source:
         margin = margin_of(parts.recipe, source.clock.step_s)
         length = max(job.stretch_rows, int(min(FEWEST * margin.readings, source.rows)))
@@ -73,7 +73,7 @@ def _long(job: Job, sensor: Sensor, hashed: str) -> LongSensor | None:
             sensor=sensor,
             recipe=parts.recipe.to_toml(),
             causal=parts.recipe.mode == "causal",
-            known=parse_source(source, staged / "stamps"),
+            parsed_source=parse_source(source, staged / "stamps"),
             files=parts.pieces,
             staged=str(staged),
             hashed=hashed,
@@ -86,27 +86,29 @@ def _long(job: Job, sensor: Sensor, hashed: str) -> LongSensor | None:
 
 
 def _cuts(rows: int, length: int) -> tuple[int, ...]:
-    """Return the first row of each stretch, and the number of rows; the last stretch takes the remainder."""
+    """Return the first row of each stretch, followed by the number of rows; the last stretch may be longer."""
     return (*range(0, rows - length + 1, length), rows)
 
 
 def _first_readings(parts: OpenedSensor) -> tuple[float, ...]:
-    """Return the first reading of each channel that its filter may use; NaN if there is none."""
+    """Return, for each channel, the first reading that its filter may use; NaN if there is none."""
     step_s, channels = parts.source.clock.step_s, parts.recipe.channel
     first = np.full(len(channels), np.nan)
-    lag = None if parts.recipe.mode == "smoothed" else 0  # sensors with a lag are never cut
-    ahead = [0 if one.motion is None else rows_that_judge(one.limits, lag) for one in channels]
-    watches = [SensorWatch(channels[c].limits, step_s, shown=False, ahead=ahead[c]) for c in range(len(channels))]
+    lag = None if parts.recipe.mode == "smoothed" else 0  # recipes with a lag are never cut
+    ahead = [0 if one.motion is None else outlier_test_rows(one.limits, lag) for one in channels]
+    watches = [
+        SensorWatch(channels[c].limits, step_s, has_innovations=False, ahead=ahead[c]) for c in range(len(channels))
+    ]
     largest = [_largest(channel, step_s) for channel in channels]
     for chunk in parts.source.chunks(rows_of_chunks(parts.source, len(channels))):
         for c, column in enumerate(columns_of(chunk, parts.recipe)):
             readings, _ = watches[c].push(column, chunk.elapsed_steps)
             if np.isnan(first[c]):
-                first[c] = _first(judge(readings, largest[c]).readings)
+                first[c] = _first_finite(judge(readings, largest[c]).readings)
         if not np.isnan(first).any():
             break
     for c in np.flatnonzero(np.isnan(first)).tolist():
-        first[c] = _first(judge(watches[c].finish()[0], largest[c]).readings)
+        first[c] = _first_finite(judge(watches[c].finish()[0], largest[c]).readings)
     return tuple(first.tolist())
 
 
@@ -114,13 +116,13 @@ def _largest(channel: ChannelRecipe, step_s: float) -> float:
     return np.inf if channel.motion is None else Filter(channel, step_s, 0).largest
 
 
-def _first(readings: Floats) -> float:
+def _first_finite(readings: Floats) -> float:
     finite = np.flatnonzero(np.isfinite(readings))
     return float(readings[finite[0]]) if len(finite) else np.nan
 
 
 def _extremes(parts: OpenedSensor) -> tuple[Extremes, ...]:
-    """Return the range of the readings to the end of each row group, from the files; () if statistics are absent."""
+    """Return the range of readings up to the end of each row group, from file statistics; () if these are absent."""
     extremes, row, names = [], 0, [channel.name for channel in parts.recipe.channel]
     for path in parts.paths:
         with pq.ParquetFile(path) as file:
@@ -132,15 +134,15 @@ def _extremes(parts: OpenedSensor) -> tuple[Extremes, ...]:
                 return ()
             row += group.num_rows
             extremes.append(Extremes(row, tuple(one.min for one in ranges), tuple(one.max for one in ranges)))
-    return tuple(accumulate(extremes, _joined))
+    return tuple(accumulate(extremes, _join_extremes))
 
 
 def _is_of_numbers(stored: pq.Statistics) -> bool:
-    """Return whether statistics contain the range of a column's numbers; text has another order."""
+    """Return whether statistics contain the range of a column of numbers; for a column of text they do not."""
     return bool(stored.has_min_max and isinstance(stored.min, int | float))
 
 
-def _joined(one: Extremes, other: Extremes) -> Extremes:
+def _join_extremes(one: Extremes, other: Extremes) -> Extremes:
     return Extremes(
         other.row,
         tuple(map(min, one.least, other.least)),

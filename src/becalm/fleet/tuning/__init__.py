@@ -1,4 +1,4 @@
-"""Tune recipes for a lake: one for each class of its sensors. Report the sensors that differ from their class."""
+"""Tune one recipe for each class of a lake's sensors, and report the sensors that differ from their class."""
 
 from becalm.fleet.tuning.lake import LakeTuningOptions, TunedLake, tune
 

@@ -1,9 +1,9 @@
 """Describe in words how a sensor differs from its class.
 
 A channel differs from its class if its noise is an outlier (`fleet.class_outliers`), or if the class's recipe does not
-describe it but describes most others. A recipe describes a channel if the verdict is "fits" or "fits except" and the
-mean NIS is within a factor of two of 1. A different order or process noise alone is not a reason, because the class's
-recipe may describe the channel as well; it is mentioned only together with a reason.
+describe the channel, but describes most others. A recipe describes a channel if the verdict is "fits" or "fits except",
+and the mean NIS is within a factor of two of 1. A different order or process noise alone is not a reason, because the
+class's recipe may still describe the channel; such a difference is mentioned only together with a reason.
 """
 
 from __future__ import annotations
@@ -13,39 +13,40 @@ from collections.abc import Mapping, Sequence
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.fleet.class_outliers import FACTOR, factors_apart, times
 from becalm.fleet.outcome import Outcome
-from becalm.fleet.tuning.class_recipe import Typical, channels_by_key
+from becalm.fleet.tuning.class_recipe import ClassRecipe, channels_by_key
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 from becalm.report.fleet_order import DOUBTFUL
 from becalm.report.fleet_rows import FleetRow
 
-_STRONGER = 3.0  # smallest ratio of process noise densities that is mentioned; estimates of them scatter
+_STRONGER = 3.0  # smallest ratio of process noise densities that is mentioned; estimates of a density scatter
 
-Key = tuple[str, str]  # a sensor, and a channel of it
+Key = tuple[str, str]  # name of a sensor, and of one of its channels
 
 
 def is_described(row: FleetRow) -> bool:
-    """Return whether a recipe describes a channel, and its sigma is right to within a factor of the root of two."""
+    """Return whether a recipe describes a channel, and its sigma is right to within a factor of sqrt(2)."""
     return row.verdict in ("fits", "fits except") and 1 / DOUBTFUL <= (row.health or 0.0) <= DOUBTFUL
 
 
 def reasons(
-    found: Sequence[SensorTuning], class_recipe: Typical | None, judged: Mapping[str, Outcome]
+    found: Sequence[SensorTuning], class_recipe: ClassRecipe | None, judged: Mapping[str, Outcome]
 ) -> dict[Key, str]:
-    """Return the reason, as a sentence, for each sensor and channel that differs from its class.
+    """Return, by sensor and channel, a sentence on how each channel that differs from its class differs.
 
     Parameters
     ----------
     found : sequence of SensorTuning
         The sensors of the class that could be tuned.
-    class_recipe : Typical or None
-        The recipe of the class.
+    class_recipe : ClassRecipe or None
+        The recipe of the class; None if it has none.
     judged : mapping of str to Outcome
-        The outcome of that recipe on each sensor, by name.
+        The outcome of the class's recipe on each sensor, by the sensor's name.
     """
     if class_recipe is None:
         why = "Its class has no recipe: more than half of its sensors have no channel in common."
         return {(channel.sensor, channel.recipe.name): why for one in found for channel in one.channels}
-    decided = {one.name: one for one in class_recipe.recipe.channel}  # by name, for channels in any unit
+    # Channels are matched by name only, so that a channel in another unit is compared too.
+    decided = {one.name: one for one in class_recipe.recipe.channel}
     rows = rows_by_key(judged)
     whys: dict[Key, str] = {}
     for (name, _), channels in channels_by_key(found).items():
@@ -57,7 +58,7 @@ def reasons(
 
 
 def rows_by_key(judged: Mapping[str, Outcome]) -> dict[Key, FleetRow]:
-    """Return the rows of the report by sensor and channel, for the sensors on which the recipe runs."""
+    """Return the rows of the report, by sensor and channel, of all sensors that were not refused."""
     run = [outcome for outcome in judged.values() if outcome.state != "refused"]
     return {(row.sensor, row.channel): row for outcome in run for row in outcome.channels}
 
@@ -75,12 +76,12 @@ def _not_run(one: SensorTuning, reason: str) -> dict[Key, str]:
 def _of_channel(
     channels: Sequence[TunedChannel], decided: ChannelRecipe, rows: Mapping[Key, FleetRow]
 ) -> dict[Key, str]:
-    """Return the reason for each sensor whose channel differs from that of its class."""
+    """Return, for one channel, the reason for each sensor that differs from its class."""
     moving = [channel for channel in channels if channel.moves]
     factors = factors_apart([channel.recipe.noise_std or 0.0 for channel in moving])
     judged = [rows.get((channel.sensor, channel.recipe.name)) for channel in moving]
     described = [is_described(row) for row in judged if row is not None]
-    usable = 2 * sum(described) > len(described)  # otherwise the recipe is wrong, not the sensors
+    usable = 2 * sum(described) > len(described)  # otherwise the recipe is at fault
     whys = {}
     for channel, factor, row in zip(moving, factors, judged, strict=True):
         parts = [] if factor is None else [f"its noise is {times(factor)} that of its class"]
@@ -92,7 +93,7 @@ def _of_channel(
 
 
 def _not_described(channel: TunedChannel, decided: ChannelRecipe, row: FleetRow, *, with_noise: bool) -> str:
-    """Return a clause that the recipe of its class does not describe a channel, and how its own recipe differs."""
+    """Return a clause: the class's recipe does not describe a channel, whose own recipe differs in these details."""
     nis = [] if row.health is None else [f"NIS {row.health:.2g}"]
     own = [] if channel.fits else ["its own does not either"]
     details = ", ".join([*nis, *_differing(channel.recipe, decided, with_noise=with_noise), *own])
@@ -100,7 +101,7 @@ def _not_described(channel: TunedChannel, decided: ChannelRecipe, row: FleetRow,
 
 
 def _differing(own: ChannelRecipe, decided: ChannelRecipe, *, with_noise: bool) -> list[str]:
-    """Return phrases on how the recipe of a sensor differs from that of its class."""
+    """Return phrases on how a channel's own recipe differs from the recipe of its class."""
     if own.unit != decided.unit:
         return []
     if own.order != decided.order:

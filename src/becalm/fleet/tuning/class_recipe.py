@@ -1,12 +1,17 @@
-"""Make the recipe of a class: copy each channel from its most typical sensor, so that it fits at least that one.
+"""Make the recipe of a class. Each channel is copied from the most typical sensor, so that it fits at least this one.
 
-The rule. A class's recipe has the channels, by name and unit, that more than half of its tuned sensors have. The
-candidates for a channel are the sensors whose own filter describes it; if there are none, those that have a filter; if
-there are none either, all, and the channel passes unchanged. Only candidates with the most frequent order stay, and of
-these only those with the most frequent combination of modes, tones, coloured noise and gate. The most typical one is
-their medoid: the one with the least sum of distances to the others, in the logarithms of noise_std and
-process_noise_density. Its numbers are not averaged with those of others. Only the limits are joined, because they have
-to hold for all healthy sensors (`limits`).
+The recipe has the channels, by name and unit, that more than half of the tuned sensors of the class have. A channel is
+chosen in four steps:
+
+1. The candidates are the sensors whose own filter describes the channel. If there are none, they are the sensors that
+   filter the channel; if none does, they are all sensors, and the channel passes unchanged.
+2. Only candidates with the most frequent model and order remain.
+3. Of these, only candidates with the most frequent combination of modes, tones, coloured noise and gate remain.
+4. Of these, the medoid is copied: the sensor with the smallest sum of distances to the others, in the logarithms of
+   noise_std and process_noise_density.
+
+The numbers of several sensors are not averaged. Only the limits are joined, because they must hold for all healthy
+sensors (`limits`).
 """
 
 from __future__ import annotations
@@ -21,10 +26,10 @@ from becalm.cleaning.recipe import Recipe
 from becalm.fleet.tuning.limits import limits_of_class
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 
-_LEAST = float(np.finfo(np.float64).tiny)  # stands for a density of 0 in logarithms
+_LEAST = float(np.finfo(np.float64).tiny)  # replaces a density of 0, which has no logarithm
 
 
-class Typical(NamedTuple):
+class ClassRecipe(NamedTuple):
     """The recipe of a class.
 
     Attributes
@@ -32,15 +37,15 @@ class Typical(NamedTuple):
     recipe : Recipe
         The recipe.
     sensors : dict of str to str
-        The sensor that each channel's recipe was copied from, by name of the channel.
+        For each channel, by name, the sensor that its recipe was copied from.
     """
 
     recipe: Recipe
     sensors: dict[str, str]
 
 
-def typical(found: Sequence[SensorTuning]) -> Typical | None:
-    """Return the recipe of a class; None if no channel is common to more than half of its sensors.
+def make_class_recipe(found: Sequence[SensorTuning]) -> ClassRecipe | None:
+    """Return the recipe of a class; None if no channel occurs in more than half of its sensors.
 
     Parameters
     ----------
@@ -57,7 +62,7 @@ def typical(found: Sequence[SensorTuning]) -> Typical | None:
     alone = set(sensors.values()) == {chosen[0].sensor}
     origin = first.tuned_on if alone else first.tuned_on.model_copy(update={"sha256": ""})
     channels = tuple(channel.recipe for channel in chosen)
-    return Typical(first.model_copy(update={"tuned_on": origin, "channel": channels}), sensors)
+    return ClassRecipe(first.model_copy(update={"tuned_on": origin, "channel": channels}), sensors)
 
 
 def channels_by_key(found: Sequence[SensorTuning]) -> dict[tuple[str, str], list[TunedChannel]]:
@@ -76,7 +81,7 @@ def _typical_channel(channels: Sequence[TunedChannel]) -> TunedChannel:
 
 
 def alike_in(channels: Sequence[TunedChannel]) -> list[TunedChannel]:
-    """Return the candidates for the typical channel: those that fit, if any do, and have the most frequent traits."""
+    """Return the candidates for the typical channel: steps 1 to 3 of the module's docstring."""
     moving = [channel for channel in channels if channel.moves]
     left = [channel for channel in channels if channel.fits] or moving or list(channels)
     for trait in (_order, _components):
@@ -96,7 +101,7 @@ def _components(channel: TunedChannel) -> Hashable:
 
 
 def _most_frequent(channels: list[TunedChannel], trait: Callable[[TunedChannel], Hashable]) -> list[TunedChannel]:
-    """Return the channels with the most frequent trait; in a tie, the trait of the first channel counts."""
+    """Return the channels with the most frequent value of a trait; of equally frequent values, the first counts."""
     ((most, _),) = Counter(map(trait, channels)).most_common(1)
     return [channel for channel in channels if trait(channel) == most]
 
@@ -109,7 +114,7 @@ def _place(channel: TunedChannel) -> tuple[float, float]:
 
 
 def medoid(places: Sequence[tuple[float, float]]) -> int:
-    """Return the index of the place with the least sum of distances to all others; in a tie, the first."""
+    """Return the index of the point with the smallest sum of distances to all others; of equal sums, the first."""
     points = np.array(places)
     far = [float(np.hypot(*(points - point).T).sum()) for point in points]
     return int(np.argmin(far))

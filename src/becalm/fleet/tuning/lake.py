@@ -1,4 +1,4 @@
-"""Tune a lake: tune each sensor in a task, make a recipe for each class, and run it over the class's tuned sensors."""
+"""Tune a lake: tune each chosen sensor in a task, make a recipe for each class, and run it on the class's sensors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import FILE, FOLDER, places_in
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.output_lock import lock_output
-from becalm.fleet.sensor_cleaning import all_died
+from becalm.fleet.sensor_cleaning import report_lost_sensor
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.tuning.classes import MOST_SENSORS, Chosen, TunedClass, chosen_of
 from becalm.fleet.tuning.sensor import judge_sensor, tune_sensor
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _LOCK = ".lock"
 
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
-"""A function that runs another on each of several tasks and returns the results in their order, as `run_tasks`."""
+"""A function, such as `run_tasks`, that calls a function on each task and returns the results in the order of tasks."""
 
 
 class LakeTuningOptions(NamedTuple):
@@ -42,13 +42,13 @@ class LakeTuningOptions(NamedTuple):
     by : {"folder", "file"}
         What identifies a sensor.
     causal : bool
-        Whether recipes filter causally; if not, they smooth.
+        True for causal filters, false for smoothers.
     most_sensors : int
         Largest number of sensors to tune in each class.
     own : bool
-        Whether sensors that differ from their class get recipes of their own.
+        Whether to write a separate recipe for each sensor that differs from its class.
     replace : bool
-        Whether new recipes replace existing ones.
+        Whether new recipes may replace existing ones.
     """
 
     by: str = FOLDER
@@ -58,7 +58,7 @@ class LakeTuningOptions(NamedTuple):
     replace: bool = False
 
 
-NOTHING_ASKED = LakeTuningOptions()
+DEFAULT_OPTIONS = LakeTuningOptions()
 
 
 @dataclass(frozen=True)
@@ -83,18 +83,18 @@ class TunedLake:
     report: Path
 
 
-def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> TunedLake:
-    """Find a recipe for each class of a lake, and the sensors that differ from their class.
+def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOptions = DEFAULT_OPTIONS) -> TunedLake:
+    """Tune a recipe for each class of a lake, and find the sensors that differ from their class.
 
     Parameters
     ----------
     spark : SparkSession
-        The Spark to use. All its workers must have becalm installed, and see the lake under this path.
+        The Spark to use. On every worker, becalm must be installed, and the lake must have this path.
     lake : Path
         A folder of Parquet files, such as `kind=pump/sensor=17/date=2026-01-02/part-0.parquet`. It is only read.
     recipes : Path
-        A folder for the recipes, with the same layout as the lake: `kind=pump.toml`, and `default.toml` for sensors
-        that are in the lake itself. `report.html` and `sensors.jsonl` in this folder have the results.
+        The output folder. Recipes have the layout of the lake: `kind=pump.toml`, and `default.toml` for sensors that
+        are in no subfolder. `report.html` and `sensors.jsonl` contain the results.
     asked : LakeTuningOptions
         What identifies a sensor, which sensors are tuned, and how.
 
@@ -103,15 +103,15 @@ def tune(spark: SparkSession, lake: Path, recipes: Path, asked: LakeTuningOption
     InputError
         If the lake holds no sensor, cannot be read, or no sensor can be tuned.
     UsageError
-        If the folder overlaps the lake, or holds recipes and `replace` is false, or another job writes to it, or an
-        option is not valid.
+        If the output folder overlaps the lake, holds recipes although `replace` is false, or is in use by another job;
+        or if an option is not valid.
     OutputError
-        If the folder cannot be written.
+        If the output folder cannot be written.
     """
-    return tune_by(partial(run_tasks, spark, lost=all_died), lake, recipes, asked)
+    return tune_by(partial(run_tasks, spark, lost=report_lost_sensor), lake, recipes, asked)
 
 
-def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> TunedLake:
+def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = DEFAULT_OPTIONS) -> TunedLake:
     """Tune a lake as `tune` does, but run the tasks with the function `run`."""
     began, started = datetime.now(UTC), monotonic()
     lake, recipes = lake.resolve(), recipes.resolve()
@@ -119,7 +119,7 @@ def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTH
     make_folder(recipes)
     refuse_unwritable(recipes / REPORT)
     with lock_output(recipes, recipes / _LOCK):
-        classes = _judged(run, lake, asked.by, chosen, _tuned(run, lake, asked.causal, chosen))
+        classes = _judge_classes(run, lake, asked.by, chosen, _tune_sensors(run, lake, asked.causal, chosen))
         if not any(klass.found for klass in classes):
             first = classes[0].failed[0]
             raise InputError(f"No sensor of {lake} could be tuned; the first, {first.sensor}: {first.reason}")
@@ -130,7 +130,7 @@ def tune_by(run: Run, lake: Path, recipes: Path, asked: LakeTuningOptions = NOTH
         return TunedLake(tuple(classes), names, tuple(rows), recipes / REPORT)
 
 
-def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKED) -> list[Chosen]:
+def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = DEFAULT_OPTIONS) -> list[Chosen]:
     """Check the options, and return the classes of a lake with the sensors to tune in each.
 
     Raises
@@ -153,18 +153,20 @@ def chosen_in(lake: Path, recipes: Path, asked: LakeTuningOptions = NOTHING_ASKE
     return chosen_of(places_in(lake, asked.by), asked.most_sensors)
 
 
-def _tuned(run: Run, lake: Path, causal: bool, chosen: Sequence[Chosen]) -> list[TunedClass]:
-    """Tune the sensors of classes, and find the recipe of each class."""
+def _tune_sensors(run: Run, lake: Path, causal: bool, chosen: Sequence[Chosen]) -> list[TunedClass]:
+    """Tune the chosen sensors, and make the recipe of each class."""
     tasks = _longest_first([Sensor(place.name, place.bytes, "") for one in chosen for place in one.places])
     results = run(partial(tune_sensor, str(lake), causal), tasks)
     by_name = dict(zip((task.name for task in tasks), results, strict=True))
     return [TunedClass.of(one, by_name) for one in chosen]
 
 
-def _judged(run: Run, lake: Path, by: str, chosen: Sequence[Chosen], classes: Sequence[TunedClass]) -> list[TunedClass]:
-    """Run the recipe of each class over those of its sensors that could be tuned."""
+def _judge_classes(
+    run: Run, lake: Path, by: str, chosen: Sequence[Chosen], classes: Sequence[TunedClass]
+) -> list[TunedClass]:
+    """Run the recipe of each class on the tuned sensors of the class."""
     book = book_of(named_recipes(classes, own=False))
-    tuned = {one.sensor for klass in classes if klass.typical is not None for one in klass.found}
+    tuned = {one.sensor for klass in classes if klass.class_recipe is not None for one in klass.found}
     places = [place for one in chosen for place in one.places if place.name in tuned]
     tasks = _longest_first([Sensor(place.name, place.bytes, book.hash_for(place.name) or "") for place in places])
     outcomes: list[Outcome] = run(partial(judge_sensor, Job(str(lake), "", book.by_hash, by)), tasks)
@@ -173,5 +175,5 @@ def _judged(run: Run, lake: Path, by: str, chosen: Sequence[Chosen], classes: Se
 
 
 def _longest_first(sensors: Sequence[Sensor]) -> list[Sensor]:
-    """Return sensors sorted by size, the longest first, so that the job does not end with a long one."""
+    """Return sensors sorted by size, the largest first, so that no long task starts near the end of the job."""
     return sorted(sensors, key=lambda sensor: -sensor.bytes)

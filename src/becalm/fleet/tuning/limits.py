@@ -1,4 +1,4 @@
-"""Join the limits of a class's sensors: the limits of one sensor alone would report false faults in the others."""
+"""Join the limits of a class's sensors: with the limits of one sensor, the others would have false faults."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 from becalm.cleaning.recipe_parts import LimitsRecipe
 from becalm.fleet.tuning.sensor_tuning import TunedChannel
 
-_FEWEST_AT_A_RAIL = 2  # sensors that must reach a saturation limit of the class; one sensor may have a limit of its own
+_FEWEST_AT_A_RAIL = 2  # sensors that must reach a saturation limit of the class; a single one may be special
 _SAME = 1e-9  # relative difference at which two saturation limits, or resolutions, count as equal
 
 _Side = Literal["low", "high"]
@@ -20,16 +20,16 @@ def limits_of_class(alike: Sequence[TunedChannel], channels: Sequence[TunedChann
     """Return the limits of a channel of a class; None if its sensors have none.
 
     Most limits, such as the longest run of equal readings and the largest sum of innovations, come from the typical
-    sensors: if more than half of them have a limit, the class has its least strict value. The class has a saturation
-    limit if at least two sensors reached it and none exceeded it. It has a largest valid magnitude (`largest`) if one
-    sensor has one.
+    sensors: if more than half of these have a limit, the class gets the least strict of their values. The class has a
+    saturation limit if at least two sensors reached it and none exceeded it. It has a largest valid magnitude
+    (`largest`) if at least one sensor has one.
 
     Parameters
     ----------
     alike : sequence of TunedChannel
-        The channel of the sensors that are typical of the class; at least one.
+        This channel of each typical sensor (`class_recipe.alike_in`); at least one.
     channels : sequence of TunedChannel
-        The channel, of the same name and unit, of all sensors of the class.
+        This channel of each sensor of the class that has it, with the same name and unit.
     """
     own = [channel.recipe.limits for channel in alike if channel.recipe.limits is not None]
     every = [channel.recipe.limits for channel in channels if channel.recipe.limits is not None]
@@ -55,7 +55,7 @@ def limits_of_class(alike: Sequence[TunedChannel], channels: Sequence[TunedChann
     )
     readings = (limits.low, limits.high, limits.stuck_readings, limits.largest, limits.outlier_distance, limits.blank)
     nothing = readings == (None,) * len(readings)
-    return None if nothing else limits  # gap_steps or drift_threshold, for example, is not enough alone
+    return None if nothing else limits  # other limits, such as gap_steps, are not written alone
 
 
 def _least_strict(
@@ -66,13 +66,13 @@ def _least_strict(
 
 
 def _farthest(distances: Iterable[float]) -> float:
-    """Return the least strict distance from 0: 0 if there is one, because it rejects nothing; else the greatest."""
+    """Return the least strict distance from 0: 0 if it occurs, because 0 rejects nothing; else the greatest."""
     ordered = sorted(distances)
     return ordered[-1] if ordered[0] > 0 else 0.0
 
 
 def _same(values: Sequence[float | None]) -> float | None:
-    """Return the value that all have in common; None if one differs or is missing."""
+    """Return the common value of all; None if one differs or is missing."""
     present = [one for one in values if one is not None]
     same = len(present) == len(values) and all(math.isclose(one, present[0], rel_tol=_SAME) for one in present)
     return present[0] if present and same else None

@@ -1,4 +1,4 @@
-"""Tune one sensor in a task on a sample of its rows, and run its class's recipe over the same rows."""
+"""Tune one sensor in a task, on a sample of its rows; in a later task, run its class's recipe on the same rows."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from becalm.files.opening import OpenSource, open_source
 from becalm.files.portions import rows_to_tune_on
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import SHOWN, Outcome
-from becalm.fleet.sensor_cleaning import opened, refuse_on_error
+from becalm.fleet.sensor_cleaning import open_sensor, refuse_on_error
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 from becalm.report.fleet_rows import FleetRow, row_of
 
 
 def tune_sensor(lake: str, causal: bool, sensor: Sensor) -> SensorTuning | Outcome:
-    """Find the recipe of a sensor; an error is returned as the reason of a refusal, never raised.
+    """Tune the recipe of a sensor; after an error, return a refusal with the reason and raise nothing.
 
     Parameters
     ----------
     lake : str
         A folder that every worker sees under this path.
     causal : bool
-        Whether the recipe filters causally; if not, it smooths.
+        True for causal filters, false for smoothers.
     sensor : Sensor
         One sensor of the lake.
 
     Returns
     -------
     SensorTuning or Outcome
-        The outcome, with the reason, if the sensor could not be tuned.
+        The result; an Outcome with the reason if the sensor could not be tuned.
     """
-    return refuse_on_error(sensor, lambda: _tuned(Path(lake) / sensor.name, causal, sensor.name))
+    return refuse_on_error(sensor, lambda: _tune(Path(lake) / sensor.name, causal, sensor.name))
 
 
 def judge_sensor(job: Job, sensor: Sensor) -> Outcome:
-    """Run a recipe on the rows of a sensor that its own recipe was tuned on; nothing is raised or written.
+    """Run a recipe on the rows that the sensor's own recipe was tuned on; raise and write nothing.
 
     Parameters
     ----------
@@ -50,10 +50,10 @@ def judge_sensor(job: Job, sensor: Sensor) -> Outcome:
     sensor : Sensor
         One sensor of the lake.
     """
-    return refuse_on_error(sensor, lambda: _judged(job, sensor))
+    return refuse_on_error(sensor, lambda: _judge(job, sensor))
 
 
-def _tuned(place: Path, causal: bool, name: str) -> SensorTuning:
+def _tune(place: Path, causal: bool, name: str) -> SensorTuning:
     began = monotonic()
     with open_source(place) as source:
         sample = source.sample(rows_to_tune_on(source))
@@ -64,13 +64,13 @@ def _tuned(place: Path, causal: bool, name: str) -> SensorTuning:
 
 
 def _with_origin(recipe: Recipe, source: OpenSource) -> Recipe:
-    """Add to a recipe the hash of the file that it was tuned on, and the calibrations of its channels."""
+    """Return a recipe with the hash of the file that it was tuned on, and with the calibrations of its channels."""
     origin = recipe.tuned_on.model_copy(update={"sha256": source.sha256()})
     return recipe.model_copy(update={"tuned_on": origin, "channel": calibrated(recipe.channel, source.calibrations)})
 
 
-def _judged(job: Job, sensor: Sensor) -> Outcome:
-    began, parts = monotonic(), opened(job, sensor)
+def _judge(job: Job, sensor: Sensor) -> Outcome:
+    began, parts = monotonic(), open_sensor(job, sensor)
     with parts.source as source:
         sample = source.sample(rows_to_tune_on(source))
         rows = _rows(sensor.name, sample, parts.recipe, source.rate_hz, sensor.recipe[:SHOWN])

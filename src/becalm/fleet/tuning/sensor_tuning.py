@@ -1,4 +1,4 @@
-"""Hold the result of tuning one sensor, as its task returns it."""
+"""Define the result of tuning one sensor, which its task returns."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class TunedChannel(NamedTuple):
     recipe : ChannelRecipe
         The tuned recipe of the channel.
     row : FleetRow
-        The result of that recipe on the rows it was tuned on.
+        The result of this recipe on the rows that it was tuned on.
     lowest, highest : float
-        The range of its valid readings, in the channel's unit; NaN if it has none.
+        The range of the channel's valid readings, in its unit; NaN if there are none.
     """
 
     sensor: str
@@ -48,16 +48,16 @@ class TunedChannel(NamedTuple):
 
 @dataclass(frozen=True)
 class SensorTuning:
-    """A sensor that could be tuned.
+    """The result of tuning a sensor.
 
     Attributes
     ----------
     sensor : str
-        Its path within the lake.
+        The sensor's path within the lake.
     recipe : Recipe
-        The recipe, the same as `becalm tune` would make.
+        The tuned recipe; `becalm tune` makes the same one.
     channels : tuple of TunedChannel
-        The channels of the recipe, in their order.
+        The channels, in the order of the recipe.
     took_s : float
         Time that tuning took, in seconds.
     """

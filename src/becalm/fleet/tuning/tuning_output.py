@@ -1,4 +1,4 @@
-"""Write the results of tuning a lake: recipes of classes, perhaps of sensors, the details, and a report page."""
+"""Write the results of tuning a lake: recipes of classes and of single sensors, all results as JSON, and a report."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from becalm.report.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet_rows import FleetRow
 
 REPORT, SENSORS = "report.html", "sensors.jsonl"
-"""Names of the report page, and of the file with the results of each sensor."""
+"""File names of the report page, and of the results of each sensor."""
 
 
 def refuse_recipes(folder: Path) -> None:
@@ -28,7 +28,7 @@ def refuse_recipes(folder: Path) -> None:
     Raises
     ------
     UsageError
-        If it does.
+        If the folder holds a recipe.
     """
     if present := recipes_in(folder):
         raise UsageError(
@@ -38,43 +38,45 @@ def refuse_recipes(folder: Path) -> None:
 
 
 class NamedRecipe(NamedTuple):
-    """A recipe to write, and a sentence on the sensors that it comes from."""
+    """A recipe to write, and a sentence on the sensors that it was made from."""
 
     recipe: Recipe
     origin: str
 
 
 def named_recipes(classes: Sequence[TunedClass], *, own: bool) -> dict[str, NamedRecipe]:
-    """Return the recipes of classes, and perhaps of sensors, by the names that jobs look for.
+    """Return the recipes of classes, and with `own` of single sensors, by the names under which jobs search for them.
 
     Parameters
     ----------
     classes : sequence of TunedClass
-        The tuned classes; if `own`, their recipes must have been run over their sensors as well.
+        The tuned classes. With `own`, they need `judged`: the outcomes of each class's recipe.
     own : bool
-        Whether sensors that differ from their class have recipes of their own.
+        Whether to include the own recipe of each sensor that differs from its class.
     """
     sensors = {
         one.sensor: NamedRecipe(one.recipe, f"Recipe of {one.sensor}, which differs from its class.")
         for klass in classes
         for one in klass.found
-        if own and any((one.sensor, channel.recipe.name) in klass.unlike for channel in one.channels)
+        if own and any((one.sensor, channel.recipe.name) in klass.differences for channel in one.channels)
     }
     of_classes = {
-        klass.name: NamedRecipe(klass.typical.recipe, _origin(klass)) for klass in classes if klass.typical is not None
+        klass.name: NamedRecipe(klass.class_recipe.recipe, _origin(klass))
+        for klass in classes
+        if klass.class_recipe is not None
     }
     return sensors | of_classes  # if a sensor and a class have the same name, the class's recipe counts
 
 
 def book_of(named: Mapping[str, NamedRecipe]) -> RecipeBook:
-    """Return the recipes as a book, which jobs search for the recipe of a sensor."""
+    """Return the recipes as a book, in which a job finds the recipe of a sensor."""
     return RecipeBook({name: one.recipe.to_toml() for name, one in named.items()}, "What was tuned")
 
 
 def _origin(klass: TunedClass) -> str:
-    """Return a sentence about the sensors that the recipe of a class comes from."""
-    assert klass.typical is not None, "the class has no recipe"
-    sources = ", ".join(f"{channel} of {sensor}" for channel, sensor in klass.typical.sensors.items())
+    """Return a sentence on the sensors that the recipe of a class was made from."""
+    assert klass.class_recipe is not None, "the class has no recipe"
+    sources = ", ".join(f"{channel} of {sensor}" for channel, sensor in klass.class_recipe.sensors.items())
     return f"Recipe of the class {klass.name}, from {len(klass.found)} tuned sensors; the most typical: {sources}."
 
 
@@ -83,7 +85,7 @@ def write_found(
 ) -> list[FleetRow]:
     """Write recipes, the results of each sensor, and the page; return the rows of the page.
 
-    If there are new recipes, all older ones in the folder are removed; files that are not recipes stay.
+    If there are new recipes, all older recipes in the folder are removed; other files are not.
 
     Raises
     ------
@@ -116,19 +118,19 @@ def _commented(text: str) -> str:
 
 
 def _rows(klass: TunedClass, named: Mapping[str, NamedRecipe], book: RecipeBook) -> list[FleetRow]:
-    """Return the report's rows for the sensors of a class: the result of these recipes on the rows used for tuning."""
+    """Return the report's rows of a class: the results of the written recipes on the rows that were used for tuning."""
     rows = [row for outcome in klass.failed for row in outcome.channels]
     for one in klass.found:
         alone = one.sensor in named and named[one.sensor].recipe is one.recipe
         shown = (book.hash_for(one.sensor) or "")[:SHOWN]
         for channel in one.channels:
-            reason = klass.unlike.get((one.sensor, channel.recipe.name), "")
+            reason = klass.differences.get((one.sensor, channel.recipe.name), "")
             rows.append(replace(klass.row_of(channel, own=alone), recipe=shown, outlying=reason))
     return rows
 
 
 def values_of(classes: Sequence[TunedClass]) -> list[dict[str, Any]]:
-    """Return the results of all sensors as plain values; those that could not be tuned come first."""
+    """Return the results of all sensors as plain values; sensors that could not be tuned come first."""
     failed = [_of_sensor(klass, one.sensor, one.reason) for klass in classes for one in klass.failed]
     return failed + [_of_sensor(klass, one.sensor, "", one.channels) for klass in classes for one in klass.found]
 
@@ -139,7 +141,7 @@ def _of_sensor(klass: TunedClass, sensor: str, reason: str, channels: Sequence[T
 
 
 def _values(klass: TunedClass, channel: TunedChannel) -> dict[str, Any]:
-    """Return the results of a channel: with its own recipe, and with that of its class."""
+    """Return the results of a channel: with its own recipe, and with the recipe of its class."""
     own, row, by_class = channel.recipe, channel.row, klass.row_of(channel, own=False)
     return {
         "name": own.name,
@@ -152,5 +154,5 @@ def _values(klass: TunedClass, channel: TunedChannel) -> dict[str, Any]:
         "nis_mean": row.health,
         "class_verdict": by_class.verdict,
         "class_nis_mean": by_class.health,
-        "outlying": klass.unlike.get((channel.sensor, own.name), ""),
+        "outlying": klass.differences.get((channel.sensor, own.name), ""),
     }

@@ -101,8 +101,8 @@ def allan_deviation(
     Notes
     -----
     Each cluster time costs one pass over the record. The intervals are those of chi-square with the degrees of freedom
-    of NIST SP 1065, section 5.4, for the type of noise at that cluster time. Where a record has under 128 clusters, the
-    type is that of the longest cluster time with more, or white if there is none.
+    of NIST SP 1065, section 5.4, for the type of noise at that cluster time. At a cluster time with under 128 clusters,
+    the type is that of the longest cluster time with 128 or more, or white if there is none.
     """
     x = _column(readings)
     if not (SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
@@ -205,7 +205,7 @@ def _whole_steps(cluster_times_s: ArrayLike, rate_hz: float, count: int) -> Inte
 
 
 def _exponents(theta: Floats, absent: Integers, sizes: Integers) -> Integers:
-    """Return the noise exponent at each cluster size; where the clusters are too few, that of the size before."""
+    """Return the noise exponent at each cluster size; with too few clusters, it is that of the previous size."""
     exponent, exponents = 0, []
     for m in sizes:
         means = np.diff(theta[::m]) / m

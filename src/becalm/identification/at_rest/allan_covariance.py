@@ -1,8 +1,9 @@
 """Compute the covariance of Allan variances at several cluster times, for each kind of noise.
 
-Let c be the covariances of M_i second differences of theta over m_i readings with M_j of them over m_j readings. For
-Gaussian noise, the two Allan variances have the covariance 2 sum c^2 / (M_i M_j (2 m_i m_j)^2). All times are in steps,
-T = 1. Source: Greenhall and Riley, Uncertainty of stability variances based on finite differences, 35th PTTI (2003).
+Let c be the covariances of M_i second differences of theta over m_i readings with M_j second differences over m_j
+readings. For Gaussian noise, the two Allan variances have the covariance 2 sum c^2 / (M_i M_j (2 m_i m_j)^2). All times
+are in steps, T = 1. Source: Greenhall and Riley, Uncertainty of stability variances based on finite differences, 35th
+PTTI (2003).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def shapes(sizes: Floats | Integers) -> Floats:
     return np.stack([3 / m**2, 1 / m, np.full_like(m, FLICKER), m / 3 + 1 / (6 * m)], axis=-1)
 
 
-@lru_cache(maxsize=8)  # channels of one record share it
+@lru_cache(maxsize=8)  # the channels of one record share the result
 def spreads(sizes: tuple[int, ...], counts: tuple[int, ...]) -> Floats:
     """Return S (k, k, 4, 4) such that p' S[i, j] p is the covariance of two Allan variances.
 

@@ -50,7 +50,7 @@ class NoiseTerm:
     value : float
         The coefficient; NaN if this record does not determine it.
     standard_error : float
-        Standard error of the value, in its unit; NaN if the value is. It assumes that there are no other terms than
+        Standard error of the value, in its unit; NaN if the value is NaN. It assumes that there are no other terms than
         those found.
     limit : float
         One-sided 95 % upper bound of the coefficient by the normal approximation, also given where there is no value.
@@ -129,8 +129,8 @@ class NoiseTerms:
 
         Notes
         -----
-        Bias instability has no finite model and is not part of q. Where B is determined and K is not, q = 0 would trust
-        the bias for ever; (K's `limit`)^2 is the largest q that this record allows.
+        Bias instability has no finite model and is not part of q. If B is determined and K is not, q = 0 would keep
+        the bias constant for ever; (K's `limit`)^2 is the largest q that this record allows.
         """
         return _value(self.random_walk) ** 2
 
@@ -152,9 +152,9 @@ def noise_terms(curve: AllanCurve) -> NoiseTerms:
     Notes
     -----
     The weights come from the fitted variances, so that a variance that is low by chance does not get a large weight; 2
-    % of each variance is added as a model error. Every set of terms is fitted, and the likeliest is taken. Each term
-    must raise twice the log-likelihood by 9, as a term of three standard errors does. A steady drift looks like a
-    random walk: subtract it from the readings first, or leave it if the filter shall follow it.
+    % of each variance is added as a model error. Every set of terms is fitted, and the likeliest set is the result;
+    each of its terms must raise twice the log-likelihood by 9, as a term of three standard errors does. A steady drift
+    looks like a random walk: subtract it from the readings first, or leave it if the filter shall follow it.
     """
     if len(curve.deviation) < FEWEST_CLUSTER_TIMES:
         raise RecordingError(
@@ -222,7 +222,7 @@ class _Fit:
         return result
 
     def limit(self, squares: Floats, kept: list[int], term: int) -> float:
-        """Return the 95 % upper bound of the square of a term that is not kept, fitted together with the kept ones."""
+        """Return the 95 % upper bound of the square of a term that is not kept, fitted together with the kept terms."""
         columns = [*kept, term]
         sigma = np.sqrt(np.diag(self.covariance(squares)))
         weighted = self.shapes[:, columns] / sigma[:, np.newaxis]
@@ -241,14 +241,14 @@ def _units(step_s: float) -> Floats:
 
 
 def _determined(square: float, error: float) -> NoiseTerm:
-    """Return a term from the square of its coefficient, and the standard error of the square."""
+    """Return a term, given the square of its coefficient and the standard error of the square."""
     value = float(np.sqrt(square))
     relative = float(error / (2 * square))
     return NoiseTerm(value, relative * value, value * float(np.exp(_ONE_SIDED_95 * relative)))
 
 
 def _undetermined(term: int, square: float, longest: float) -> NoiseTerm:
-    """Return a term without a value, from the upper bound of its square."""
+    """Return a term without a value, given the upper bound of its square."""
     limit = float(np.sqrt(square))
     return NoiseTerm(np.nan, np.nan, limit, _REASONS[term].format(longest=longest))
 

@@ -137,7 +137,7 @@ def random_walk_of_stability(lowest_deviation: float, white: float) -> float:
     Notes
     -----
     White noise and a random walk alone have their lowest point at tau = sqrt(3) N / K, where sigma^2 = 2 N K / sqrt(3).
-    If there is a flat stretch between the two, the result is an upper bound of K.
+    If the curve has a flat stretch between the two, the result is an upper bound of K.
     """
     return float(np.sqrt(3) / 2 * _positive("lowest_deviation", lowest_deviation) ** 2 / _positive("white", white))
 
@@ -159,15 +159,15 @@ def noise_variance(white: float, rate_hz: float, bandwidth_hz: float = np.inf, p
     Raises
     ------
     UsageError
-        If a number is not positive, or the number of poles is another.
+        If a number is not positive, or `poles` is neither 1 nor 2.
 
     Notes
     -----
     Noise above half of the rate is aliased. For a filter slower than the sensor, the aliased density at low frequencies
     counts: R = N^2 rate times the sum of abs(H(k rate))^2 over k, here in closed form. R goes from N^2 rate, for a
-    bandwidth far below the rate, to 2 N^2 (noise bandwidth), for one far above it. In the first case the readings are
-    correlated, and their own variance `rms(...)^2` would be too small. A sensor whose bandwidth exceeds half of the
-    rate is noisier than n_d^2 rate / 2.
+    bandwidth far below the rate, to 2 N^2 (noise bandwidth), for a bandwidth far above it. In the first case the
+    readings are correlated, and their own variance `rms(...)^2` would be too small. A sensor whose bandwidth exceeds
+    half of the rate is noisier than n_d^2 rate / 2.
     """
     flat = _positive("white", white) ** 2 * _positive("rate_hz", rate_hz)
     _check_poles(poles)
@@ -195,7 +195,7 @@ def noise_bandwidth(bandwidth_hz: float, poles: int = 1) -> float:
     Raises
     ------
     UsageError
-        If the bandwidth is not positive, or the number of poles is another.
+        If the bandwidth is not positive, or `poles` is neither 1 nor 2.
     """
     _check_poles(poles)
     return float(_positive("bandwidth_hz", bandwidth_hz) * (np.pi / 2 if poles == 1 else np.pi / np.sqrt(8)))
@@ -216,7 +216,7 @@ def rms(white: float, bandwidth_hz: float, poles: int = 1) -> float:
     Raises
     ------
     UsageError
-        If a number is not positive, or the number of poles is another.
+        If a number is not positive, or `poles` is neither 1 nor 2.
     """
     return float(np.sqrt(2 * noise_bandwidth(bandwidth_hz, poles)) * _positive("white", white))
 
@@ -234,7 +234,7 @@ def white_noise_of_rms(value: float, bandwidth_hz: float, poles: int = 1) -> flo
     Raises
     ------
     UsageError
-        If a number is not positive, or the number of poles is another.
+        If a number is not positive, or `poles` is neither 1 nor 2.
     """
     return float(_positive("value", value) / np.sqrt(2 * noise_bandwidth(bandwidth_hz, poles)))
 
@@ -262,8 +262,8 @@ def quantisation_step(span: float, bits: int) -> float:
 def quantisation_variance(step: float) -> float:
     """Return the variance that rounding to `step`, in unit, adds to R: step^2 / 12, in unit^2.
 
-    The rounding error is white and uniform where the standard deviation of the other noise exceeds about half a step. A
-    record that stays at one value has no noise that could be averaged.
+    The rounding error is white and uniform where the standard deviation of the other noise exceeds about half a step.
+    In a constant record there is no noise to average, and the rounding error remains.
 
     Raises
     ------
@@ -291,6 +291,6 @@ def _checked(name: str, value: float, fits: bool, needed: str) -> float:
 
 
 def _check_poles(poles: int) -> None:
-    """Raise a UsageError if a sensor's own low-pass has another number of poles than 1 or 2."""
+    """Raise a UsageError if the number of poles of a sensor's own low-pass is neither 1 nor 2."""
     if poles not in (1, 2):
         raise UsageError(f"poles = {poles} is not supported; use 1, or 2 for a Butterworth low-pass.")

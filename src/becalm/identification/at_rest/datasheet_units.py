@@ -60,7 +60,7 @@ def reading_size(unit: str, reading_unit: str) -> float:
     Raises
     ------
     UsageError
-        If a unit is not in the table, or the two have different quantities.
+        If a unit is not in the table, or the units have different quantities.
     """
     return _size(unit, reading_unit, _READINGS)
 

@@ -1,7 +1,7 @@
-"""Find where a sensor is at rest, or take rests that a person names.
+"""Find where a sensor is at rest, or use the rests that a person names.
 
-A sensor at rest shows only its noise, and noise has two marks that need no unit and no datasheet: its power is
-constant, and it cannot be predicted.
+The readings of a sensor at rest are only noise, which two properties identify without units or a datasheet: its power
+is constant, and its past does not predict it.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ MOST_MISSING = 0.25
 _NORMAL_MAD = 1.4826  # standard deviation over median absolute deviation
 _WINDOW_S = 0.5  # length of a window, in seconds
 _BLOCKS = 8  # in a window
-_KEPT = 0.9  # share of a window's readings that set its power, without those farthest from its median: spikes
-_SPIKE = 4.0  # standard deviations of a window from its median to which readings are clipped
-_SIGMAS = 3.5  # standard deviations, by chance, by which the log power of a calm window may exceed the floor
+_KEPT = 0.9  # share of a window's readings, nearest to its median, that set its power; the others may be spikes
+_SPIKE = 4.0  # distance from a window's median, in standard deviations, to which readings are clipped
+_SIGMAS = 3.5  # standard deviations by which the log power of a calm window may exceed the floor by chance
 _WARMTH = 0.25  # change of the log power while a sensor warms up
 _ROUNDS = 8  # most iterations of the floor
-_DRIFT = 8 * _BLOCKS  # blocks through which a straight line is drift, not motion
+_DRIFT = 8 * _BLOCKS  # length, in blocks, of the pieces from which a straight line is subtracted as drift
 
 
 class Windows(NamedTuple):
@@ -50,9 +50,9 @@ class Windows(NamedTuple):
     hop : int
         Readings from one window to the next, half of a window.
     log_power : (W, m) float array
-        Logarithm of the mean square about the median, in unit^2, without the tenth of the readings farthest from it.
+        Logarithm of the mean square about the median, in unit^2, of the nine tenths of readings nearest to the median.
     chance : (W, m) float array
-        Standard deviation of `log_power` by chance, estimated from the powers of the window's eight blocks.
+        Standard deviation of `log_power` due to chance, estimated from the powers of the window's eight blocks.
     means : (W, 8, m) float array
         Means of the blocks, in unit.
     sound : (W,) bool array
@@ -79,12 +79,12 @@ class Windows(NamedTuple):
         sound &= (_slope_power(means) <= np.exp(log_power)).all(axis=1)
         return cls(hop, log_power, chance, means, sound)
 
-    def calm(self, lasting: int) -> Booleans:
-        """Return which windows (W,) are as quiet, in all channels, as the quietest `lasting` windows in a row."""
+    def calm(self, count: int) -> Booleans:
+        """Return which windows (W,) are as quiet, in all channels, as the quietest `count` windows in a row."""
         loudness = np.where(self.sound, self.log_power.mean(axis=1), np.inf)
-        row = int(np.lib.stride_tricks.sliding_window_view(loudness, lasting).max(axis=1).argmin())
+        row = int(np.lib.stride_tricks.sliding_window_view(loudness, count).max(axis=1).argmin())
         calm = np.zeros(len(loudness), dtype=bool)
-        calm[row : row + lasting] = self.sound[row : row + lasting]
+        calm[row : row + count] = self.sound[row : row + count]
         for _ in range(_ROUNDS):
             if not calm.any():
                 break
@@ -93,18 +93,18 @@ class Windows(NamedTuple):
         return calm
 
     def unevenness(self, calm: Booleans) -> Floats:
-        """Return the variance (m,) of the calm windows' log power, as a multiple of that by chance."""
+        """Return the variance (m,) of the calm windows' log power, as a multiple of the variance due to chance."""
         log_power, chance = self.log_power[calm], np.median(self.chance[calm], axis=0)
         spread = _NORMAL_MAD * np.median(np.abs(log_power - np.median(log_power, axis=0)), axis=0)
         return np.asarray((spread / np.maximum(chance, np.finfo(float).tiny)) ** 2)
 
-    def foretold(self, runs: list[tuple[int, int]]) -> Floats:
-        """Return the share (m,) of the power of block means that their past predicts, in runs (first, last) of windows.
+    def predictable_shares(self, runs: list[tuple[int, int]]) -> Floats:
+        """Return the predictable share (m,) of the power of block means, in runs (first, last) of windows.
 
         Notes
         -----
-        Blocks average out fast noise of any colour; straight lines through eight windows remove slow drift. The residue
-        is white for a sensor at rest, and smooth for one in motion.
+        Blocks average out fast noise of any colour, and straight lines through eight windows are subtracted as drift.
+        The residual is white for a sensor at rest, and smooth for a sensor in motion.
         """
         lines = [line for first, last in runs for line in _detrended(self.means[first : last + 1 : 2])]
         residuals = np.concatenate(lines) if lines else np.empty((0, self.means.shape[2]))
@@ -136,8 +136,8 @@ def quantum(channel: Floats) -> float:
 def _measure(channel: Floats, hop: int) -> tuple[Floats, Floats, Floats]:
     """Return the log power (W,), its standard deviation by chance (W,) and block means (W, 8) of a channel (N,).
 
-    Noise smaller than the quantum shows nothing, or a toggling last digit. The quantum's square is added to the power,
-    so that both cases look alike.
+    Noise smaller than the quantum leaves the readings constant, or toggles their last digit. The quantum's square is
+    added to the power, so that both cases have nearly the same power.
     """
     z = _cut(_filled(channel), hop)
     middle = np.median(z, axis=1, keepdims=True)
@@ -185,15 +185,15 @@ def _residual(piece: Floats) -> Floats:
 
 
 SHORTEST_S = 1.0
-"""Shortest rest, in seconds; a shorter calm, such as between two movements of a hand, does not count."""
+"""Duration of the shortest rest, in seconds; a shorter pause, such as between two movements of a hand, is no rest."""
 
 MOST_PREDICTABLE = 1 / 3
-"""Largest predictable share of the power of block means at rest; see `Windows.foretold`."""
+"""Largest predictable share of the power of block means at rest; see `Windows.predictable_shares`."""
 
 MOST_UNEVEN = 3.0
-"""Largest variance of the log power at rest, as a multiple of that by chance; see `Windows.unevenness`."""
+"""Largest variance of the log power at rest, as a multiple of the variance due to chance; see `Windows.unevenness`."""
 
-_NEARLY_ALL = 0.95  # share of the rows at rest, above which the whole record counts as at rest
+_NEARLY_ALL = 0.95  # share of rows at rest above which the whole record counts as at rest
 
 
 class Stretch(NamedTuple):
@@ -233,15 +233,15 @@ def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> RestPe
     ----------
     recording : Recording
         The channels of one sensor, or one of them (`Recording.select`): rate, acceleration with gravity, strain with
-        its offset; NaN where missing. Spikes and rounding do no harm. A constant channel is ignored, and so is one with
-        more than a quarter of its readings missing, if there are others.
+        its offset; NaN where missing. Spikes and rounding are tolerated. A constant channel is ignored, and so is a
+        channel with more than a quarter of its readings missing, if there are others.
     shortest_s : float
-        Duration of the shortest rest, in seconds; a *small* one accepts short calms.
+        Duration of the shortest rest, in seconds; a *small* one accepts short pauses.
 
     Returns
     -------
     RestPeriods
-        The rests; none if there is no rest, or it cannot be distinguished from motion.
+        The rests; none if no part of the record can be distinguished from motion.
 
     Raises
     ------
@@ -258,7 +258,7 @@ def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> RestPe
     names = [name for name in recording.names if _varies(recording.channel(name))]
     if not names:
         return RestPeriods((), "No channel varies: without noise, rest cannot be distinguished from a dead sensor.")
-    names = [name for name in names if _mostly_there(recording.channel(name))] or names
+    names = [name for name in names if _has_enough_readings(recording.channel(name))] or names
     windows, count = Windows.of(recording.select(names)), len(recording)
     fewest = shortest_s * recording.rate_hz
     if windows is None or count < fewest:
@@ -268,15 +268,15 @@ def detect_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> RestPe
     long = [(run, rows) for run, rows in placed if rows.stop - rows.start >= fewest]
     if not long:
         return RestPeriods((), f"The record does not keep its lowest noise for {shortest_s:g} s anywhere.")
-    doubt = _doubt(windows.unevenness(calm), windows.foretold([run for run, _ in long]), names)
+    doubt = _doubt(windows.unevenness(calm), windows.predictable_shares([run for run, _ in long]), names)
     if doubt:
         return RestPeriods((), doubt)
     stretches = tuple(rows for _, rows in long)
     return RestPeriods(stretches, _summary(stretches, recording))
 
 
-def named_rests(recording: Recording, spans_s: Iterable[tuple[float, float]]) -> RestPeriods:
-    """Return the rests that a person named.
+def rests_in_spans(recording: Recording, spans_s: Iterable[tuple[float, float]]) -> RestPeriods:
+    """Return the rests that a person gives as spans of time.
 
     Parameters
     ----------
@@ -315,20 +315,20 @@ def _varies(channel: Floats) -> bool:
     return len(seen) > 0 and bool(np.any(seen != seen[0]))
 
 
-def _mostly_there(channel: Floats) -> bool:
-    """Return whether a channel has enough readings to show rests; one of a lower rate has not."""
+def _has_enough_readings(channel: Floats) -> bool:
+    """Return whether a channel has enough readings to show rests; a channel of a lower rate does not."""
     return bool(np.mean(~np.isfinite(channel)) <= MOST_MISSING)
 
 
 def _rows(run: tuple[int, int], windows: Windows, count: int) -> Stretch:
-    """Return the rows that belong only to windows of a run."""
+    """Return the rows that belong to windows of a run only, and to no other window."""
     (first, last), hop = run, windows.hop
     whole = last == len(windows.sound) - 1
     return Stretch((first + 1) * hop if first else 0, count if whole else (last + 1) * hop)
 
 
 def _doubt(unevenness: Floats, predictable: Floats, names: Sequence[str]) -> str:
-    """Return why the quietest parts may not be at rest; "" if they have the marks of noise."""
+    """Return why the quietest parts may not be at rest; "" if they look like noise."""
     worst, smooth = int(np.argmax(unevenness)), int(np.argmax(predictable))
     if predictable[smooth] > MOST_PREDICTABLE:
         return (

@@ -14,11 +14,11 @@ from becalm.core.time.timebase import GAP_STEPS
 from becalm.errors import RecordingError
 from becalm.identification.at_rest.detection import FEWEST, Stretch, quantum, window_size
 
-_SPIKE = 6.0  # standard deviations of the differences beyond which one is left out
+_SPIKE = 6.0  # distance, in standard deviations, beyond which a difference is left out as a spike
 _KEPT = 0.9  # share of the differences that set the limit for spikes
 _NORMAL_KEPT = 0.6230  # mean square of the nine tenths of a normal variable that are nearest to zero
-_FEWEST_CYCLES = 10.0  # of a cut-off in the stretch
-_SPLIT_ORDER = 2  # of the Butterworth filters
+_FEWEST_CYCLES = 10.0  # least number of cycles of the cut-off in the stretch
+_SPLIT_ORDER = 2  # order of the Butterworth filters
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,11 @@ class RestNoise:
     standard_error : float
         Standard error of `variance` if the noise is white, in unit^2.
     slowness : float
-        Variance within half a second divided by `variance`. It is 1 for white noise. Above 1, the noise is slower than
-        the readings, and `variance` is only that of its fastest part; below 1, the noise alternates.
+        Variance within half a second divided by `variance`. It is 1 for white noise. If it is above 1, the noise is
+        slower than the readings, and `variance` is only that of its fastest part; if it is below 1, the noise
+        alternates.
     differences, spikes : int
-        Number of differences used, and number of those left out because they exceed six standard deviations.
+        Number of differences used, and number of differences left out because they exceed six standard deviations.
     """
 
     name: str
@@ -56,7 +57,7 @@ class Split(NamedTuple):
     noise_variance : float
         R, the variance above the cut-off.
     process_variance : float
-        Q, the variance below it.
+        Q, the variance below the cut-off.
     """
 
     noise_variance: float
@@ -71,7 +72,7 @@ def noise_at_rest(recording: Recording, stretches: Sequence[Stretch]) -> tuple[R
     recording : Recording
         The record, with any channels.
     stretches : sequence of Stretch
-        The rests, from `detect_rests` or `named_rests`.
+        The rests, from `detect_rests` or `rests_in_spans`.
 
     Raises
     ------

@@ -1,11 +1,11 @@
 """Define five families of interacting multiple models (IMM), and search the parameters of one by likelihood.
 
 resting   the fixed filter and a still mode
-jumping   random walks from still to abrupt, and leaps, for levels that hold and jump; outliers are left out
+jumping   random walks from still to abrupt, and leaps, for levels that stay constant and jump; outliers are rejected
 noisy     the fixed filter with quiet and with loud noise
-spiky     the fixed filter, which leaves out outliers, and an abrupt mode, in which the level jumps while all else goes
-          on, so that a new level is not rejected for ever
-bursting  the fixed filter with calm and with violent motion; outliers are left out
+spiky     the fixed filter, which rejects outliers, and an abrupt mode, in which only the level jumps; without it, all
+          readings after a jump would be rejected
+bursting  the fixed filter with calm and with violent motion; outliers are rejected
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ from becalm.core.model.components import motion, with_walking_level
 from becalm.identification.likelihood import Evidence, Tuning
 from becalm.identification.risk import estimated_risk, long_pieces
 from becalm.identification.spectrum import WINDOW, running_median
-from becalm.native.imm import NOTHING_WANTED, Steps, filter_rows, new_state
+from becalm.native.imm import NO_BUFFERS, Steps, filter_rows, new_state
 
 Kind = Literal["resting", "jumping", "noisy", "spiky", "bursting"]
 
-STANDS_OUT = 8.0
+OUTLIER_SIGMAS = 8.0
 """Distance from the running median, in standard deviations of noise, beyond which a reading is an outlier."""
 
 _PIECE, _PIECES = 1 << 14, 4  # readings in a piece of a long record, and pieces, that IMMs are compared on
 _DIFFERENT_STEPS = 64  # most lengths of steps that a search distinguishes
 
-_GAIN = 2.0  # gain in log-likelihood that each step of a parameter needs
-_VARIANCE_GAIN = 0.1  # the same for a variance
-_MUCH = 10.0  # the same for jumping levels: a record shows few jumps, and later ones may differ
+_GAIN = 2.0  # least gain in log-likelihood for each step of a parameter
+_VARIANCE_GAIN = 0.1  # least gain for a step of a variance
+_JUMP_GAIN = 10.0  # least gain for a step of jumping levels: a record shows few jumps, and later jumps may differ
 _SWEEPS = 5  # sweeps over all parameters
-_SURPRISED = 0.03  # share of outliers among the readings of a moving sensor
-_REST_STEPS, _MOVE_STEPS = 1.6e5, 3e6  # default mean duration, in steps, of still, and of gentle and quick
+_MOVING_WILD = 0.03  # share of outliers among the readings of a moving sensor
+_REST_STEPS, _MOVE_STEPS = 1.6e5, 3e6  # default mean duration, in steps, of the still, and of gentle and quick modes
 _SPIKY_STEPS = 1e8  # mean number of steps between two jumps of a signal with spikes
-_WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # q/r
-_RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # of the ratios above
-_WILD = 1e-9  # default share of outliers, where the record shows none: a jump or a burst is far likelier
-_OUTLIER_VARIANCE = 100.0  # variance of outliers over that of the noise, where no reading stands out
+_WALKS = {"still": 1e-10, "gentle": 2e-3, "quick": 0.7, "abrupt": 40.0}  # default q/r of the random walks
+_RANGES = ((1e-12, 1e-3), (1e-8, 1e0), (1e-3, 1e2), (1e1, 1e6))  # limits of these q/r
+_WILD = 1e-9  # default share of outliers, so small that a jump or a burst is far likelier than an outlier
+_OUTLIER_VARIANCE = 100.0  # variance of outliers over that of the noise, if the record shows no outliers
 _LEAP_VARIANCE = 4.0  # variance of a leap over that of outliers
 _ABRUPT_STEPS = 0.7  # mean duration of an abrupt mode, in steps
 _FINEST = 1e-7  # least standard deviation of an IMM's noise, as a share of the span of 90 % of the readings, and ...
-_LOST = 1e-13  # ... as a share of the span of all; with less noise, rounding at a jump exceeds it
-_VIOLENT = 100.0  # default q/r of violent motion, at which the filter follows the readings
+_LOST = 1e-13  # ... as a share of the span of all readings; with less noise, rounding at a jump exceeds the noise
+_VIOLENT = 100.0  # default q/r of violent motion, with which the filter follows every reading
 _CALM_STEPS, _BURST_STEPS = 3000.0, 20.0  # default mean duration, in steps, of calm and of violent motion
 _LOUDEST = 1e15  # largest ratio of violent to calm density; at a larger one, mixing loses the calm mode to rounding
 _BLOCK = 50  # readings in a block whose second differences are averaged
@@ -63,7 +63,7 @@ class Parameter(NamedTuple):
     low: float
     high: float
     stride: float = 2.0  # first step of the logarithm
-    gain: float = _GAIN  # gain in log-likelihood that each step needs
+    gain: float = _GAIN  # least gain in log-likelihood for each step
 
 
 class ImmFamily(NamedTuple):
@@ -87,11 +87,11 @@ def resting(tuning: Tuning, evidence: Evidence) -> ImmFamily:
     The moving mode has a share of outliers, so that a large innovation in motion is no evidence of rest.
     """
     spread = float(np.ptp(evidence.z)) ** 2
-    moving = Mode("moving", replace(tuning, damping=0.0).component, tuning.noise_variance, 1.0, wild_share=_SURPRISED)
+    moving = Mode("moving", replace(tuning, damping=0.0).component, tuning.noise_variance, 1.0, wild_share=_MOVING_WILD)
 
-    def make(r: float, ratio: float, rests: float, moves: float) -> InteractingModels:
-        still = Mode("still", motion(1, ratio * r), r, rests)
-        return InteractingModels((still, replace(moving, lasts=moves)), spread)
+    def make(r: float, ratio: float, still_steps: float, moving_steps: float) -> InteractingModels:
+        still = Mode("still", motion(1, ratio * r), r, still_steps)
+        return InteractingModels((still, replace(moving, lasts=moving_steps)), spread)
 
     return ImmFamily([_variance(evidence), Parameter(1e-6, 1e-12, 1e-3), *2 * [Parameter(300.0, 50.0, 1e6)]], make)
 
@@ -99,9 +99,9 @@ def resting(tuning: Tuning, evidence: Evidence) -> ImmFamily:
 def jumping(evidence: Evidence, wild: float = _WILD) -> ImmFamily:
     """Return the family of IMMs of random walks, from still to abrupt, and of leaps.
 
-    A leap has a larger variance than an outlier, so a reading beyond any outlier is a leap, and the filter never loses
-    a level for good. `wild` is the starting value of the share of outliers; with a *small* one, a distant reading is a
-    jump unless the record shows outliers.
+    A leap has a larger variance than an outlier, so a reading that is too far for an outlier is a leap, and the filter
+    always finds a new level. `wild` is the starting value of the share of outliers; with a *small* one, a distant
+    reading counts as a jump unless the record shows outliers.
     """
     spread = float(np.ptp(evidence.z)) ** 2
 
@@ -117,11 +117,11 @@ def jumping(evidence: Evidence, wild: float = _WILD) -> ImmFamily:
     numbers = [
         _variance(evidence),
         *(
-            Parameter(*limits, gain=_MUCH)
+            Parameter(*limits, gain=_JUMP_GAIN)
             for limits in ((_REST_STEPS, 10.0, 1e7), (_MOVE_STEPS, 0.5, 1e7), (wild, 1e-12, 0.2))
         ),
     ]
-    walks = [Parameter(ratio, *bounds, gain=_MUCH) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
+    walks = [Parameter(ratio, *bounds, gain=_JUMP_GAIN) for ratio, bounds in zip(_WALKS.values(), _RANGES, strict=True)]
     return ImmFamily([*numbers, *walks], make)
 
 
@@ -129,9 +129,9 @@ def noisy(tuning: Tuning) -> ImmFamily:
     """Return the family of IMMs of a fixed filter with quiet and with loud noise: only R changes, not Q."""
     r = tuning.noise_variance
 
-    def make(quiet: float, louder: float, calms: float, storms: float) -> InteractingModels:
-        one = Mode("quiet", tuning.component, quiet, calms)
-        return InteractingModels((one, replace(one, name="loud", noise_variance=quiet * louder, lasts=storms)))
+    def make(quiet: float, louder: float, quiet_steps: float, loud_steps: float) -> InteractingModels:
+        one = Mode("quiet", tuning.component, quiet, quiet_steps)
+        return InteractingModels((one, replace(one, name="loud", noise_variance=quiet * louder, lasts=loud_steps)))
 
     own = Parameter(r / 3, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN)
     return ImmFamily([own, Parameter(10.0, 1.5, 1e6), *2 * [Parameter(1000.0, 50.0, 1e6)]], make)
@@ -148,7 +148,7 @@ def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None 
         Parameter(r, r * 1e-4, r * 20, 1.0, _VARIANCE_GAIN),
         Parameter(ratio, 1e-14, 1e6, gain=_VARIANCE_GAIN),
     ]
-    apart = max(outstanding_variance(evidence.z[:, 0], r), _OUTLIER_VARIANCE * r)
+    wild = max(outstanding_variance(evidence.z[:, 0], r), _OUTLIER_VARIANCE * r)
 
     def make(noise: float, ratio: float, violent: float, share: float, *lasts: float) -> InteractingModels:
         ratios = (ratio, max(violent, ratio))
@@ -156,7 +156,7 @@ def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None 
             Mode(name, replace(tuning, ratio=q, noise_variance=noise).component, noise, last, wild_share=share)
             for name, q, last in zip(("calm", "burst"), ratios, lasts, strict=True)
         )
-        return InteractingModels(tuple(modes), apart, rejects=True)
+        return InteractingModels(tuple(modes), wild, rejects=True)
 
     if like is not None:
         own = [Parameter(one.default, one.default, one.default) for one in own]
@@ -164,7 +164,7 @@ def bursting(tuning: Tuning, evidence: Evidence, like: InteractingModels | None 
         violent = float(burst.component.noise_density[0, 0]) / burst.noise_variance
         first = (violent, calm.wild_share, calm.lasts, burst.lasts)
     ranges = ((1e-9, min(1e12, _LOUDEST * ratio)), (1e-12, 0.2), (50.0, 1e7), (2.0, 1e4))
-    gains = (_GAIN, _MUCH, _GAIN, _GAIN)
+    gains = (_GAIN, _JUMP_GAIN, _GAIN, _GAIN)
     others = zip(first, ranges, gains, strict=True)
     return ImmFamily([*own, *(Parameter(value, low, high, gain=gain) for value, (low, high), gain in others)], make)
 
@@ -217,7 +217,7 @@ def _least(evidence: Evidence) -> float:
 
 
 def of_first_mode(tuning: Tuning, switching: InteractingModels) -> Tuning:
-    """Return a tuning with the noise and the process noise of the first mode of an IMM that was made from it."""
+    """Return a tuning with the noise and the process noise of the first mode of an IMM that is based on the tuning."""
     first = switching.modes[0]
     ratio = float(first.component.noise_density[0, 0]) / first.noise_variance
     return replace(tuning, ratio=ratio, noise_variance=first.noise_variance)
@@ -229,29 +229,29 @@ def with_wild_share(switching: InteractingModels, share: float) -> InteractingMo
     return replace(switching, modes=modes, rejects=share > 0)
 
 
-def search_imm(bank: ImmFamily, pieces: Sequence[EvidencePiece]) -> tuple[InteractingModels, float]:
+def search_imm(family: ImmFamily, pieces: Sequence[EvidencePiece]) -> tuple[InteractingModels, float]:
     """Search a family's parameters in turn, with steps that halve; return the best IMM and its log-likelihood."""
-    at, strides = [float(np.log(number.default)) for number in bank.numbers], [number.stride for number in bank.numbers]
-    best = log_likelihood(_make(bank, at), pieces)
+    at, strides = [float(np.log(one.default)) for one in family.numbers], [one.stride for one in family.numbers]
+    best = log_likelihood(_make(family, at), pieces)
     for _ in range(_SWEEPS):
         for i in range(len(at)):
-            moved, value = _best_move(bank, at, i, strides[i], best, pieces)
+            moved, value = _best_move(family, at, i, strides[i], best, pieces)
             strides[i] *= 1.0 if value > best else 0.5
             at, best = moved, value
-    return _make(bank, at), best
+    return _make(family, at), best
 
 
 def _best_move(  # noqa: PLR0913
-    bank: ImmFamily, at: list[float], i: int, stride: float, best: float, pieces: Sequence[EvidencePiece]
+    family: ImmFamily, at: list[float], i: int, stride: float, best: float, pieces: Sequence[EvidencePiece]
 ) -> tuple[list[float], float]:
     """Move one parameter up, or else down, as long as the log-likelihood gains enough."""
-    number = bank.numbers[i]
+    number = family.numbers[i]
     for way in (stride, -stride):
         gained = False
         while np.log(number.low) <= at[i] + way <= np.log(number.high):
             moved = [*at[:i], at[i] + way, *at[i + 1 :]]
-            value = log_likelihood(_make(bank, moved), pieces)
-            if value == -np.inf or value < best + number.gain:  # from -inf to -inf is no gain
+            value = log_likelihood(_make(family, moved), pieces)
+            if value == -np.inf or value < best + number.gain:  # a step from -inf to -inf is no gain
                 break
             at, best, gained = moved, value, True
         if gained:
@@ -259,15 +259,15 @@ def _best_move(  # noqa: PLR0913
     return at, best
 
 
-def _make(bank: ImmFamily, logs: Sequence[float]) -> InteractingModels:
-    return bank.make(*np.exp(logs).tolist())
+def _make(family: ImmFamily, logs: Sequence[float]) -> InteractingModels:
+    return family.make(*np.exp(logs).tolist())
 
 
 def log_likelihood(switching: InteractingModels, pieces: Sequence[EvidencePiece]) -> float:
     """Return the log-likelihood of pieces of a record; the filter starts anew in each."""
     total = 0.0
     for piece in pieces:
-        bank = switching.bank(piece.lengths)
+        bank = switching.matrices(piece.lengths)
         total += filter_rows(bank, new_state(bank, keeps_level=False), piece.z, piece.steps)
     return total if np.isfinite(total) else -np.inf
 
@@ -296,7 +296,7 @@ def _few_lengths(elapsed: Floats) -> Floats:
 
 
 def quiet_variance(z: Floats) -> float:
-    """Return the variance of white noise as quiet as the quietest tenth of a record (N,), from second differences."""
+    """Return the variance, unit^2, of the noise in the quietest tenth of a record (N,), from second differences."""
     bends = np.diff(z, 2)
     width = min(_BLOCK, max(len(bends) // 10, 1))
     blocks = bends[: len(bends) // width * width].reshape(-1, width)
@@ -304,7 +304,7 @@ def quiet_variance(z: Floats) -> float:
 
 
 def middle_variance(z: Floats) -> float:
-    """Return the variance, unit^2, of white noise from the median second difference of a record (N,)."""
+    """Return the variance, unit^2, of the noise of a record (N,), from its median second difference."""
     return float(1.4826 * np.median(np.abs(np.diff(z, 2)))) ** 2 / 6
 
 
@@ -313,7 +313,7 @@ def outstanding_variance(z: Floats, r: float) -> float:
     if len(z) < WINDOW:
         return 0.0
     apart = z - running_median(z)
-    out = np.abs(apart) > STANDS_OUT * np.sqrt(r)
+    out = np.abs(apart) > OUTLIER_SIGMAS * np.sqrt(r)
     return float(np.mean(apart[out] ** 2)) if out.any() else 0.0
 
 
@@ -321,23 +321,23 @@ def outstanding_variance(z: Floats, r: float) -> float:
 
 _LESS = 0.05  # relative reduction of the estimated risk that an IMM smoother needs
 _CLEARLY = 3.0  # standard errors by which an IMM smoother that errs less at hidden readings is clearly better
-_FAR_LESS = 0.1  # share of the fixed smoother's risk below which it may err more at hidden readings, within ...
-_BY_CHANCE = 2.0  # ... so many standard errors: one unpredictable reading of a shock makes one of them
+_FAR_LESS = 0.1  # share of the fixed smoother's risk below which an IMM may err more at hidden readings, by at most ...
+_BY_CHANCE = 2.0  # ... this number of standard errors; one unpredictable reading of a shock causes one of them
 _HIDDEN = 10  # every tenth reading is hidden from the smoothers
 _PROBE = 0.02  # size of the probe, in standard deviations of the noise
-_LIKELY = 0.5  # probability above which a reading is taken for an outlier
+_LIKELY = 0.5  # probability above which a reading counts as an outlier
 _ROWS_AT_ONCE = 1 << 15  # rows that are filtered in one call
 
 
 def find_outliers(switching: InteractingModels, readings: Floats, elapsed: Floats) -> Booleans:
-    """Return which readings (N,) the causal IMM filter takes for outliers."""
+    """Return which readings (N,) are outliers according to the causal IMM filter."""
     wild = np.zeros(len(readings))
-    state = new_state(switching.bank(np.ones(1)), keeps_level=False)
+    state = new_state(switching.matrices(np.ones(1)), keeps_level=False)
     for start in range(0, len(readings), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
         lengths, steps = numbered_steps(elapsed[rows])
-        trace = NOTHING_WANTED._replace(wild=wild[rows])
-        filter_rows(switching.bank(lengths), state, np.ascontiguousarray(readings[rows]), steps, trace)
+        trace = NO_BUFFERS._replace(wild=wild[rows])
+        filter_rows(switching.matrices(lengths), state, np.ascontiguousarray(readings[rows]), steps, trace)
     outliers: Booleans = wild > _LIKELY
     return outliers
 
@@ -359,9 +359,9 @@ def errs_less(switching: InteractingModels, tuning: Tuning, evidence: Evidence) 
     """Return whether an IMM smoother errs less than the fixed one, clearly at hidden readings or by its estimated risk.
 
     Where a record rests, the gain is small compared with the noise of hidden readings. Then the risk decides, and the
-    hidden readings may contradict it only within chance: by one standard error, or by two where the gain in risk is
-    large. The risk requires the noise variance, and the smaller of the two models' is used; hidden readings do not.
-    Outliers would distort both, so they are replaced first.
+    hidden readings may contradict it only within chance: by one standard error, or by two if the gain in risk is large.
+    The risk requires a noise variance, for which the smaller one of the two models is used. Outliers would distort the
+    risk and the errors at hidden readings, so they are replaced first.
     """
     evidence = _without_outliers(switching, evidence)
     fixed_flow = SmoothedFlow(tuning.component, tuning.noise_variance)
@@ -378,9 +378,9 @@ def errs_less(switching: InteractingModels, tuning: Tuning, evidence: Evidence) 
 
 
 def hidden_errors(flow: SmoothedFlow | ImmFlow, evidence: Evidence) -> Floats:
-    """Return the squared errors (k,), unit^2, of a smoother at the readings of the longest piece that it does not get.
+    """Return the squared errors (k,), unit^2, of a smoother at readings that are hidden from it.
 
-    These are every tenth reading; there are none if the piece has fewer than six readings.
+    Every tenth reading of the longest piece is hidden; none is if the piece has fewer than six readings.
     """
     part = max(long_pieces(evidence), key=lambda piece: piece.stop - piece.start)
     z, elapsed = evidence.z[part, 0], evidence.elapsed[part]
@@ -410,16 +410,16 @@ def _smoothed(flow: SmoothedFlow | ImmFlow, z: Floats, elapsed: Floats) -> Float
 
 # Decide whether rejected readings are outliers or motion.
 #
-# An outlier stands out from its neighbours, which are calmer.
+# An outlier is much farther from its neighbours than they are from each other.
 
-MOSTLY = 0.75
+LEAST_OUTLYING = 0.75
 """Least share of the rejected readings that must stand out from their neighbours."""
 
-_STANDS_OUT = 1.5  # least distance over the local RMS of second differences, 2.4 standard deviations of white noise
+_LEAST_DISTANCE = 1.5  # over the local RMS of second differences, which is 2.4 standard deviations of white noise
 _NEAR, _FEWEST = 8, 4  # readings on each side; least number of second differences among them
 
 
-def stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -> bool:
+def rejects_stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -> bool:
     """Return whether at least 75 % of the rejected readings stand out from their neighbours on both sides.
 
     Parameters
@@ -429,14 +429,14 @@ def stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -
     rejected : (N,) bool array
         True where a filter rejected the reading.
     at_jumps : bool
-        True if a first reading after a jump may be rejected, as by a filter that waits for the next reading.
+        True if the first reading after a jump may be rejected, as by a filter that waits for the next reading.
 
     Notes
     -----
     The distance of each rejected reading from the line between the nearest accepted readings is compared with the
-    second differences of the accepted readings near it. In a shock, a reversal or an impact these are as large as that
-    distance. At a jump the nearest accepted readings are farther from each other than the rejected reading is from one
-    of them.
+    second differences of the accepted readings near it. In a shock, a reversal or an impact the second
+    differences are as large as that distance. At a jump the nearest accepted readings are farther from each other than
+    the rejected reading is from one of them.
     """
     seen = np.isfinite(readings)
     z, out = readings[seen], rejected[seen]
@@ -448,9 +448,9 @@ def stand_out(readings: Floats, rejected: Booleans, *, at_jumps: bool = False) -
     after = np.searchsorted(kept, rows)
     last, following = z[kept[np.maximum(after - 1, 0)]], z[kept[np.minimum(after, len(kept) - 1)]]
     nearest = np.minimum(np.abs(z[rows] - last), np.abs(z[rows] - following))
-    apart = np.abs(z[rows] - np.interp(rows, kept, z[kept]))
-    alone = at_jumps | (nearest > np.abs(following - last))
-    return bool(np.mean(alone & (apart > _STANDS_OUT * _roughness(z, out)[rows])) >= MOSTLY)
+    distance = np.abs(z[rows] - np.interp(rows, kept, z[kept]))
+    outlying = at_jumps | (nearest > np.abs(following - last))
+    return bool(np.mean(outlying & (distance > _LEAST_DISTANCE * _roughness(z, out)[rows])) >= LEAST_OUTLYING)
 
 
 def _roughness(z: Floats, out: Booleans) -> Floats:

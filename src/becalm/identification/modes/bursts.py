@@ -1,9 +1,9 @@
 """Identify an IMM with two modes, calm and violent motion, and tune the calm one on the calm rows.
 
-A single shock in a long record makes a fixed filter so fast that it passes most of the noise everywhere. So a first IMM
-finds the rows of violent motion. The filter is chosen again as if those rows were missing. Then an IMM is searched that
-has this filter and the same motion with a much larger Q. That is expectation maximisation with hard decisions. Source:
-Celeux and Govaert, Computational Statistics and Data Analysis 14 (1992) 315.
+A single shock in a long record makes a fixed filter so fast that it passes most of the noise everywhere. Therefore a
+first IMM finds the rows of violent motion, and the filter is chosen again as if those rows were missing. Then an IMM is
+searched that consists of this filter and the same motion with a much larger Q. The method is expectation maximisation
+with hard decisions. Source: Celeux and Govaert, Computational Statistics and Data Analysis 14 (1992) 315.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from becalm.identification.modes.banks import (
     with_wild_share,
 )
 
-_ROUNDS = 2  # most rounds of finding the violent rows and tuning on the calm ones
+_ROUNDS = 2  # most rounds of finding the violent rows and tuning on the calm rows
 _MOST_VIOLENT = 0.3  # largest share of violent readings; with more, the calm rows are too few to tune on
-_MARGIN = 10  # readings on each side of a burst that belong to it: its ends look like calm motion
+_MARGIN = 10  # readings on each side of a burst that count as part of it, because its ends look like calm motion
 _LIKELY = 0.5  # probability of the burst mode above which a reading belongs to a burst
 _MOST_STATES = HIGHEST_ORDER + 1  # most states of a filter in an IMM; with more the search would be too slow
 
@@ -48,7 +48,7 @@ class CalmAndBurstImm(NamedTuple):
 def find_bursting(
     tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiece], causal: bool
 ) -> tuple[CalmAndBurstImm, CalmAndBurstImm]:
-    """Find the IMM of calm and violent motion, and the filter of calm motion; the second IMM uses all readings.
+    """Find the IMM of calm and violent motion and its calm filter, with rejection of outliers and, second, without.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def find_bursting(
     evidence : Evidence
         The readings.
     pieces : list of EvidencePiece
-        The readings that IMMs are compared on; the last piece contains the row that `find_surprise` returns.
+        The readings that IMMs are compared on; the last piece contains the row that `find_large_change` returns.
     causal : bool
         True for a filter, False for a smoother.
     """
@@ -95,8 +95,8 @@ def _find_bursting(tuning: Tuning, evidence: Evidence, pieces: list[EvidencePiec
 def _choose_calm(calm: Evidence, causal: bool) -> Tuning | None:
     """Choose the filter of calm motion, without tones if an IMM with them would have too many states."""
     choice = choose(calm.z[:, 0], calm.elapsed, causal)
-    alone = None if choice.motion is None else damped(choice.motion, calm)
-    fitting = (one for one in (choice.tuning, alone) if one is not None and one.ratio > 0)
+    toneless = None if choice.motion is None else damped(choice.motion, calm)
+    fitting = (one for one in (choice.tuning, toneless) if one is not None and one.ratio > 0)
     return next((one for one in fitting if len(one.component.drift) <= _MOST_STATES), None)
 
 
@@ -104,8 +104,8 @@ def _without_rows(violent: Booleans, evidence: Evidence) -> Evidence:
     return Evidence.of(np.where(violent, np.nan, evidence.z[:, 0]), evidence.elapsed)
 
 
-def _search(tuning: Tuning, bank: ImmFamily, pieces: list[EvidencePiece]) -> CalmAndBurstImm:
-    return CalmAndBurstImm(tuning, *search_imm(bank, pieces))
+def _search(tuning: Tuning, family: ImmFamily, pieces: list[EvidencePiece]) -> CalmAndBurstImm:
+    return CalmAndBurstImm(tuning, *search_imm(family, pieces))
 
 
 def _find_violent(switching: InteractingModels, evidence: Evidence) -> Booleans:

@@ -1,10 +1,10 @@
 """Identify the modes of a channel: choose an IMM where it predicts the readings better than a fixed filter.
 
-Five families of IMMs are tried; the few parameters of each are searched by likelihood (`banks`). A parameter leaves its
-default only where the record clearly shows it, so that an IMM from a record with few changes of mode follows other
-changes, too. An IMM smoother must also err less than the fixed smoother, clearly at hidden readings or by its estimated
-risk: the best predictor need not be the best smoother. Source of the risk of nonlinear filters: Ramani, Blu and Unser,
-IEEE TIP-17 (2008) 1540.
+Five families of IMMs are tried; the few parameters of each are searched by likelihood (`banks`). A parameter changes
+from its default only if the record clearly requires it, so that an IMM identified from few changes of mode also follows
+other changes. An IMM smoother must also err less than the fixed smoother, clearly at hidden readings or by its
+estimated risk, because the best predictor need not be the best smoother. Source of the risk of nonlinear filters:
+Ramani, Blu and Unser, IEEE TIP-17 (2008) 1540.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from becalm.identification.modes.banks import (
     noisy,
     of_first_mode,
     pieces_of,
+    rejects_stand_out,
     resting,
     search_imm,
     spiky,
-    stand_out,
 )
 from becalm.identification.modes.bursts import find_bursting
 
 _FEWEST = 256  # least number of readings; fewer cannot distinguish modes from noise
-_SURPRISING = 6.0  # standard deviations: a larger difference of means is not due to Gaussian noise or uniform motion
-_BETTER = 6.0  # gain in log-likelihood over a fixed filter that an IMM needs
-_DOUBT = 15.0  # loss in log-likelihood that is accepted for jumping levels: about that of one change of mode
-_MOTION_FIRST = 45.0  # gain in log-likelihood that loud noise needs: more than a shock of 100 readings makes
+_LARGE_CHANGE = 6.0  # difference of means, in standard deviations, that Gaussian noise and uniform motion do not have
+_BETTER = 6.0  # least gain in log-likelihood of an IMM over a fixed filter
+_DOUBT = 15.0  # largest loss in log-likelihood of jumping levels: about the loss by one change of mode
+_MOTION_FIRST = 45.0  # least gain in log-likelihood of loud noise: more than the gain in a shock of 100 readings
 
 
 @dataclass(frozen=True)
@@ -87,13 +87,13 @@ def find_switching(
     spikes_gated : bool
         True if the fixed filter has an innovation gate; an IMM must then be better than the gated filter.
     wild : Evidence, optional
-        The readings including gross outliers, which `evidence` does not contain. From them a causal IMM learns how
-        rarely a distant reading is a jump. They are not used for a smoother.
+        The readings with gross outliers, which `evidence` does not contain. They show how often a distant reading is an
+        outlier and not a jump. Only a causal IMM uses them.
     """
-    surprise = find_surprise(evidence.z[:, 0]) if len(evidence.z) >= _FEWEST else None
-    if surprise is None:
+    changed_row = find_large_change(evidence.z[:, 0]) if len(evidence.z) >= _FEWEST else None
+    if changed_row is None:
         return None
-    pieces, motions = pieces_of(evidence, surprise), [tune_motion(order, evidence) for order in ORDERS]
+    pieces, motions = pieces_of(evidence, changed_row), [tune_motion(order, evidence) for order in ORDERS]
     likeliest = damped(max(motions, key=lambda motion: motion.log_likelihood), evidence)
     fixed = max(log_likelihood(_one_mode(one), pieces) for one in (tuning, likeliest))
     bursts = find_bursting(likeliest, evidence, pieces, causal)
@@ -109,11 +109,11 @@ def find_switching(
         gated = log_likelihood(_with_outliers(tuning, spikes.switching), pieces)
         fixed, candidates = (
             max(fixed, gated) + _DOUBT + _BETTER,
-            [bank for bank in candidates if bank.switching.rejects],
+            [one for one in candidates if one.switching.rejects],
         )
-    likelier = [bank for bank in candidates if _gain(bank) >= fixed]
-    alone: Kind | None = None if spikes_gated else "spiky"  # a filter without a gate is no rival of spiky
-    best = _choose_imm(likelier, evidence, None if causal else tuning, alone)
+    likelier = [one for one in candidates if _gain(one) >= fixed]
+    exempt: Kind | None = None if spikes_gated else "spiky"  # without a gate, a fixed smoother is no alternative
+    best = _choose_imm(likelier, evidence, None if causal else tuning, exempt)
     if best is not None and causal and wild is not None and len(wild.z) > len(evidence.z):
         best = _with_outlier_share(best, likeliest, evidence, wild)
     return None if best is None else replace(best, fixed_log_likelihood=fixed)
@@ -124,8 +124,8 @@ def _with_outlier_share(best: IdentifiedImm, tuning: Tuning, evidence: Evidence,
     if best.kind not in ("jumping", "spiky"):
         return best
     share = 1 - len(evidence.z) / len(wild.z)
-    bank = jumping(wild, share) if best.kind == "jumping" else spiky(tuning, wild)
-    tuned, _ = search_imm(bank, pieces_of(wild, int(np.argmax(np.abs(wild.z[:, 0] - np.median(wild.z))))))
+    family = jumping(wild, share) if best.kind == "jumping" else spiky(tuning, wild)
+    tuned, _ = search_imm(family, pieces_of(wild, int(np.argmax(np.abs(wild.z[:, 0] - np.median(wild.z))))))
     return replace(best, switching=tuned) if _follows_motion(tuned, evidence, at_jumps=True) else best
 
 
@@ -138,22 +138,22 @@ def _with_outliers(tuning: Tuning, like: InteractingModels) -> InteractingModels
 
 
 def _choose_imm(
-    candidates: list[IdentifiedImm], evidence: Evidence, smoothed: Tuning | None, alone: Kind | None
+    candidates: list[IdentifiedImm], evidence: Evidence, smoothed: Tuning | None, exempt: Kind | None
 ) -> IdentifiedImm | None:
-    """Return the IMM that predicts best and takes no motion for outliers or loud noise; None if there is none.
+    """Return the IMM that predicts best and does not treat motion as outliers or loud noise; None if there is none.
 
-    An IMM smoother must also err less than the fixed one, unless the IMM ranks first and its kind is `alone`.
+    An IMM smoother must also err less than the fixed smoother, unless the IMM ranks first and its kind is `exempt`.
     """
     motion_is_wild, ranked = False, sorted(candidates, key=_gain, reverse=True)
-    for bank in ranked:
-        if bank.kind == "noisy" and motion_is_wild:
+    for candidate in ranked:
+        if candidate.kind == "noisy" and motion_is_wild:
             continue
-        if not _follows_motion(bank.switching, evidence):
+        if not _follows_motion(candidate.switching, evidence):
             motion_is_wild = True
             continue
-        first = bank is ranked[0] and bank.kind == alone
-        if smoothed is None or first or errs_less(bank.switching, smoothed, evidence):
-            return bank
+        first = candidate is ranked[0] and candidate.kind == exempt
+        if smoothed is None or first or errs_less(candidate.switching, smoothed, evidence):
+            return candidate
     return None
 
 
@@ -162,29 +162,28 @@ def _follows_motion(switching: InteractingModels, evidence: Evidence, *, at_jump
     if not switching.rejects:
         return True
     z = evidence.z[:, 0]
-    return stand_out(z, find_outliers(switching, z, evidence.elapsed), at_jumps=at_jumps)
+    return rejects_stand_out(z, find_outliers(switching, z, evidence.elapsed), at_jumps=at_jumps)
 
 
 def _gain(candidate: IdentifiedImm) -> float:
-    """Return the log-likelihood of an IMM less the gain that its kind needs; loud noise needs the most."""
+    """Return the log-likelihood of an IMM less the gain required of its kind, which is largest for loud noise."""
     doubt = {"jumping": _DOUBT, "noisy": -_MOTION_FIRST}
     return candidate.log_likelihood + doubt.get(candidate.kind, -_BETTER)
 
 
-def _fit(kind: Kind, bank: ImmFamily, pieces: list[EvidencePiece], tuning: Tuning) -> IdentifiedImm:
-    switching, value = search_imm(bank, pieces)
+def _fit(kind: Kind, family: ImmFamily, pieces: list[EvidencePiece], tuning: Tuning) -> IdentifiedImm:
+    switching, value = search_imm(family, pieces)
     return IdentifiedImm(kind, switching, value, np.nan, tuning)
 
 
-def find_surprise(z: Floats) -> int | None:
+def find_large_change(z: Floats) -> int | None:
     """Return the row at which the means of two adjacent blocks differ far more than usual; None if there is none.
 
     Blocks of several lengths are compared. Noise, uniform motion and tones have no such row; jumps, rests between
-    motions, outliers and changing noise have one. Without such a row no IMM is searched; with one, the likelihood
-    decides.
+    motions, outliers and changing noise have one. An IMM is searched only in a record with such a row.
     """
     total, width = np.concatenate([[0.0], np.cumsum(z - z.mean())]), 1
-    most, row = _SURPRISING * 1.4826, None
+    most, row = _LARGE_CHANGE * 1.4826, None
     while 8 * width <= len(z):
         stride = max(width // 2, 1)
         ends, ahead = total[::stride], width // stride
@@ -205,8 +204,9 @@ def _one_mode(tuning: Tuning) -> InteractingModels:
 
 # Identify a robust filter, for records with up to one outlier in ten samples.
 #
-# Outliers inflate the noise, and hide motion and tones. So each outlier that the IMM finds is replaced by a draw from
-# its distribution given all other readings, and the channel's filter and its IMM are chosen again.
+# Outliers inflate the identified noise, and hide motion and tones. Therefore each outlier that the IMM finds is
+# replaced by a draw from its distribution given all other readings, and the channel's filter and its IMM are chosen
+# again.
 
 
 def choose_robust(tuning: Tuning, evidence: Evidence, causal: bool) -> IdentifiedImm:

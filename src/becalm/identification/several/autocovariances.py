@@ -1,10 +1,11 @@
-"""Compute which unknowns of Q and R the autocovariances of readings determine, and estimate these roughly.
+"""Compute which unknowns of Q and R the autocovariances of readings determine, and estimate those roughly.
 
 A stack of successive readings is y = O x + noise, with O the observability matrix. Its components orthogonal to O's
-columns hold only noise, for any state, stationary or not. Their covariance is *linear* in the entries of Q and R. What
-that linear map does not determine, no second moment of the readings determines, and Gaussian noise carries no other
-information. With 2 n + 1 rows the map covers all autocovariances of the readings after the state is eliminated.
-Sources: Mehra, IEEE TAC-15 (1970) 175; Odelson, Rajamani and Rawlings, Automatica 42 (2006) 303.
+columns hold only noise, for any state, stationary or not. Their covariance is *linear* in the entries of Q and R. An
+unknown that this linear map does not determine has no effect of its own on any second moment of the readings, and
+Gaussian readings carry no other information. With 2 n + 1 rows the map covers all autocovariances of the readings after
+the state is eliminated. Sources: Mehra, IEEE TAC-15 (1970) 175; Odelson, Rajamani and Rawlings, Automatica 42 (2006)
+303.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ _STRETCHES = 50_000  # most stacks of successive readings that an estimate uses
 
 
 class Confounded(NamedTuple):
-    """An unknown with the same effect on the readings as a mixture of others."""
+    """An unknown with the same effect on the readings as a mixture of other unknowns."""
 
     which: int  # index of the unknown
-    others: Floats  # (k,) amounts of the others that have the same effect as one unit of it
+    others: Floats  # (k,) amounts of the other unknowns with the same effect as one unit of this one
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class Autocovariances:
 
     Attributes
     ----------
-    heard : (m,) bool array
+    has_readings : (m,) bool array
         True for the h channels with at least one reading; the others are left out.
     units : (h,) float array
         Typical size of the readings of each channel, in its unit; readings are divided by it.
@@ -53,7 +54,7 @@ class Autocovariances:
         Upper bounds of the lengths of the columns of `slopes`: their lengths if no terms cancelled.
     """
 
-    heard: Booleans
+    has_readings: Booleans
     units: Floats
     rows: int
     noise_only: Floats
@@ -83,14 +84,14 @@ class Autocovariances:
         from scipy.linalg import solve_triangular
 
         triangle, order = self._factors
-        first, rest = order[: self.rank], order[self.rank :]
+        independent, dependent = order[: self.rank], order[self.rank :]
         mixtures = solve_triangular(triangle[: self.rank, : self.rank], triangle[: self.rank, self.rank :])
         mixtures[np.abs(mixtures) < np.sqrt(_RANK)] = 0.0
         confounded = []
-        for which, mixture in zip(rest, mixtures.T, strict=True):
+        for which, mixture in zip(dependent, mixtures.T, strict=True):
             if not self.unseen[which]:
                 others = np.zeros(len(order))
-                others[first] = mixture * self.lengths[which] / self.lengths[first]
+                others[independent] = mixture * self.lengths[which] / self.lengths[independent]
                 confounded.append(Confounded(int(which), others))
         return confounded
 
@@ -113,7 +114,7 @@ class Autocovariances:
         """
         if len(z) < self.rows:
             return None
-        stretches = np.lib.stride_tricks.sliding_window_view(z[:, self.heard] / self.units, self.rows, axis=0)
+        stretches = np.lib.stride_tricks.sliding_window_view(z[:, self.has_readings] / self.units, self.rows, axis=0)
         stretches = np.swapaxes(stretches[:: 1 + len(stretches) // _STRETCHES], 1, 2)
         noise = stretches.reshape(len(stretches), -1) @ self.noise_only
         noise = noise[np.isfinite(noise).all(axis=1)]
@@ -154,29 +155,31 @@ def autocovariances(
     sizes : (m,) float array
         Typical size of the readings of each channel, in its unit; it makes channels of different units comparable.
     """
-    heard = np.diag(together)
-    units, R = sizes[heard], model.R[np.ix_(heard, heard)]
-    heard_model = Model(F=model.F, H=model.H[heard] / units[:, np.newaxis], Q=model.Q, R=R, G=model.G)
-    H, rows = heard_model.H, 2 * model.states + 1
-    sees = np.vstack([H @ power for power in _powers(model.F, rows)])
-    vectors, _, _ = np.linalg.svd(sees)
-    noise_only = vectors[:, model.states - heard_model.unobservable.shape[1] :]
-    shapes = [(R * together)[np.ix_(heard, heard)] / np.outer(units, units) for R in (*noise.shapes, noise.held)]
+    has_readings = np.diag(together)
+    units, R = sizes[has_readings], model.R[np.ix_(has_readings, has_readings)]
+    observed_model = Model(F=model.F, H=model.H[has_readings] / units[:, np.newaxis], Q=model.Q, R=R, G=model.G)
+    H, rows = observed_model.H, 2 * model.states + 1
+    observability = np.vstack([H @ power for power in _powers(model.F, rows)])
+    vectors, _, _ = np.linalg.svd(observability)
+    noise_only = vectors[:, model.states - observed_model.unobservable.shape[1] :]
+    shapes = [
+        (R * together)[np.ix_(has_readings, has_readings)] / np.outer(units, units) for R in (*noise.shapes, noise.held)
+    ]
     parts = (H, model.F, model.G, noise_only)
     moments = _moments(parts, [*process.shapes, process.held], shapes)
     bounds = _moments([np.abs(part) for part in parts], np.abs(process.shapes), np.abs(shapes[:-1]))
     k = len(process.shapes)
     slopes, held = np.delete(moments, [k, -1], axis=1), moments[:, k] + moments[:, -1]
-    return Autocovariances(heard, units, rows, noise_only, slopes, held, np.linalg.norm(bounds, axis=0))
+    return Autocovariances(has_readings, units, rows, noise_only, slopes, held, np.linalg.norm(bounds, axis=0))
 
 
 def _moments(parts: Sequence[Floats], process: Iterable[Floats], noise: Iterable[Floats]) -> Floats:
     """Return the second moments, one column for each covariance of process noise and then of measurement noise."""
     H, F, G, noise_only = parts
     rows = len(noise_only) // len(H)
-    enters = [_enter(H, G, _powers(F, rows), late).T @ noise_only for late in range(1, rows)]
+    effects = [_noise_effect(H, G, _powers(F, rows), row).T @ noise_only for row in range(1, rows)]
     stacked = noise_only.reshape(rows, len(H), -1)
-    columns = [np.sum([E.T @ Q @ E for E in enters], axis=0).ravel() for Q in process]
+    columns = [np.sum([E.T @ Q @ E for E in effects], axis=0).ravel() for Q in process]
     columns += [np.einsum("kai,ab,kbj->ij", stacked, R, stacked, optimize=True).ravel() for R in noise]
     return np.array(columns).T
 
@@ -189,7 +192,7 @@ def _powers(F: Floats, count: int) -> list[Floats]:
     return powers
 
 
-def _enter(H: Floats, G: Floats, powers: list[Floats], late: int) -> Floats:
-    """Return the effect (rows * m, p) of the process noise of the step before row `late` on all stacked rows."""
-    before = np.zeros((late * len(H), G.shape[1]))
-    return np.vstack([before, *(H @ power @ G for power in powers[: len(powers) - late])])
+def _noise_effect(H: Floats, G: Floats, powers: list[Floats], row: int) -> Floats:
+    """Return the effect (rows * m, p) on all stacked rows of the process noise in the step before `row`."""
+    before = np.zeros((row * len(H), G.shape[1]))
+    return np.vstack([before, *(H @ power @ G for power in powers[: len(powers) - row])])

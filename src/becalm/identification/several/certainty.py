@@ -8,10 +8,10 @@ import numpy as np
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.identification.several.autocovariances import Autocovariances, Confounded
-from becalm.identification.several.peak import AT_REST, FAR, Peak, reach
+from becalm.identification.several.peak import FAR, NEGLIGIBLE_GAIN, Peak, half_drop_distance
 
 _FLAT = 1.0  # least information about the log of a standard deviation for which a parabola describes the likelihood
-_CHANGED = 0.5  # change from which on an amount counts as changed, as a share of the largest
+_CHANGED = 0.5  # change from which on an amount counts as changed, as a share of the largest change
 _GROWN = 100.0  # change from which on an amount counts as growing without bound, in units of its scale
 _ENDLESS = (
     "No maximum was reached: the likelihood still rises, and there are no standard errors. A channel may be constant, a"
@@ -60,10 +60,10 @@ def judge(likelihood: Amounts, peak: Peak, moments: Autocovariances) -> Certaint
     peak : Peak
         Its maximum.
     moments : Autocovariances
-        The map that shows which amounts the readings can determine at all.
+        The linear map that shows which amounts the readings can determine.
     """
     at_end = np.abs(peak.theta[likelihood.variances]).max() >= FAR
-    if at_end or not peak.rising < AT_REST:
+    if at_end or not peak.possible_gain < NEGLIGIBLE_GAIN:
         return Certainty(np.full(len(peak.theta), np.inf), (_ENDLESS,))
     slopes, undetermined = likelihood.slopes(peak.theta), moments.undetermined_amounts()
     sentences = [_unseen(likelihood.names[which]) for which in np.flatnonzero(moments.unseen)]
@@ -81,7 +81,7 @@ def judge(likelihood: Amounts, peak: Peak, moments: Autocovariances) -> Certaint
 
 
 def _directions(information: Floats, slopes: Floats, undetermined: Floats) -> list[tuple[float, Floats]]:
-    """Return the information along each of its principal directions (k,), without the `undetermined` directions."""
+    """Return the information along each of its principal directions (k,), orthogonal to the `undetermined` ones."""
     hidden = np.linalg.lstsq(slopes, undetermined, rcond=None)[0]
     basis, _, _ = np.linalg.svd(hidden, full_matrices=True) if undetermined.size else (np.eye(len(slopes)), 0, 0)
     determined = basis[:, undetermined.shape[1] :]
@@ -94,9 +94,9 @@ def _explore(likelihood: Amounts, peak: Peak, direction: Floats) -> tuple[Floats
     here, scales = likelihood.amounts(peak.theta), likelihood.scales(peak.theta)
     spread, lost, grown = np.zeros(len(here)), np.zeros(len(here), dtype=bool), np.zeros(len(here), dtype=bool)
     for way in (direction, -direction):
-        far = reach(likelihood, peak, way)
-        change = np.abs(likelihood.amounts(peak.theta + min(far, FAR) * way) - here) / scales
-        if np.isinf(far):
+        distance = half_drop_distance(likelihood, peak, way)
+        change = np.abs(likelihood.amounts(peak.theta + min(distance, FAR) * way) - here) / scales
+        if np.isinf(distance):
             lost |= change > _CHANGED * change.max()
             grown |= change > _GROWN
         spread = np.maximum(spread, change * scales)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.filter.filtering import checked_readings, run_filter
-from becalm.core.filter.likelihood import NOTHING
+from becalm.core.filter.likelihood import LIKELIHOOD_ONLY
 from becalm.core.model.model import Model
 from becalm.core.model.prior import arrived
 from becalm.core.model.step_matrices import even_timeline
@@ -24,9 +24,9 @@ from becalm.errors import ModelError, RecordingError
 from becalm.identification.several.autocovariances import Autocovariances, autocovariances
 from becalm.identification.several.certainty import Certainty, judge
 from becalm.identification.several.matrices import Freedom, FreeMatrix, Patterns, patterns_of
-from becalm.identification.several.peak import climb, walk
+from becalm.identification.several.peak import climb, scale_variances
 
-_LEAST_SHARE = 1e-3  # least effect of a starting variance on the readings, as a share of that of the strongest
+_LEAST_SHARE = 1e-3  # least effect of a starting variance on the readings, as a share of the largest effect
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,7 @@ class TunedModel:
     Attributes
     ----------
     model : Model
-        The likeliest model. What the readings do not determine keeps its starting value.
+        The likeliest model. An entry that the readings do not determine keeps its starting value.
     process_error : (p, p) float array
         Standard error of each entry of Q, in its unit; 0 where it was not free, inf where it is not determined.
     noise_error : (m, m) float array
@@ -102,7 +102,7 @@ def tune_model(
     moments = autocovariances(model, process, noise, seen.T.astype(float) @ seen > 0, _sizes(readings, seen))
     free = Free((process, noise), (free_process == "full", free_noise == "full"))
     joint = _start(RecordLikelihood(model, readings), free, moments)
-    peak = climb(joint, walk(joint, np.zeros(unknowns), joint.variances & ~moments.unseen), joint.used)
+    peak = climb(joint, scale_variances(joint, np.zeros(unknowns), joint.variances & ~moments.unseen), joint.used)
     return _result(joint, judge(joint, peak, moments), peak.theta)
 
 
@@ -137,7 +137,7 @@ class RecordLikelihood:
         """Return the log-likelihood at Q and R, and its number of readings."""
         model, G = self.model, self.model.G
         timeline = self._timeline._replace(system=self._timeline.system._replace(Q=(G @ Q @ G.T)[np.newaxis], R=R))
-        estimate = run_filter(model, timeline, self.z, NOTHING).estimate
+        estimate = run_filter(model, timeline, self.z, LIKELIHOOD_ONLY).estimate
         return estimate.log_likelihood, estimate.used
 
 
@@ -204,10 +204,7 @@ def _sizes(z: Floats, seen: Booleans) -> Floats:
 
 
 def _start(record: RecordLikelihood, free: Free, moments: Autocovariances) -> JointLikelihood:
-    """Return the likelihood, with its start at the model's own Q and R or at the estimate by autocovariances.
-
-    The likelier of the two is taken.
-    """
+    """Return the likelihood with the likelier start: the model's own Q and R, or the estimate by autocovariances."""
     own = free.amounts(record.model.Q, record.model.R)
     starts = [_positive(free, moments, own)]
     estimate = moments.estimate(np.where(arrived(record.z), record.z, np.nan))

@@ -1,10 +1,10 @@
 """Define the free entries of Q and R, and map them to parameters without bounds.
 
-A covariance is a sum of *patterns*, each times an amount. That form is linear, so it shows what readings can determine.
-For the search, the covariance is written so that any parameters give a valid matrix. Where every entry is free, it is
-C0 L L' C0' with the root C0 of the starting covariance and a triangle L; the parameters are the entries of L, on the
-diagonal their logarithms (Pinheiro and Bates, Statistics and Computing 6 (1996) 289). Otherwise each starting amount is
-multiplied by exp(2 t), with its parameter t.
+A covariance is a sum of *patterns*, each times an amount. This form is linear, and shows which amounts readings can
+determine. For the search, the covariance is written so that any parameters give a valid matrix. If every entry is free,
+the covariance is C0 L L' C0' with the root C0 of the starting covariance and a triangular L; the parameters are the
+entries of L, but the logarithms of those on the diagonal (Pinheiro and Bates, Statistics and Computing 6 (1996) 289).
+Otherwise each starting amount is multiplied by exp(2 t), with its parameter t.
 """
 
 from __future__ import annotations

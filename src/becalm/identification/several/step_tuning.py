@@ -77,8 +77,8 @@ def tune_by_simplex(trial: StepTrial, noise_variance: float, process_variance: f
     trial : StepTrial
         The record and the step.
     noise_variance, process_variance : float
-        Starting point, in unit^2, both positive. Where on the floor of the valley the search ends depends on it;
-        `tune_by_step` needs no starting point.
+        Starting point, in unit^2, both positive. The point on the floor of the valley at which the search ends depends
+        on it; `tune_by_step` needs no starting point.
 
     Raises
     ------
@@ -100,12 +100,12 @@ def tune_by_simplex(trial: StepTrial, noise_variance: float, process_variance: f
         return trial.cost(R, Q).total
 
     start = np.log([noise_variance, process_variance])
-    near = _COST_PRECISION * total(start)
+    tolerance = _COST_PRECISION * total(start)
     result = minimize(
         total,
         start,
         method="Nelder-Mead",
-        options={"xatol": _PRECISION, "fatol": near, "maxfev": _MOST_EVALUATIONS},
+        options={"xatol": _PRECISION, "fatol": tolerance, "maxfev": _MOST_EVALUATIONS},
     )
     R, Q = np.exp(result.x).tolist()
     return StepTuning(Q / R, R, Q, trial.cost(R, Q), int(result.nfev) + 2)

@@ -1,8 +1,8 @@
 """Estimate how much the uncertainty of the tuning itself widens sigma.
 
-A filter's sigma takes q and r as known. They were identified from the record, and another record of the same motion
-would have given other values. For a short record, all motion models that may have made it are taken into account
-(`posterior_widening`). For a long one, theta = log(q/r) has a variance, and
+A filter's sigma treats q and r as exact. They were identified from the record, and another record of the same motion
+would have given other values. For a short record, the error is averaged over all motion models that may have produced
+the record (`posterior_widening`). For a long record, theta = log(q/r) has a variance, and
 
     E[(x - y)^2] = P + (dy / d theta)^2 Var(theta)
 
@@ -13,7 +13,8 @@ with
 
     Var = 2 Q / (N V^2),    V = E_p[(W - mu)^2],    Q = E[(p (W - mu))^2],    mu = E_p[W],
 
-with p = (1 - W) / E[1 - W]: the variance of the criterion's slope over the square of its curvature (Huber 1967).
+with p = (1 - W) / E[1 - W]. This is the variance of the criterion's slope over the square of the criterion's curvature
+(Huber 1967).
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ from becalm.metrics.whiteness import whiteness
 
 # Estimate how much smaller a smoother's error could be, from the colour of its innovations.
 #
-# The power of normalised innovations is the ratio of the readings' spectrum to that of the model. Less the model's
-# noise, the readings' spectrum is that of the signal. From both follow the error of this smoother, and that of the best
-# one for such readings (Wiener 1949). Predictable innovations cost nothing at frequencies where the smoother passes
-# nothing or everything.
+# The power of normalised innovations is the ratio of the readings' spectrum to that of the model. The readings'
+# spectrum less the model's noise is the spectrum of the signal. These spectra give the error of this smoother, and that
+# of the best smoother for such readings (Wiener 1949). Predictable innovations do not increase the error at frequencies
+# where the smoother passes nothing or everything.
 
-# radians per step: closer together at low frequencies
+# angles for integrals, in radians per step, closer together at low frequencies
 _ANGLES = np.pi * np.concatenate([np.geomspace(1e-7, 1e-2, 1500)[:-1], np.linspace(1e-2, 1.0, 3000)])
 
 Colour = Callable[[Floats], Floats]
@@ -51,7 +52,7 @@ The power is 1 for a correct model.
 
 
 def excess_error(tuning: Tuning, colour: Colour) -> float:
-    """Return by how much a smoother's RMS error exceeds that of the best smoother for such readings, as a share of it.
+    """Return a smoother's RMS error over that of the best smoother for such readings, less 1.
 
     Parameters
     ----------
@@ -63,11 +64,11 @@ def excess_error(tuning: Tuning, colour: Colour) -> float:
     signal, noise = powers(tuning, _ANGLES)
     passed = signal / (signal + noise)
     total = colour(_ANGLES) * (signal + noise)
-    still_noise = np.minimum(noise, total)
-    moved = total - still_noise
-    own = (1 - passed) ** 2 * moved + passed**2 * still_noise
-    share = np.divide(still_noise, total, out=np.zeros_like(total), where=total > 0)
-    best = _mean(moved * share)
+    true_noise = np.minimum(noise, total)
+    true_signal = total - true_noise
+    own = (1 - passed) ** 2 * true_signal + passed**2 * true_noise
+    share = np.divide(true_noise, total, out=np.zeros_like(total), where=total > 0)
+    best = _mean(true_signal * share)
     return float(np.sqrt(_mean(own) / best)) - 1 if best > 0 else 0.0
 
 
@@ -85,25 +86,25 @@ def powers(tuning: Tuning, angle: Floats) -> tuple[Floats, Floats]:
 
 
 def _mean(power: Floats) -> float:
-    """Return the mean over all frequencies; below the lowest angle the power is constant."""
+    """Return the mean of a power over all frequencies; below the lowest angle the power is constant."""
     return float((power[0] * _ANGLES[0] + np.trapezoid(power, _ANGLES)) / np.pi)
 
 
 # Compute the expected error of an estimate over all motion models that may have made a short record.
 #
 # The models, here called walks, have the chosen order and any cut-off. They are weighted by their likelihood, with a
-# flat prior on the logarithms of cut-off and noise variance. With the weights w_i, each walk's estimate y_i and its
-# variance P_i,
+# flat prior on the logarithms of cut-off and noise variance. With the weight w_i, the estimate y_i and the variance P_i
+# of each walk,
 #
 #     E[(x - y)^2] = sum of w_i (P_i + (y_i - y)^2)
 #
-# at each reading. This is exact where the record is such a walk (Hoeting et al., Statistical Science 14 (1999) 382). If
-# the innovations of the likeliest walk are not white, no walk describes the record, and the weights mean nothing.
+# at each reading. This is exact if the record is such a walk (Hoeting et al., Statistical Science 14 (1999) 382). If
+# the innovations of the likeliest walk are not white, no walk describes the record, and the weights are meaningless.
 
 _SLOWEST_CYCLES, _FASTEST = 0.02, 4.0  # slowest cut-off, in cycles per record; fastest cut-off, in radians per step
-_COARSE, _FINE, _WALKS = 15, 9, 8  # cut-offs over all of the range, and near the likeliest; walks that represent all
-_EVERY = 400  # cut-offs at which the likelihood is interpolated
-_BY_CHANCE = 0.01  # p-value of whiteness up to which a walk is rejected, as is one true walk in a hundred
+_COARSE, _FINE, _WALKS = 15, 9, 8  # cut-offs over the whole range, and near the likeliest; walks to average over
+_INTERPOLATED = 400  # cut-offs at which the likelihood is interpolated
+_BY_CHANCE = 0.01  # p-value of whiteness up to which a walk is rejected; one true walk in a hundred is
 
 
 def posterior_widening(tuning: Tuning, evidence: Evidence, causal: bool) -> float | None:
@@ -121,7 +122,7 @@ def posterior_widening(tuning: Tuning, evidence: Evidence, causal: bool) -> floa
     Returns
     -------
     float or None
-        The factor; None where no walk describes the readings.
+        The factor; None if no walk describes the readings.
     """
     candidate = Candidate(tuning.order, evidence)
     likelihoods = _likelihoods(candidate)
@@ -153,7 +154,7 @@ class _Likelihoods(NamedTuple):
 
 
 def _likelihoods(candidate: Candidate) -> _Likelihoods | None:
-    """Score all cut-offs, more densely around the likeliest; None where no reading is scored."""
+    """Compute the likelihood at all cut-offs, denser around the likeliest; None if no reading is scored."""
 
     def scores(log_cutoffs: Floats) -> Floats:
         ratios = [cutoff_to_ratio(candidate.order, float(each)) for each in np.exp(log_cutoffs)]
@@ -170,7 +171,7 @@ def _likelihoods(candidate: Candidate) -> _Likelihoods | None:
     at, values = np.concatenate([coarse, nearby]), np.concatenate([first, scores(nearby)])
     from scipy.interpolate import CubicSpline  # imported only for short records
 
-    ascending, every = np.argsort(at), np.linspace(coarse[0], coarse[-1], _EVERY)
+    ascending, every = np.argsort(at), np.linspace(coarse[0], coarse[-1], _INTERPOLATED)
     return _Likelihoods(every, CubicSpline(at[ascending], values[ascending])(every))
 
 
@@ -208,10 +209,10 @@ def _run_stretches(tuning: Tuning, evidence: Evidence, causal: bool) -> list[Est
 LONG = 4096
 """Number of readings from which on the delta method is enough."""
 
-_DIGITS = 4  # of a share; more digits would be noise
+_DIGITS = 4  # decimals of a spread; more would be meaningless
 _SMALL = 1e-3  # step of theta for difference quotients
-_LARGEST_POLE = 1 - 1e-13  # magnitude of a pole, below which a filter counts as having a steady state
-_UNDETERMINED = 4.0  # variance of theta from which on a linear approximation means nothing
+_LARGEST_POLE = 1 - 1e-13  # magnitude of the largest pole below which a filter counts as having a steady state
+_UNDETERMINED = 4.0  # variance of theta from which on a linear approximation is meaningless
 
 
 def tuning_spread(tuning: Tuning, evidence: Evidence, causal: bool, *, noise_known: bool = False) -> float:
@@ -231,9 +232,9 @@ def tuning_spread(tuning: Tuning, evidence: Evidence, causal: bool, *, noise_kno
     Returns
     -------
     float
-        0 or more, without unit: sigma becomes (1 + spread) sigma. A *small* one trusts the tuning. It is 0 where
-        neither method gives a result, for example where the search in a long record ended at its slowest or fastest
-        filter.
+        The spread, 0 or more, without unit: sigma becomes (1 + spread) sigma. A *small* one trusts the tuning. It is 0
+        if neither method gives a result, for example because the search in a long record ended at its slowest or
+        fastest filter.
     """
     simple = not (tuning.tones or tuning.coloured or noise_known)
     if simple and len(evidence.z) < LONG:
@@ -244,7 +245,7 @@ def tuning_spread(tuning: Tuning, evidence: Evidence, causal: bool, *, noise_kno
 
 
 def delta_widening(tuning: Tuning, causal: bool) -> float:
-    """Return the factor by which the spread of log(q/r) widens sigma, by the delta method; 1 where it fails.
+    """Return the factor by which the spread of log(q/r) widens sigma, by the delta method; 1 if the method fails.
 
     Parameters
     ----------
@@ -256,15 +257,15 @@ def delta_widening(tuning: Tuning, causal: bool) -> float:
     variance = log_ratio_variance(tuning)
     if not variance < _UNDETERMINED:
         return 1.0
-    moved, claimed = _moved_and_claimed(tuning, causal)
-    return float(np.sqrt(1 + variance * moved / claimed))
+    slope_square, error_variance = _slope_square_and_error(tuning, causal)
+    return float(np.sqrt(1 + variance * slope_square / error_variance))
 
 
 def log_ratio_variance(tuning: Tuning) -> float:
     """Return the variance of log(q/r) as identified from `count` readings.
 
-    It is that of maximum likelihood or, for a tuning with a `loss`, of cross-validation. It is inf where the readings
-    do not determine the ratio, or the filter has no steady state.
+    The variance is that of maximum likelihood or, for a tuning with a `loss`, of cross-validation. It is inf if the
+    readings do not determine the ratio, or the filter has no steady state.
     """
     spectra = spectra_of(tuning)
     if spectra is None or not tuning.count:
@@ -274,8 +275,8 @@ def log_ratio_variance(tuning: Tuning) -> float:
         variance = spectra.mean(W**2) - spectra.mean(W) ** 2
         return 2 / (tuning.count * variance) if variance > 0 else np.inf
     p = (1 - W) / spectra.mean(1 - W)
-    apart = W - spectra.mean(p * W)
-    V, Q = spectra.mean(p * apart**2), spectra.mean((p * apart) ** 2)
+    deviation = W - spectra.mean(p * W)
+    V, Q = spectra.mean(p * deviation**2), spectra.mean((p * deviation) ** 2)
     return 2 * Q / (tuning.count * V**2) if V > 0 else np.inf
 
 
@@ -306,7 +307,7 @@ def spectra_of(tuning: Tuning) -> Spectra | None:
 
 
 def settled_filter(tuning: Tuning) -> SteadyFilter | None:
-    """Return the steady-state filter of a tuning in even time; None if it has no steady state."""
+    """Return the steady-state filter of a tuning with even sampling; None if it has no steady state."""
     try:
         steady_filter = _settled(tuning)
     except ModelError:
@@ -319,7 +320,7 @@ def _settled(tuning: Tuning) -> SteadyFilter:
     return steady(component.to_model(1.0, tuning.noise_variance), component.signal_output[0])
 
 
-def _moved_and_claimed(tuning: Tuning, causal: bool) -> tuple[float, float]:
+def _slope_square_and_error(tuning: Tuning, causal: bool) -> tuple[float, float]:
     """Return the mean square of d signal / d log(q/r), and the error variance at the exact ratio, in unit^2."""
     spectra = spectra_of(tuning)
     if spectra is None:
@@ -348,7 +349,7 @@ def independence_steps(tuning: Tuning, causal: bool) -> float | None:
     Parameters
     ----------
     tuning : Tuning
-        A tuning in even time.
+        A tuning for evenly sampled readings.
     causal : bool
         True for the filter, False for the smoother.
 
@@ -368,9 +369,8 @@ def independence_steps(tuning: Tuning, causal: bool) -> float | None:
         spectra = spectra_of(tuning)
         if spectra is None:
             return None
-        noise = powers(tuning, 2 * np.pi * spectra.f[:1])[
-            1
-        ]  # total - signal would lose it to rounding next to a motion
+        # total - signal would lose the noise to rounding, because the power of a motion is far larger
+        noise = powers(tuning, 2 * np.pi * spectra.f[:1])[1]
         return float(spectra.signal[0] / spectra.total[0] * noise[0] / spectra.filter.error_variance(np.inf))
     steady_filter = settled_filter(tuning)
     if steady_filter is None:

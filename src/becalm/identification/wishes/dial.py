@@ -1,4 +1,4 @@
-"""Tune q/r by one setting: a lag, a bandwidth or a noise gain. Noise and order stay those of the identified model."""
+"""Tune q/r by one setting: a lag, a bandwidth or a noise gain. Order and noise variance remain the identified ones."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ class Dial(NamedTuple):
     value: float  # seconds, Hz or dB
 
 
-def turn(tuning: Tuning, dial: Dial, step_s: float, causal: bool) -> Tuning:
+def tune_by_dial(tuning: Tuning, dial: Dial, step_s: float, causal: bool) -> Tuning:
     """Tune a motion model to one wish.
 
     Parameters
     ----------
     tuning : Tuning
-        The identified tuning, undamped. Its order and noise variance stay; its tones and coloured noise are left out.
+        The identified tuning, undamped. Its order and noise variance are kept; its tones and coloured noise are left
+        out.
     dial : Dial
         The wish. A *small* lag trusts the readings; a *small* bandwidth or noise gain smooths more. A filter
         that is already faster than a wished lag keeps its ratio.
@@ -47,7 +48,7 @@ def turn(tuning: Tuning, dial: Dial, step_s: float, causal: bool) -> Tuning:
     if dial.kind == "max_lag_s" and causal:
         if lag_steps(motion_filter(tuning.order, tuning.ratio)) * step_s <= dial.value:
             return _with_ratio(tuning, tuning.ratio)  # already fast enough
-        _refuse_longer(dial.value, tuning.count * step_s)
+        _require_within_record(dial.value, tuning.count * step_s)
     return _with_ratio(tuning, ratio_for(tuning.order, dial, step_s, causal))
 
 
@@ -82,23 +83,23 @@ def ratio_for(order: int, dial: Dial, step_s: float, causal: bool = True) -> flo
     return ratio_for_lag(order, value, step_s)
 
 
-def may_judge(tuning: Tuning, identified: Tuning) -> bool:
-    """Return whether a gate may use a filter: its q/r and its noise must be no smaller than the identified ones.
+def may_gate(tuning: Tuning, identified: Tuning) -> bool:
+    """Return whether a filter may have a gate: its q/r and noise variance must be no smaller than the identified ones.
 
     Order, tones and coloured noise must be the same. A slower filter does not follow the signal, and its gate would
-    take motion for spikes.
+    reject motion as spikes.
     """
-    quick = tuning.ratio >= identified.ratio and tuning.noise_variance >= identified.noise_variance
+    fast_enough = tuning.ratio >= identified.ratio and tuning.noise_variance >= identified.noise_variance
     same = (tuning.order, tuning.tones, tuning.coloured) == (identified.order, identified.tones, identified.coloured)
-    return quick and same
+    return fast_enough and same
 
 
 def _with_ratio(tuning: Tuning, ratio: float) -> Tuning:
     return replace(tuning, ratio=ratio, tones=(), coloured=None, log_likelihood=np.nan, loss=np.nan, at_edge="")
 
 
-def _refuse_longer(lag_s: float, lasts_s: float) -> None:
-    """Raise a UsageError for a lag that is longer than the record, so that every filter meets it."""
+def _require_within_record(lag_s: float, lasts_s: float) -> None:
+    """Raise a UsageError for a lag that is longer than the record: every filter would fulfil it."""
     if lag_s > lasts_s:
         raise UsageError(
             f"max_lag_s = {lag_s:.6g} has no effect: it is longer than the record, {lasts_s:.6g} s;"

@@ -1,6 +1,6 @@
 """Compute the gain of waiting for later readings: the curve from the filter over fixed lags to the smoother.
 
-Like the trade-off curve, it is predicted from the Riccati solution and the noise variance of a reading alone.
+Like the trade-off curve, the gain is predicted from the Riccati solution and the noise variance of a reading alone.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from becalm.errors import ModelError, UsageError
 from becalm.identification.likelihood import Tuning
 
 _WAITS = np.append(0.0, np.geomspace(0.05, 6.0, 40))  # default waits, in units of 1 / cut-off
-_SHARES = (0.25, 0.5, 0.75)  # of the gain in dB from filter to smoother
+_SHARES = (0.25, 0.5, 0.75)  # shares of the gain in dB from filter to smoother at which the curve has points
 _NEAR_DB = 0.1  # distance from the smoother, in dB, at which the curve ends
 _LONGEST = 1 << 30  # longest lag, in readings
 
 
 @dataclass(frozen=True)
 class Wait:
-    """The remaining error if the output may wait for later readings.
+    """The remaining error if the output waits for later readings.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ def waiting_curve(
     ratio : float
         q/r, as in `Tuning.ratio`; a *small* one trusts the motion, and longer waits are useful.
     noise_variance : float
-        r, the noise variance of a reading, in unit^2; all errors are proportional to its root, `gain_db` does not
+        r, the noise variance of a reading, in unit^2; all errors are proportional to its root, and `gain_db` does not
         depend on it.
     step_s : float
         Step in seconds.
@@ -78,15 +78,15 @@ def waiting_curve(
         raise UsageError(f"ratio = {ratio} is not a q/r; give a positive number, variance over variance.")
     if any(not wait >= 0 for wait in waits or ()):
         raise UsageError(f"waits = {waits} contains a negative wait; give numbers of readings, 0 or more.")
-    refuse_variance(noise_variance)
+    check_noise_variance(noise_variance)
     steady_filter = motion_filter(order, ratio)
     steps = np.unique(np.round(_WAITS / ratio_to_cutoff(order, ratio))) if waits is None else np.sort(np.asarray(waits))
     filter_error = steady_filter.error_variance()
     curve = []
     for wait in (*steps.tolist(), np.inf):
         error, noise = steady_filter.error_variance(wait), steady_filter.noise_gain(wait)
-        sigma, left = np.sqrt(error * noise_variance), np.sqrt(noise * noise_variance)
-        curve.append(Wait(wait * step_s, float(sigma), float(left), decibels(filter_error / error)))
+        sigma, noise_std = np.sqrt(error * noise_variance), np.sqrt(noise * noise_variance)
+        curve.append(Wait(wait * step_s, float(sigma), float(noise_std), decibels(filter_error / error)))
     return tuple(curve)
 
 
@@ -184,7 +184,7 @@ def _least_lag(left_db: Callable[[float], float], wanted: float) -> int:
     return high
 
 
-def refuse_variance(noise_variance: float) -> None:
+def check_noise_variance(noise_variance: float) -> None:
     """Raise a UsageError if a noise variance is not positive and finite."""
     if not 0 < noise_variance < np.inf:
         raise UsageError(f"noise_variance = {noise_variance} is not a variance; give a positive number in unit^2.")

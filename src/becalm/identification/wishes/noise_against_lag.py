@@ -1,7 +1,7 @@
 """Compute the trade-off curve of remaining noise against lag, before any filter runs.
 
-The curve is predicted from the Riccati solution and the noise variance of a reading alone. It does not depend on the
-signal: bandwidth and overshoot show how a filter changes it, and the likelihood shows which order fits it.
+The curve is predicted from the Riccati solution and the noise variance of a reading alone. The curve does not depend on
+the signal: bandwidth and overshoot show how a filter changes a signal, and the likelihood shows which order fits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from becalm.core.steady.dials import motion_filter
 from becalm.core.steady.response import describe
 from becalm.errors import UsageError
 from becalm.identification.wishes.dial import Dial, Kind, ratio_for
-from becalm.identification.wishes.gain_of_waiting import refuse_variance
+from becalm.identification.wishes.gain_of_waiting import check_noise_variance
 
 _CUTOFFS = np.geomspace(1e-4, 4.0, 48)  # default cut-offs, in radians a step
 
@@ -132,7 +132,7 @@ def trade_off_curve(
     ModelError
         If an order is not 1 to 5, or the step is not positive.
     """
-    refuse_variance(noise_variance)
+    check_noise_variance(noise_variance)
     if len(orders) == 0 or (ratios is not None and len(ratios) == 0):
         raise UsageError("A trade-off curve needs an order and a ratio; leave them out to use the defaults.")
     wrong = [ratio for ratio in ratios or () if not 0 < ratio < np.inf]

@@ -65,7 +65,7 @@ class MqttLink:
         self._on_message = on_message
         self._on_acknowledged = on_acknowledged
         self.changed = threading.Condition()
-        """Notified when the connection ends; the user of the connection may also use it for messages."""
+        """Notified when the connection ends; the owner of the connection may also notify it of messages."""
         self.closing = False
         """True once `close` has begun; callbacks must not block then."""
         self._client: Client | None = None
@@ -73,7 +73,7 @@ class MqttLink:
         self._answered = False
         self._subscribed = False
         self._failure: BecalmError | None = None
-        self.remembered = False
+        self.session_present = False
         """True if the broker still had this client's session."""
         self.window = 0xFFFF
         """Number of messages that the broker accepts before it has acknowledged them."""
@@ -113,8 +113,8 @@ class MqttLink:
     def subscribe(self, topic: str) -> None:
         """Subscribe with QoS 1; raises the errors of `connect`.
 
-        If the broker still has the session, this does not wait for its answer, because messages of the session may
-        come first and fill the queue; a refusal then ends the connection later.
+        If the broker still has the session, this does not wait for the answer to the subscription: messages of the
+        session may arrive before it and fill the queue. A refusal then ends the connection later.
         """
         from paho.mqtt.client import MQTTv5
         from paho.mqtt.subscribeoptions import SubscribeOptions
@@ -125,7 +125,7 @@ class MqttLink:
             client.subscribe(topic, options=SubscribeOptions(qos=1, retainHandling=never))
         else:
             client.subscribe(topic, qos=1)
-        if not self.remembered:
+        if not self.session_present:
             self._wait(lambda: self._subscribed, "it does not answer a subscription")
 
     def publish(self, topic: str, payload: bytes) -> int:
@@ -218,7 +218,7 @@ class MqttLink:
     def _handle_connect(
         self, _: Client, __: object, flags: ConnectFlags, reason: ReasonCode, properties: Properties | None
     ) -> None:
-        self.remembered = bool(flags.session_present)
+        self.session_present = bool(flags.session_present)
         self.window = int(getattr(properties, "ReceiveMaximum", self.window))
         self.largest = int(getattr(properties, "MaximumPacketSize", self.largest))
         with self.changed:

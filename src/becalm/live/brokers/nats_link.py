@@ -53,14 +53,14 @@ def check_subject(info: StreamInfo, subject: str) -> None:
         If the stream does not store the subject.
     """
     patterns = info.config.subjects
-    if patterns and not any(holds(pattern, subject) for pattern in patterns):
+    if patterns and not any(matches_subject(pattern, subject) for pattern in patterns):
         raise InputError(
             f"The stream {info.config.name} holds {', '.join(patterns)}, and not {subject}; choose one of these by "
             f"subject=, or add the subject: nats stream edit {info.config.name} --subjects ..."
         )
 
 
-def holds(pattern: str, subject: str) -> bool:
+def matches_subject(pattern: str, subject: str) -> bool:
     """Return whether a pattern of subjects, such as plant.* or plant.>, matches a subject."""
     tokens, words = pattern.split("."), subject.split(".")
     if tokens[-1] == ">" and len(words) >= len(tokens):
@@ -81,7 +81,7 @@ class NatsLink:
     def __init__(self, remote: Remote) -> None:
         self._remote = remote
         self.changed = threading.Condition()
-        """Notified when the connection ends; the user of the connection may also use it for messages."""
+        """Notified when the connection ends; the owner of the connection may also notify it of messages."""
         self._failure: BecalmError | None = None
         self._errors: list[BaseException] = []
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -155,7 +155,7 @@ class NatsLink:
             raise self._remote.away("it does not answer") from cause
 
     def start(self, work: Coroutine[Any, Any, None]) -> None:
-        """Start a coroutine on the connection's thread, after those started before; do not wait for it."""
+        """Start a coroutine on the connection's thread, after the coroutines started earlier; do not wait for it."""
         if self._loop is None:
             work.close()
         else:

@@ -15,9 +15,10 @@ from becalm.live.brokers.remote import Remote
 if TYPE_CHECKING:
     from nats.aio.msg import Msg
 
-_BUFFERED_BYTES = 32_000_000  # most bytes of requested and buffered messages, each as large as the largest so far
+_BUFFERED_BYTES = 32_000_000  # most bytes of requested and buffered messages, if all are as large as the largest so far
 _MOST_REQUESTED = 4096  # messages; fewer if they are large
-_EXPIRES_S, _HEARTBEAT_S, _SILENT_S = 30.0, 5.0, 20.0  # life of a request, its heartbeats, silence of a lost server
+_EXPIRES_S, _HEARTBEAT_S = 30.0, 5.0  # time limit of a request, and interval of its heartbeats, in seconds
+_SILENT_S = 20.0  # silence after which the server counts as away, in seconds
 _INACTIVE_S = 120.0  # time without requests after which the server removes the consumer
 _NANO = 1_000_000_000  # nanoseconds per second
 
@@ -59,11 +60,11 @@ class NatsPull:
     def __init__(self, remote: Remote, link: NatsLink) -> None:
         self._remote = remote
         self._link = link
-        self._came: deque[StreamMessage] = deque()
+        self._buffered: deque[StreamMessage] = deque()
         self._requested = 0  # messages requested and not received yet
         self._last = 0  # number of this consumer's last message
         self._largest = 1000  # bytes of the largest message so far
-        self._heard_s = time.monotonic()
+        self._last_received_s = time.monotonic()
         self._stream = self._consumer = self._inbox = ""
 
     def begin(self, stream: str, first: int, subject: str | None) -> None:
@@ -81,7 +82,7 @@ class NatsPull:
         Raises
         ------
         InputError
-            If the server refuses.
+            If the server refuses the request.
         AwayError
             If the connection is lost.
         """
@@ -107,9 +108,9 @@ class NatsPull:
         """
         link = self._link
         with link.changed:
-            link.changed.wait_for(lambda: bool(self._came) or link.ended, timeout_s)
-            taken = [self._came.popleft() for _ in range(min(len(self._came), at_once))]
-            silent = self._requested > 0 and time.monotonic() > self._heard_s + _SILENT_S
+            link.changed.wait_for(lambda: bool(self._buffered) or link.ended, timeout_s)
+            taken = [self._buffered.popleft() for _ in range(min(len(self._buffered), at_once))]
+            silent = self._requested > 0 and time.monotonic() > self._last_received_s + _SILENT_S
         if not taken:
             link.check()
             if silent:
@@ -145,11 +146,11 @@ class NatsPull:
 
         with self._link.changed:
             limit = max(2, min(_MOST_REQUESTED, _BUFFERED_BYTES // self._largest))
-            more = limit - self._requested - len(self._came)
+            more = limit - self._requested - len(self._buffered)
             if more < limit / 2 or self._link.ended:
                 return
             if not self._requested:
-                self._heard_s = time.monotonic()
+                self._last_received_s = time.monotonic()
             self._requested += more
         request = {"batch": more, "expires": int(_EXPIRES_S * _NANO), "idle_heartbeat": int(_HEARTBEAT_S * _NANO)}
         subject = f"$JS.API.CONSUMER.MSG.NEXT.{self._stream}.{self._consumer}"
@@ -162,14 +163,14 @@ class NatsPull:
         """Handle a message of the stream or a status of the server, on the connection's thread."""
         link = self._link
         with link.changed:
-            self._heard_s = time.monotonic()
+            self._last_received_s = time.monotonic()
             if message.reply:
-                self._hold(message)
+                self._buffer(message)
             else:
                 self._handle_status(message.headers or {})
             link.changed.notify_all()
 
-    def _hold(self, message: Msg) -> None:
+    def _buffer(self, message: Msg) -> None:
         number, consumer_number, stored_ns = _numbers_of(message.reply)
         if consumer_number != self._last + 1:
             self._link.end(self._remote.away(f"messages before {number} were lost in transit"))
@@ -177,10 +178,10 @@ class NatsPull:
         self._last = consumer_number
         self._requested -= 1
         self._largest = max(self._largest, len(message.data))
-        self._came.append(StreamMessage(number, message.data, stored_ns / _NANO, self._heard_s))
+        self._buffered.append(StreamMessage(number, message.data, stored_ns / _NANO, self._last_received_s))
 
     def _handle_status(self, headers: dict[str, str]) -> None:
-        """Handle a status: 100 is a heartbeat, 408 ends a request that has messages left, others end the connection."""
+        """Handle a status: 100 is a heartbeat, 408 an expired request with messages left; others end the connection."""
         status = headers.get("Status")
         if status == "100":
             return

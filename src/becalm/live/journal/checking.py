@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from becalm.live.journal.database import NAME, BrokenSealError, JournalError, rolled_blocks, unsealed
+from becalm.live.journal.database import NAME, BrokenSealError, JournalError, last_rolled_block, unseal
 from becalm.live.journal.mark import MarkFile
 from becalm.live.journal.reading import open_journal
 from becalm.live.journal.records import TABLES, BlockRow, RollRow
@@ -75,17 +75,17 @@ def _damaged(fault: str) -> str:
 def file_faults(folder: Path, rolls: Iterable[RollRow]) -> Iterator[str]:
     """Yield a sentence for each file that cannot be read or differs from what was written; pruned files are skipped."""
     for roll in rolls:
-        path, held = folder / roll.path, f"{roll.path}, which holds {rows_text((roll.first_row, roll.end_row))},"
+        path, described = folder / roll.path, f"{roll.path}, which holds {rows_text((roll.first_row, roll.end_row))},"
         if roll.pruned_s is not None:
             continue
         try:
             with path.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as cause:
-            yield f"{held} cannot be read: {cause.strerror}."
+            yield f"{described} cannot be read: {cause.strerror}."
             continue
         if digest != roll.sha256:
-            yield f"{held} differs from what was written."
+            yield f"{described} differs from what was written."
 
 
 def uncovered(gap: Span, spans: Iterable[Span]) -> list[Span]:
@@ -109,16 +109,16 @@ def rows_text(rows: Span) -> str:
 
 def _broken_seals(connection: sqlite3.Connection, table: str) -> Iterator[str]:
     kind = next(kind for kind, name in TABLES.items() if name == table)
-    after = f" WHERE number > {rolled_blocks(connection)}" if kind is BlockRow else ""
+    after = f" WHERE number > {last_rolled_block(connection)}" if kind is BlockRow else ""
     for row in connection.execute(f"SELECT * FROM {table}{after}"):
         try:
-            unsealed(kind, row)
+            unseal(kind, row)
         except BrokenSealError as cause:
             yield f"{str(cause).capitalize()}."
 
 
 def _row_faults(connection: sqlite3.Connection) -> Iterator[str]:
-    """Yield a sentence for each repeat of rows, gap that is no hole, wrong number of rows, and missing block."""
+    """Yield a sentence for each repeat of rows, unrecorded gap, wrong number of rows in a file, and missing block."""
     holes = list(connection.execute("SELECT first_row, end_row FROM holes"))
     expected = 0
     for path, first_row, end_row, rows in connection.execute(
@@ -129,7 +129,7 @@ def _row_faults(connection: sqlite3.Connection) -> Iterator[str]:
         if rows + lost != end_row - first_row:
             yield f"{path} should hold {end_row - first_row - lost} rows, but its record says {rows}."
         expected = max(expected, end_row)
-    number = rolled_blocks(connection)
+    number = last_rolled_block(connection)
     for block, first_row, end_row in connection.execute(_BLOCKS, (number,)):
         if block != number + 1:
             yield f"Blocks {number + 1} to {block - 1} are missing."

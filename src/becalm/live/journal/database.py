@@ -160,7 +160,7 @@ def reading(folder: Path) -> Iterator[None]:
 
 
 def put(connection: sqlite3.Connection, row: tuple[Any, ...]) -> None:
-    """Write a row into its table, in place of one with the same number; a row without a number gets the next one."""
+    """Write a row into its table, replacing a row with the same number; a row without a number gets the next number."""
     marks = ", ".join("?" * (len(row) + 1))
     number = row[0]
     if number is None:
@@ -171,7 +171,7 @@ def put(connection: sqlite3.Connection, row: tuple[Any, ...]) -> None:
 
 
 def get(connection: sqlite3.Connection, kind: type[Row], tail: str = "", values: Sequence[object] = ()) -> list[Row]:
-    """Return rows of a table by number, or as selected by `tail` (WHERE, ORDER BY, LIMIT) with its `values`.
+    """Return all rows of a table in order of number, or the rows that `tail` (WHERE, ...) with its `values` selects.
 
     Raises
     ------
@@ -181,11 +181,11 @@ def get(connection: sqlite3.Connection, kind: type[Row], tail: str = "", values:
         If the file cannot be read.
     """
     rows = connection.execute(f"SELECT * FROM {TABLES[kind]} {tail or 'ORDER BY number'}", values).fetchall()
-    return [unsealed(kind, row) for row in rows]
+    return [unseal(kind, row) for row in rows]
 
 
-def unsealed(kind: type[Row], row: tuple[Any, ...]) -> Row:
-    """Check the seal of a row; return the row without it.
+def unseal(kind: type[Row], row: tuple[Any, ...]) -> Row:
+    """Check the seal of a row; return the row without the seal.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def unsealed(kind: type[Row], row: tuple[Any, ...]) -> Row:
     return kind(*row[:-1])
 
 
-def rolled_blocks(connection: sqlite3.Connection) -> int:
+def last_rolled_block(connection: sqlite3.Connection) -> int:
     """Return the number of the last block whose rows are in a Parquet file, or 0; blocks up to it are no longer used.
 
     Raises

@@ -10,7 +10,7 @@ from pathlib import Path
 from becalm.live.journal.database import PAGE, create
 
 _SIZE = slice(28, 32)  # bytes of the first page: size of the database in pages, big-endian
-_WAL = slice(18, 20)  # format numbers; 2 means that a write-ahead log exists
+_WAL = slice(18, 20)  # format numbers; 2 means write-ahead logging
 
 
 def is_sound(connection: sqlite3.Connection) -> bool:
@@ -22,7 +22,7 @@ def is_sound(connection: sqlite3.Connection) -> bool:
     return False
 
 
-def with_first_page(path: Path, copy: Path) -> None:
+def copy_with_first_page(path: Path, copy: Path) -> None:
     """Copy a database with its write-ahead log, and replace the copy's first page with an intact one.
 
     Raises

@@ -16,8 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from becalm.live.journal.checking import Span, uncovered
-from becalm.live.journal.database import NAME, BrokenSealError, rolled_blocks, unsealed
-from becalm.live.journal.first_page import is_sound, with_first_page
+from becalm.live.journal.database import NAME, BrokenSealError, last_rolled_block, unseal
+from becalm.live.journal.first_page import copy_with_first_page, is_sound
 from becalm.live.journal.mark import Mark
 from becalm.live.journal.records import TABLES, BlockRow, HeadRow, HoleRow, LossRow, RollRow
 from becalm.live.journal.rolling import END_ROW, FIRST_ROW
@@ -49,9 +49,9 @@ class Plan:
     blocks : list of (int or None, BlockRow)
         Number of a block in the damaged database, and its new row without data; None if the block is new.
     gaps : list of (int, int)
-        Spans of lost rows before the end that are not recorded as holes yet; the second number is excluded.
+        Spans (first row, row after the last) of lost rows before `end` that are not recorded as holes yet.
     end : int
-        The row after the last.
+        The row after the last row of the stream.
     """
 
     rows: list[tuple[Any, ...]]
@@ -77,7 +77,7 @@ def connect_damaged(path: Path) -> sqlite3.Connection:
         return connection
     connection.close()
     copy = path.with_name(HEADED)
-    with_first_page(path, copy)
+    copy_with_first_page(path, copy)
     return _connect_read_only(copy)
 
 
@@ -88,10 +88,10 @@ def _connect_read_only(path: Path) -> sqlite3.Connection:
     return connection
 
 
-def remains_of(connection: sqlite3.Connection) -> IntactRows:
-    """Return all intact rows, without the blocks whose rows are in files."""
+def read_intact_rows(connection: sqlite3.Connection) -> IntactRows:
+    """Return all intact rows, except the blocks whose rows are in files."""
     try:
-        rolled = rolled_blocks(connection)
+        rolled = last_rolled_block(connection)
     except (sqlite3.Error, BrokenSealError):
         rolled = 0
     numbers = [number for number in _numbers(connection, TABLES[BlockRow]) if number > rolled]
@@ -105,19 +105,19 @@ def remains_of(connection: sqlite3.Connection) -> IntactRows:
     )
 
 
-def moved(source: sqlite3.Connection, old: int, new: BlockRow) -> BlockRow:
+def with_data(source: sqlite3.Connection, old: int, new: BlockRow) -> BlockRow:
     """Return the new row of a block with the data of block `old`."""
     return new._replace(data=next(_read(source, BlockRow, [old])).data)
 
 
-def planned(folder: Path, remains: IntactRows, mark: Mark | None) -> Plan | None:
+def plan_repair(folder: Path, intact: IntactRows, mark: Mark | None) -> Plan | None:
     """Return the plan of the new database; None if no checkpoint is left from which the stream could continue."""
-    rolls = _all_files(folder, remains)
+    rolls = _all_files(folder, intact)
     end = rolls[-1].end_row if rolls else 0
-    heads = list(remains.heads)
+    heads = list(intact.heads)
     if mark is not None and mark.head.recipe not in [head.recipe for head in heads]:
         heads.append(HeadRow.of(max([0, *(head.number for head in heads)]) + 1, mark.head))
-    kept = _in_order(remains.blocks, end)
+    kept = _in_order(intact.blocks, end)
     if not heads or not (kept or (mark is not None and mark.checkpoint.rows >= end)):
         return None
     head_numbers, last = {head.number for head in heads}, heads[-1].number
@@ -130,11 +130,11 @@ def planned(folder: Path, remains: IntactRows, mark: Mark | None) -> Plan | None
         row = mark.checkpoint.rows
         blocks = [(None, BlockRow(1, last, row, row, None, None, time.time(), 0, 0, *checkpoint, None))]
     end = blocks[-1][1].end_row
-    pieces: list[RollRow | BlockRow | HoleRow] = [*rolls, *kept, *remains.holes]
+    pieces: list[RollRow | BlockRow | HoleRow] = [*rolls, *kept, *intact.holes]
     gaps = uncovered((0, end), [(piece.first_row, piece.end_row) for piece in pieces])
     files = [roll._replace(number=number, last_block=0) for number, roll in enumerate(rolls, 1)]
     holes = [HoleRow(None, *gap) for gap in gaps]
-    return Plan([*heads, *files, *remains.losses, *remains.holes, *holes], blocks, gaps, end)
+    return Plan([*heads, *files, *intact.losses, *intact.holes, *holes], blocks, gaps, end)
 
 
 def _in_order(blocks: Sequence[BlockRow], end: int) -> list[BlockRow]:
@@ -149,13 +149,13 @@ def _in_order(blocks: Sequence[BlockRow], end: int) -> list[BlockRow]:
     return kept
 
 
-def _all_files(folder: Path, remains: IntactRows) -> list[RollRow]:
+def _all_files(folder: Path, intact: IntactRows) -> list[RollRow]:
     """Return the records of all files in row order, including files whose record is lost."""
-    rolls = sorted(remains.rolls, key=lambda roll: roll.first_row)
+    rolls = sorted(intact.rolls, key=lambda roll: roll.first_row)
     spans = [(roll.first_row, roll.end_row) for roll in rolls]
-    blocks = [(block.first_row, block.end_row) for block in remains.blocks]
+    blocks = [(block.first_row, block.end_row) for block in intact.blocks]
     recorded = {roll.path for roll in rolls}
-    head = remains.heads[-1].number if remains.heads else 1
+    head = intact.heads[-1].number if intact.heads else 1
     for path in sorted(folder.glob("*/*.parquet")):
         name = path.relative_to(folder).as_posix()
         roll = None if name in recorded else _record_of(path, name, head)
@@ -194,11 +194,11 @@ def _read(connection: sqlite3.Connection, kind: type[Row], numbers: Iterable[int
         with suppress(sqlite3.Error, BrokenSealError):
             row = connection.execute(f"SELECT * FROM {TABLES[kind]} WHERE number = ?", (number,)).fetchone()
             if row is not None:
-                yield unsealed(kind, row)
+                yield unseal(kind, row)
 
 
 def _numbers(connection: sqlite3.Connection, table: str) -> list[int]:
-    """Return the numbers that a table may have: those readable from both ends, and all numbers in between."""
+    """Return the numbers of a table's rows; in a damaged table, also all numbers between the readable ones."""
     numbers: list[int] = []
     for order in ("ASC", "DESC"):
         with suppress(sqlite3.Error):

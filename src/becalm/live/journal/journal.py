@@ -12,13 +12,13 @@ from becalm.files.atomic_file import explain_write_errors
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Loss, Output
 from becalm.live.journal.database import NAME, connect, get, put, reading, transaction, writing
-from becalm.live.journal.mark import Mark, MarkFile, locked
-from becalm.live.journal.parquet_files import give_up, record, remove_leftovers, remove_rolled
+from becalm.live.journal.mark import Mark, MarkFile, lock_journal
+from becalm.live.journal.parquet_files import record, record_pruned, remove_leftovers, remove_rolled
 from becalm.live.journal.records import BlockRow, HeadRow, LossRow, RollRow
 from becalm.live.journal.rolling import MOST_BYTES, Rolled
 from becalm.live.journal.rolling_thread import Roller
-from becalm.live.journal.row_bytes import by_period, joined, packed
-from becalm.live.journal.salvage import mend
+from becalm.live.journal.row_bytes import join_outputs, pack_rows, split_by_period
+from becalm.live.journal.salvage import repair
 from becalm.live.tables import column_names
 
 OPTIONS = ("roll", "keep")
@@ -27,7 +27,7 @@ _HOUR_S = 3600.0
 _UNROLLED = """SELECT sum(length(data)) FROM blocks
     WHERE number > coalesce((SELECT last_block FROM rolls ORDER BY number DESC LIMIT 1), 0)"""
 _LEAST_ROLL_S, _MOST_ROLL_S = 1.0, 30 * 86400.0  # limits of the option `roll`
-_REMOVED = 4  # least number of rolled blocks that a commit removes; more than it adds, so that the database shrinks
+_REMOVED = 4  # rolled blocks that a commit removes, or twice as many as it adds, so that the database shrinks
 _PATIENCE_S = 5.0  # time to finish rolling when the stream ends
 
 
@@ -35,8 +35,8 @@ _PATIENCE_S = 5.0  # time to finish rolling when the stream ends
 class _Place:
     """End of the journal, after which the next block is written."""
 
-    block: int = 0
-    row: int = 0
+    block: int = 0  # number of the last block
+    row: int = 0  # number of the next row
     head: HeadRow | None = None
     hour: tuple[int, int] = (0, 0)  # `period_s` and `dated` of the last block
     empty: bool = False  # True if the last block has no rows
@@ -52,15 +52,15 @@ class Journal:
     Parameters
     ----------
     address : Address
-        `journal:DIR?roll=1h&keep=30d`: time that one file covers, and age at which files are removed; without `keep`
-        no file is removed.
+        `journal:DIR?roll=1h&keep=30d`: `roll` is the time that one Parquet file covers, `keep` the age at which files
+        are removed; without `keep` no file is removed.
 
     Attributes
     ----------
     folder : Path
         DIR.
-    mended : tuple of Loss
-        Losses that `last` or `open` found in a damaged journal; they are recorded in it.
+    repair_losses : tuple of Loss
+        Losses that `last` or `open` found in a damaged journal, and recorded in the journal.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class Journal:
         self._mark = MarkFile(self.folder)
         self._place = _Place()
         self._checkpoint: Checkpoint | None = None
-        self.mended: tuple[Loss, ...] = ()
+        self.repair_losses: tuple[Loss, ...] = ()
         self._lock: sqlite3.Connection | None = None
         self._connection: sqlite3.Connection | None = None
         self._roller: Roller | None = None
@@ -138,7 +138,7 @@ class Journal:
                 " that recipe, or give this stream another folder: --sink journal:OTHER."
             )
 
-    def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
+    def commit(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
         """Commit rows and checkpoint, both or neither.
 
         Raises
@@ -148,23 +148,23 @@ class Journal:
         JournalError
             If the file is damaged.
         ValueError
-            If the rows do not follow those that were committed.
+            If the first row is not the row after the last committed one.
         """
         if self._doubtful and self._is_committed(checkpoint):
             return
         place = self._place
-        output = joined(outputs, place.row)
+        output = join_outputs(outputs, place.row)
         if checkpoint.rows != place.row + sum(map(len, outputs)):
             raise ValueError(f"the checkpoint is after {checkpoint.rows} rows, but the outputs end at another row")
         head, roller = place.head, self._roller
-        assert head is not None, "open comes before keep"
-        assert roller is not None, "open comes before keep"
+        assert head is not None, "open comes before commit"
+        assert roller is not None, "open comes before commit"
         if checkpoint.recipe != head.recipe:  # the stream was retuned meanwhile
             head = head._replace(number=head.number + 1, recipe=checkpoint.recipe)
         blocks = self._blocks(output, checkpoint, head)
         losses = [LossRow.of(one.first_row, loss) for one in outputs for loss in one.losses]
         self._doubtful = True
-        self._commit(roller, head, blocks, losses)
+        self._write_transaction(roller, head, blocks, losses)
         self._doubtful = False
         self._checkpoint = checkpoint
         self._mark.write(Mark(head.head(), checkpoint))
@@ -176,8 +176,8 @@ class Journal:
             roller.wake()
         self._place = _Place(last.number, last.end_row, head, hour, empty, size)
 
-    def settle(self, timeout_s: float) -> bool:
-        """Wait until all completed hours are in files and recorded; return False if that fails or takes longer.
+    def wait_until_rolled(self, timeout_s: float) -> bool:
+        """Wait until all completed hours are in files and recorded; return False after a failure or the timeout.
 
         The stream may continue meanwhile.
 
@@ -186,15 +186,15 @@ class Journal:
         timeout_s : float
             Longest time to wait, in seconds.
         """
-        settled = self._roller is not None and self._roller.settle(timeout_s)
+        settled = self._roller is not None and self._roller.wait_until_rolled(timeout_s)
         self._record()
         return settled
 
     def close(self) -> None:
-        """Close the journal; a file that is being rolled is finished within 5 s or left. May be called twice."""
+        """Close the journal, after waiting up to 5 s for a Parquet file that is being written. May be called twice."""
         try:
             if self._roller is not None:
-                self._roller.settle(_PATIENCE_S)
+                self._roller.wait_until_rolled(_PATIENCE_S)
                 self._roller.close()
                 self._record()
         finally:
@@ -213,9 +213,9 @@ class Journal:
         if self._connection is None:
             with explain_write_errors(self.folder):
                 self.folder.mkdir(parents=True, exist_ok=True)
-            lock = locked(self.folder)
+            lock = lock_journal(self.folder)
             try:
-                self.mended = mend(self.folder, self._mark.read())
+                self.repair_losses = repair(self.folder, self._mark.read())
                 with writing(self.folder):
                     self._connection = connect(self.folder / NAME)
                     remove_leftovers(self._connection, self.folder)
@@ -253,21 +253,21 @@ class Journal:
         """Return the blocks of one commit: one for each hour, the last with the snapshot."""
         place, now = self._place, time.time()
         if output is None:
-            number = place.block + (0 if place.empty else 1)  # replace a block without rows: its checkpoint is old
+            number = place.block + (0 if place.empty else 1)  # overwrite a last block without rows
             span = (place.row, place.row, None, None, now, *place.hour)
             return [
                 BlockRow(number, head.number, *span, checkpoint.position, checkpoint.source, checkpoint.snapshot, None)
             ]
         blocks = []
-        for number, (start, dated, part) in enumerate(by_period(output, self._period_s, now), place.block + 1):
+        for number, (start, dated, part) in enumerate(split_by_period(output, self._period_s, now), place.block + 1):
             stamps = (float(part.time_s[0]), float(part.time_s[-1]))
             part_span = (part.first_row, part.first_row + len(part), *stamps, now, start, int(dated))
-            blocks.append(BlockRow(number, head.number, *part_span, "", "", None, packed(part)))
+            blocks.append(BlockRow(number, head.number, *part_span, "", "", None, pack_rows(part)))
         position, source = checkpoint.position, checkpoint.source
         blocks[-1] = blocks[-1]._replace(position=position, source=source, snapshot=checkpoint.snapshot)
         return blocks
 
-    def _commit(self, roller: Roller, head: HeadRow, blocks: list[BlockRow], losses: list[LossRow]) -> None:
+    def _write_transaction(self, roller: Roller, head: HeadRow, blocks: list[BlockRow], losses: list[LossRow]) -> None:
         """Commit head, blocks and losses; record files that were rolled meanwhile in the same transaction."""
         done = roller.done()
         with transaction(self._database, self.folder):
@@ -289,7 +289,7 @@ class Journal:
         """Record files and remove up to `most` of their blocks, within a transaction; return files to remove."""
         record(self._database, done)
         remove_rolled(self._database, most)
-        return give_up(self._database, self._age_s) if done and self._age_s else []
+        return record_pruned(self._database, self._age_s) if done and self._age_s else []
 
 
 def _channels(head: Head) -> str:

@@ -19,7 +19,7 @@ _SEAL = 32  # bytes of a SHA-256 digest
 
 
 class Mark(NamedTuple):
-    """Head and checkpoint after a commit; a database with fewer rows has lost some."""
+    """Head and checkpoint of the last commit; a database with fewer rows than the checkpoint has lost rows."""
 
     head: Head
     checkpoint: Checkpoint
@@ -28,7 +28,7 @@ class Mark(NamedTuple):
 class MarkFile:
     """The file of the mark; it is written after each commit, so that it is never ahead of the database.
 
-    It is written without fsync: after a power cut it may be older than the database, or incomplete and then ignored.
+    The file is written without fsync: after a power cut it may be older than the database, or incomplete and ignored.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class MarkFile:
                 os.close(handle)
 
 
-def locked(folder: Path) -> sqlite3.Connection:
+def lock_journal(folder: Path) -> sqlite3.Connection:
     """Lock a journal against other writers; return the connection that holds the lock until it is closed.
 
     Raises
@@ -88,4 +88,4 @@ def locked(folder: Path) -> sqlite3.Connection:
         " --sink journal:OTHER."
     )
     with writing(folder):
-        return locking.locked(folder / "journal.lock", refusal)
+        return locking.lock_file(folder / "journal.lock", refusal)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from becalm.live.block import Loss, LossKind
 from becalm.live.journal.checking import rows_text
-from becalm.live.journal.database import NAME, connect, get, put, rolled_blocks, transaction, writing
+from becalm.live.journal.database import NAME, connect, get, last_rolled_block, put, transaction, writing
 from becalm.live.journal.records import LossRow, RollRow
 from becalm.live.journal.rolling import Rolled
 
@@ -33,10 +33,10 @@ def record(connection: sqlite3.Connection, done: Iterable[Rolled]) -> None:
 
 def remove_rolled(connection: sqlite3.Connection, most: int) -> None:
     """Remove up to `most` blocks whose rows are in files, within a transaction; SQLite reuses their pages."""
-    connection.execute(_REMOVED, (rolled_blocks(connection), most))
+    connection.execute(_REMOVED, (last_rolled_block(connection), most))
 
 
-def give_up(connection: sqlite3.Connection, age_s: float) -> list[RollRow]:
+def record_pruned(connection: sqlite3.Connection, age_s: float) -> list[RollRow]:
     """Record within a transaction that files older than `age_s` are removed; return their records.
 
     The losses of their rows are removed too.
@@ -73,7 +73,7 @@ def prune(folder: Path, age_s: float) -> list[RollRow]:
     """
     with writing(folder), closing(connect(folder / NAME)) as connection:
         with transaction(connection, folder):
-            old = give_up(connection, age_s)
+            old = record_pruned(connection, age_s)
         remove(folder, old)
     return old
 

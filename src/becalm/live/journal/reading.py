@@ -14,12 +14,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from becalm.files.tables import VERDICT, in_words
+from becalm.files.tables import VERDICT, verdict_words
 from becalm.live.block import Checkpoint, Head
 from becalm.live.closing import Closing
-from becalm.live.journal.database import NAME, JournalError, connect_reading, get, reading, rolled_blocks
+from becalm.live.journal.database import NAME, JournalError, connect_reading, get, last_rolled_block, reading
 from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, LossRow, RollRow
-from becalm.live.journal.row_bytes import unpacked
+from becalm.live.journal.row_bytes import unpack_rows
 from becalm.live.tables import ROW, TIME, output_table, table_schema
 
 _BATCH_ROWS = 1 << 16  # most rows in a table from a file
@@ -112,7 +112,7 @@ class JournalReader(Closing):
         """Return the journal's contents: one entry for each file, and one for each hour still in the database."""
         with self._read_transaction():
             rolls = get(self.connection, RollRow)
-            blocks = self.connection.execute(_SPANS, (rolled_blocks(self.connection),)).fetchall()
+            blocks = self.connection.execute(_SPANS, (last_rolled_block(self.connection),)).fetchall()
         stretches = [
             JournalStretch(
                 r.path, r.first_row, r.end_row, r.rows, r.first_s, r.last_s, bool(r.dated), r.size, bool(r.pruned_s)
@@ -162,7 +162,7 @@ class JournalReader(Closing):
                 tables = self._read_file(record, schema, from_s, to_s)
             else:
                 block = record.number
-                tables = iter([output_table(head, [unpacked(record)])])
+                tables = iter([output_table(head, [unpack_rows(record)])])
             for table in tables:
                 if (part := _within(table, row, from_s, to_s)).num_rows:
                     yield part
@@ -180,12 +180,12 @@ class JournalReader(Closing):
                     self.connection.execute("ROLLBACK")
 
     def _next(self, row: int, roll: int, block: int) -> tuple[Head, RollRow | BlockRow] | None:
-        """Return the file or block that holds `row`, or the next one, after file `roll` and block `block`."""
+        """Return the first file after file `roll`, else the first block after `block`, that has rows from `row` on."""
         with self._read_transaction():
             after = "WHERE number > ? AND end_row > ? AND pruned_s IS NULL ORDER BY number LIMIT 1"
             records: list[RollRow] | list[BlockRow] = get(self.connection, RollRow, after, (roll, row))
             if not records:
-                least = max(block, rolled_blocks(self.connection))
+                least = max(block, last_rolled_block(self.connection))
                 after = "WHERE number > ? AND end_row > max(first_row, ?) ORDER BY number LIMIT 1"
                 records = get(self.connection, BlockRow, after, (least, row))
             if not records:
@@ -226,7 +226,7 @@ def _within(table: pa.Table, first_row: int, from_s: float, to_s: float) -> pa.T
 
 def _with_verdict_words(table: pa.Table, schema: pa.Schema) -> pa.Table:
     """Return rows of a file with the same verdict dictionary as rows of a block."""
-    words = in_words(np.empty(0, np.int8)).dictionary
+    words = verdict_words(np.empty(0, np.int8)).dictionary
     columns = []
     for name, column in zip(table.column_names, table.columns, strict=True):
         if name.endswith(VERDICT) and pa.types.is_dictionary(column.type):

@@ -30,7 +30,7 @@ class HeadRow(NamedTuple):
 
 
 class BlockRow(NamedTuple):
-    """Rows of the stream, and its checkpoint after them: one commit by `Journal.keep`.
+    """Rows of the stream, and its checkpoint after them: one commit by `Journal.commit`.
 
     A commit with rows in several hours becomes several blocks; the last one has the snapshot.
     """

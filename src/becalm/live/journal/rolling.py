@@ -22,7 +22,7 @@ from becalm.files.tables import VERDICT
 from becalm.live.block import Head, Output
 from becalm.live.journal.database import BrokenSealError, get
 from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, RollRow
-from becalm.live.journal.row_bytes import unpacked
+from becalm.live.journal.row_bytes import unpack_rows
 from becalm.live.tables import output_table, table_schema
 
 FIRST_ROW, END_ROW = b"becalm.first_row", b"becalm.end_row"
@@ -31,7 +31,7 @@ FIRST_ROW, END_ROW = b"becalm.first_row", b"becalm.end_row"
 MOST_BYTES = 1 << 30
 """Bytes of blocks that complete a file before its hour ends, so that the size of database and files is bounded."""
 
-_GROUP_ROWS, _GROUP_BYTES = 1 << 20, 16 << 20  # rows, or bytes of blocks, that fill a row group
+_GROUP_ROWS, _GROUP_BYTES = 1 << 20, 16 << 20  # most rows, and bytes of blocks, in a Parquet row group
 _SPAN = "SELECT first_row, end_row FROM blocks WHERE number = ?"
 
 
@@ -73,13 +73,13 @@ def next_piece(connection: sqlite3.Connection, after: int) -> Piece | None:
     with closing(cursor):
         piece, size = None, 0
         for number, head, period_s, dated, first_row, end_row, first_s, last_s, length in cursor:
-            filled = end_row > first_row
+            has_rows = end_row > first_row
             if piece is None:
-                if filled:
+                if has_rows:
                     piece = Piece(number, number, head, period_s, bool(dated), first_row, end_row, first_s, last_s)
-            elif size >= MOST_BYTES or (filled and (head, period_s, dated) != piece[2:5]):
+            elif size >= MOST_BYTES or (has_rows and (head, period_s, dated) != piece[2:5]):
                 return piece
-            elif filled:
+            elif has_rows:
                 piece = piece._replace(last_block=number, end_row=end_row, last_s=last_s)
             else:
                 piece = piece._replace(last_block=number)
@@ -145,7 +145,7 @@ def _groups(connection: sqlite3.Connection, piece: Piece, holes: list[HoleRow], 
         except (BrokenSealError, sqlite3.DatabaseError):
             holes.append(HoleRow(None, first_row, end_row))
             continue
-        group.append(unpacked(block))
+        group.append(unpack_rows(block))
         rows += len(group[-1])
         size += len(block.data or b"")
         if rows >= _GROUP_ROWS or size >= _GROUP_BYTES:
@@ -165,12 +165,12 @@ def _free_path(connection: sqlite3.Connection, folder: Path, piece: Piece) -> Pa
     taken = {path for (path,) in connection.execute("SELECT path FROM rolls")}
     for turn in count(1):
         path = folder / f"{start:%Y-%m-%d}" / f"{stem}{'' if turn == 1 else f'_{turn:02d}'}.parquet"
-        if path.relative_to(folder).as_posix() not in taken and (not path.exists() or _holds(path, piece)):
+        if path.relative_to(folder).as_posix() not in taken and (not path.exists() or _begins_with(path, piece)):
             return path
     raise AssertionError  # count never ends
 
 
-def _holds(path: Path, piece: Piece) -> bool:
+def _begins_with(path: Path, piece: Piece) -> bool:
     """Return whether a file begins with the first row of a piece."""
     try:
         metadata = pq.read_schema(path).metadata or {}

@@ -9,12 +9,12 @@ from contextlib import closing
 from pathlib import Path
 from threading import Event, Lock, Thread
 
-from becalm.live.journal.database import NAME, connect_reading, rolled_blocks
+from becalm.live.journal.database import NAME, connect_reading, last_rolled_block
 from becalm.live.journal.parquet_files import remove
 from becalm.live.journal.records import RollRow
 from becalm.live.journal.rolling import Rolled, Stopped, next_piece, roll
 
-_RETRY_S = 60.0  # seconds until a file that could not be written is tried again, if no hour is completed before
+_RETRY_S = 60.0  # seconds until a failed write is tried again; a completed hour ends the wait
 _log = logging.getLogger(__name__)
 
 
@@ -56,8 +56,8 @@ class Roller:
             self._unwanted.extend(unwanted)
             self.wake()
 
-    def settle(self, timeout_s: float) -> bool:
-        """Wait until nothing is left to write; return False after the timeout or if a file could not be written."""
+    def wait_until_rolled(self, timeout_s: float) -> bool:
+        """Wait until all completed hours are written; return False after the timeout or a failure."""
         return self._idle.wait(timeout_s) and not self._troubled
 
     def close(self) -> None:
@@ -88,10 +88,10 @@ class Roller:
         while self._unwanted:
             remove(self._folder, [self._unwanted.popleft()])
         with closing(connect_reading(self._folder / NAME)) as connection:
-            self._after = max(self._after, rolled_blocks(connection))
+            self._after = max(self._after, last_rolled_block(connection))
             while not self._stop.is_set() and (piece := next_piece(connection, self._after)) is not None:
-                begun = time.monotonic()
+                began_s = time.monotonic()
                 self._done.append(roll(connection, self._folder, piece, self._stop))
                 self._after = piece.last_block
-                took_s = time.monotonic() - begun
+                took_s = time.monotonic() - began_s
                 _log.info("Rolled rows %d to %d in %.1f s", piece.first_row, piece.end_row - 1, took_s)

@@ -21,7 +21,7 @@ _PARTS = ("time_s", "values", "signal", "sigma", "verdicts")
 _LATEST_S = 1e11  # a stamp beyond this (year 5138) is not a date
 
 
-def joined(outputs: Sequence[Output], first_row: int) -> Output | None:
+def join_outputs(outputs: Sequence[Output], first_row: int) -> Output | None:
     """Concatenate outputs; return None if they have no rows.
 
     Raises
@@ -41,7 +41,7 @@ def joined(outputs: Sequence[Output], first_row: int) -> Output | None:
     return Output(first_row, *parts)
 
 
-def packed(output: Output) -> bytes:
+def pack_rows(output: Output) -> bytes:
     """Return rows as the bytes of an Arrow IPC stream; NaN and infinities keep their bits."""
     channels = output.values.shape[1]
     lists = [_list_array(part, channels) for part in (output.values, output.signal, output.sigma, output.verdicts)]
@@ -52,8 +52,8 @@ def packed(output: Output) -> bytes:
     return bytes(stream.getvalue())
 
 
-def unpacked(block: BlockRow) -> Output:
-    """Return the rows of a block, which must have some."""
+def unpack_rows(block: BlockRow) -> Output:
+    """Return the rows of a block, which must not be empty."""
     with pa.ipc.open_stream(block.data) as reader:
         batch = reader.read_next_batch()
     raw, signal, sigma, verdicts = (_matrix(batch.column(number)) for number in range(1, 5))
@@ -61,7 +61,7 @@ def unpacked(block: BlockRow) -> Output:
     return Output(block.first_row, time_s, raw, signal, sigma, verdicts.astype(np.int8, copy=False))
 
 
-def by_period(output: Output, period_s: float, now_s: float) -> Iterator[tuple[int, bool, Output]]:
+def split_by_period(output: Output, period_s: float, now_s: float) -> Iterator[tuple[int, bool, Output]]:
     """Split rows by hour, or another period; a file of the journal holds the rows of one period.
 
     Rows whose stamps are not dates, or go back to an earlier period, are not split.
@@ -79,7 +79,7 @@ def by_period(output: Output, period_s: float, now_s: float) -> Iterator[tuple[i
         return
     periods = np.floor_divide(stamps, period_s)
     cuts = [0, *(np.flatnonzero(np.diff(periods)) + 1).tolist(), len(output)]
-    if not (np.diff(periods) >= 0).all():  # NaN too
+    if not (np.diff(periods) >= 0).all():  # also if a stamp is NaN
         cuts = [0, len(output)]
     for first, end in pairwise(cuts):
         yield _start(float(stamps[first]), period_s), True, _part(output, first, end)

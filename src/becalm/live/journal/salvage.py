@@ -19,7 +19,7 @@ from becalm.live.journal.database import (
     transaction,
     writing,
 )
-from becalm.live.journal.intact_rows import HEADED, Plan, connect_damaged, moved, planned, remains_of
+from becalm.live.journal.intact_rows import HEADED, Plan, connect_damaged, plan_repair, read_intact_rows, with_data
 from becalm.live.journal.mark import Mark
 from becalm.live.journal.records import LossRow
 
@@ -30,7 +30,7 @@ _PART, _NEW = (
 _COPIED_BLOCKS = 64  # blocks copied in one transaction
 
 
-def mend(folder: Path, mark: Mark | None) -> tuple[Loss, ...]:
+def repair(folder: Path, mark: Mark | None) -> tuple[Loss, ...]:
     """Repair a journal if it is damaged, and return the losses; an intact journal is left as it is.
 
     Parameters
@@ -61,7 +61,7 @@ def mend(folder: Path, mark: Mark | None) -> tuple[Loss, ...]:
     why = _damage(path, mark)
     if why is not None:
         return _salvage(folder, mark, why)
-    return () if mark is None else _lost_at_the_end(folder, mark)
+    return () if mark is None else _record_lost_end(folder, mark)
 
 
 def _damage(path: Path, mark: Mark | None) -> str | None:
@@ -81,13 +81,13 @@ def _damage(path: Path, mark: Mark | None) -> str | None:
     return None if mark is None else "it is empty"
 
 
-def _lost_at_the_end(folder: Path, mark: Mark) -> tuple[Loss, ...]:
+def _record_lost_end(folder: Path, mark: Mark) -> tuple[Loss, ...]:
     """Record the loss of the last commits, if an intact database has fewer rows than the mark."""
     with writing(folder), closing(connect(folder / NAME)) as connection:
         (end,) = connection.execute("SELECT end_row FROM blocks ORDER BY number DESC LIMIT 1").fetchone() or (0,)
         if mark.checkpoint.rows <= end:
             return ()
-        loss = _end_lost((end, mark.checkpoint.rows), "its last commits are missing")
+        loss = _loss_at_end((end, mark.checkpoint.rows), "its last commits are missing")
         with transaction(connection, folder):
             put(connection, LossRow.of(end, loss))
     return (loss,)
@@ -97,7 +97,7 @@ def _salvage(folder: Path, mark: Mark | None, why: str) -> tuple[Loss, ...]:
     """Copy the intact rows into a new database, and put it in the place of the damaged one."""
     old, renamed = folder / NAME, _damaged_path(folder)
     with writing(folder), closing(connect_damaged(old)) as connection:
-        plan = planned(folder, remains_of(connection), mark)
+        plan = plan_repair(folder, read_intact_rows(connection), mark)
         if plan is None:
             raise JournalError(
                 f"{old} is damaged ({why.rstrip('.')}), and it has no checkpoint from which its stream could continue;"
@@ -111,7 +111,7 @@ def _salvage(folder: Path, mark: Mark | None, why: str) -> tuple[Loss, ...]:
             for first in range(0, len(plan.blocks), _COPIED_BLOCKS):
                 with transaction(target, folder):
                     for number, block in plan.blocks[first : first + _COPIED_BLOCKS]:
-                        put(target, block if number is None else moved(connection, number, block))
+                        put(target, block if number is None else with_data(connection, number, block))
     with writing(folder):
         (folder / _PART).rename(folder / _NEW)
         if old.exists():
@@ -130,13 +130,13 @@ def _losses(plan: Plan, mark: Mark | None, why: str) -> list[LossRow]:
         text = f"It is unknown whether rows after row {plan.end - 1} were committed: {why}."
         losses.append(LossRow.of(plan.end, Loss(LossKind.STORAGE, None, text)))
     elif mark.checkpoint.rows > plan.end:
-        losses.append(LossRow.of(plan.end, _end_lost((plan.end, mark.checkpoint.rows), why)))
+        losses.append(LossRow.of(plan.end, _loss_at_end((plan.end, mark.checkpoint.rows), why)))
     elif not plan.gaps:
         losses.append(LossRow.of(plan.end, Loss(LossKind.STORAGE, 0, f"No row is lost, but {why}.")))
     return losses
 
 
-def _end_lost(rows: Span, why: str) -> Loss:
+def _loss_at_end(rows: Span, why: str) -> Loss:
     first, end = rows
     text = (
         f"{rows_text(rows).capitalize()} were committed and are lost: {why}. A source that can replay sends them again."
@@ -145,7 +145,7 @@ def _end_lost(rows: Span, why: str) -> Loss:
 
 
 def _finish(folder: Path) -> None:
-    """Move a complete new database into place once the damaged one is renamed; remove an incomplete one."""
+    """Move a complete new database into place once the damaged one is renamed; remove an incomplete new database."""
     new, path, log = folder / _NEW, folder / NAME, folder / f"{NAME}-wal"
     if new.exists() and not path.exists():
         if log.exists():  # the write-ahead log of the damaged database
@@ -165,7 +165,7 @@ def _damaged_files(folder: Path) -> list[Path]:
 
 
 def _log_path(folder: Path) -> str:
-    """Return the new name of a damaged write-ahead log: of the last damaged file, or a free one if that has one."""
+    """Return the new name of a damaged write-ahead log: that of the last damaged file plus -wal, or a free name."""
     damaged = _damaged_files(folder)
     last_log = f"{damaged[-1]}-wal" if damaged else ""
     return last_log if damaged and not Path(last_log).exists() else f"{_damaged_path(folder)}-wal"

@@ -55,11 +55,11 @@ def numbers_of(cells: Sequence[bytes]) -> Floats:
 class StampReader(Protocol):
     """A parser of the cells of a time column."""
 
-    def one(self, cell: Cell) -> float:
+    def parse(self, cell: Cell) -> float:
         """Return the stamp in a cell, in seconds; raise a ValueError if it has none."""
         ...
 
-    def many(self, cells: Sequence[bytes]) -> Floats:
+    def parse_many(self, cells: Sequence[bytes]) -> Floats:
         """Return the stamps in cells, in seconds; raise a ValueError if a cell has none."""
         ...
 
@@ -71,14 +71,14 @@ class NumberStamps:
     factor: float = 1.0
     per_second: float = 1.0
 
-    def one(self, cell: Cell) -> float:
+    def parse(self, cell: Cell) -> float:
         """Return the stamp in a cell, in seconds; raise a ValueError if it has none."""
         value = number_of(cell)
         if value is None or not math.isfinite(value):
             raise ValueError(cell)
         return value * self.factor / self.per_second
 
-    def many(self, cells: Sequence[bytes]) -> Floats:
+    def parse_many(self, cells: Sequence[bytes]) -> Floats:
         """Return the stamps in cells, in seconds; raise a ValueError if a cell has none."""
         numbers = numbers_of(cells)
         if not np.isfinite(numbers).all():
@@ -89,7 +89,7 @@ class NumberStamps:
 class IsoStamps:
     """A parser of ISO dates and times into seconds since 1970; without a time zone they are UTC."""
 
-    def one(self, cell: Cell) -> float:
+    def parse(self, cell: Cell) -> float:
         """Return the stamp in a cell, in seconds; raise a ValueError if it has none."""
         if not isinstance(cell, str):
             raise ValueError(cell)
@@ -99,9 +99,9 @@ class IsoStamps:
         except OverflowError as cause:  # the first or last day of the calendar, in another time zone
             raise ValueError(cell) from cause
 
-    def many(self, cells: Sequence[bytes]) -> Floats:
+    def parse_many(self, cells: Sequence[bytes]) -> Floats:
         """Return the stamps in cells, in seconds; raise a ValueError if a cell has none."""
-        return np.array([self.one(cell.decode()) for cell in cells])
+        return np.array([self.parse(cell.decode()) for cell in cells])
 
 
 def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
@@ -119,7 +119,7 @@ def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
     if value is not None:
         return _number_stamps(name, unit, value) if math.isfinite(value) else None
     try:
-        IsoStamps().one(first)
+        IsoStamps().parse(first)
     except ValueError as cause:
         if isinstance(first, str) and kind_of(first) == TIME:
             raise UsageError(

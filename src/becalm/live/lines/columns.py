@@ -28,7 +28,8 @@ class LineOptions:
     columns : tuple of str
         Names of all columns, if no line has them; otherwise ().
     time : str
-        Column of stamps, or "arrival" for arrival times; "" for the column named like a time, else arrival times.
+        Column of stamps, or "arrival" for arrival times; "" for the column whose name means time, or arrival times if
+        there is none.
     rate_hz : float or None
         Sample rate in hertz, from which stamps are computed; a time column is then ignored.
     channels : tuple of str

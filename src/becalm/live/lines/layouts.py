@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from becalm.files.text.cells import GONE, NUMBER, WORDS, kind_of, split
+from becalm.files.text.cells import MISSING_CELL, NUMBER, WORDS, kind_of, split
 from becalm.files.text.csv_header import find_header, unique_names
 from becalm.live.lines.cells import number_of
 from becalm.live.lines.columns import LineOptions, columns_of
@@ -20,9 +20,11 @@ _DIGIT = re.compile("[0-9]")
 def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tuple[LineLayout, list[bytes]] | None:
     """Return the layout from the newest line and the lines above it; None if they are not enough.
 
-    The newest line is a row of CSV if it has numbers, and either a line above has a name for each cell or the line
-    directly above is such a row; names in the options replace the line of names. If the newest line also has words,
-    the line directly above must be such a row in any case.
+    The newest line is a row of CSV if it has numbers, words in fewer than half of its cells, and one of these holds:
+
+    - It has no words, and a line above, or the option `columns` if it is given, has a name for each cell.
+    - The line directly above has as many cells, with words in the same places. If the option `columns` is given, it
+      must also have a name for each cell.
 
     Parameters
     ----------
@@ -65,10 +67,10 @@ def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tupl
 
 
 def may_be_names(line: bytes) -> bool:
-    """Return whether a line has only words, with any separator."""
+    """Return whether a line has only words, whichever separator it has."""
     text = _plain_text(line)
     return text is not None and all(
-        kind_of(cell) in (WORDS, GONE) for separator in _SEPARATORS for cell in split(text, separator)
+        kind_of(cell) in (WORDS, MISSING_CELL) for separator in _SEPARATORS for cell in split(text, separator)
     )
 
 
@@ -94,7 +96,7 @@ def _plain_text(line: bytes) -> str | None:
 
 
 def _csv_rows(above: Sequence[str], row: str, options: LineOptions) -> Iterator[tuple[str, list[str]]]:
-    """Yield each separator, with its cells, that makes the line a row."""
+    """Yield each separator with which the line `row` is a row of CSV, and the cells of the line."""
     for separator in _SEPARATORS:
         cells = split(row, separator)
         kinds = [kind_of(cell) for cell in cells]
@@ -110,7 +112,7 @@ def _csv_rows(above: Sequence[str], row: str, options: LineOptions) -> Iterator[
 
 
 def _has_kinds(text: str, separator: str, kinds: Sequence[str]) -> bool:
-    """Return whether a line has words in the same cells as these kinds; those columns then hold no readings."""
+    """Return whether a line has as many cells as `kinds`, with words in the same places."""
     cells = split(text, separator)
     pairs = zip(cells, kinds, strict=False)
     return len(cells) == len(kinds) and all((kind_of(cell) == WORDS) == (kind == WORDS) for cell, kind in pairs)
@@ -118,7 +120,7 @@ def _has_kinds(text: str, separator: str, kinds: Sequence[str]) -> bool:
 
 def _is_heading(text: str, separator: str, width: int) -> bool:
     cells = split(text.lstrip(_REMARK + " "), separator)
-    return len(cells) == width and all(kind_of(cell) in (WORDS, GONE) for cell in cells) and any(cells)
+    return len(cells) == width and all(kind_of(cell) in (WORDS, MISSING_CELL) for cell in cells) and any(cells)
 
 
 class _Heading(NamedTuple):

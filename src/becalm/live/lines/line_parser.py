@@ -10,13 +10,13 @@ from becalm.core.arrays import Floats
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.lines.columns import LineOptions
 from becalm.live.lines.layouts import layout_of, may_be_names
-from becalm.live.lines.rows import GarbledLines, LineLayout, ParsedRows, is_remark, take
+from becalm.live.lines.rows import GarbledLines, LineLayout, ParsedRows, is_remark, parse_lines
 
 LONGEST_LINE = 1 << 20
 """Most bytes of a line; a longer line is counted as garbled, and not kept in memory."""
 
 _LONGEST_FIRST = 1 << 16  # most bytes of a line while the layout is unknown
-_MOST_ABOVE = 100  # lines that are kept while the layout is unknown
+_MOST_ABOVE = 100  # most lines that are kept while the layout is unknown
 _SHOWN = 60  # bytes of a line in a message
 _SPREAD_S = 0.1  # longest time over which rows without stamps are spread
 _TOO_LONG = "it is longer than 1 MB"
@@ -28,7 +28,7 @@ class LineParser:
     A line ends with \n, \r\n or \r. Blank lines and comments, which begin with #, are skipped. Other lines that are
     not rows are counted as garbled: noise, lines with too few or too many cells, repeated headers, lines over 1 MB,
     and rows whose stamp cannot be parsed. If a cell is not a number, its reading is missing, the other cells of the
-    row are used, and the line is counted as garbled. An empty cell, or a spelling of NaN, is a missing reading only.
+    row are used, and the line is counted as garbled. An empty cell, or a spelling of NaN, is just a missing reading.
 
     With a given rate, rows are stamped at this rate from the arrival of the first row, counting garbled lines too.
     Without a rate, stamps come from a column: seconds, counts since 1970, or ISO text. Without such a column, rows are
@@ -44,22 +44,22 @@ class LineParser:
         self._options = options
         self._half = bytearray()  # the incomplete last line
         self._skipping = False  # True up to the next line end
-        self._within = False  # True if the first line may be incomplete
-        self._above: list[bytes] = []
+        self._starts_in_line = False  # True if the first line may be incomplete
+        self._above: list[bytes] = []  # lines so far, while the layout is unknown
         self._layout: LineLayout | None = None
         self._bad = GarbledLines()
-        self._counted = 0
-        self._began_s = 0.0
-        self._came_s = -np.inf
+        self._counted = 0  # lines since the first row, if rows are stamped at a given rate
+        self._began_s = 0.0  # arrival of the first row
+        self._received_s = -np.inf  # arrival of the previous piece
 
-    def feed(self, data: bytes, came_s: float) -> Block | None:
+    def feed(self, data: bytes, received_s: float) -> Block | None:
         """Parse the next bytes; return rows and losses, or None if there are none yet.
 
         Parameters
         ----------
         data : bytes
             Received bytes.
-        came_s : float
+        received_s : float
             Time of their arrival, in seconds since 1970.
 
         Returns
@@ -73,10 +73,10 @@ class LineParser:
             If the options do not fit the lines.
         """
         taken = self._parse(self._complete_lines(data))
-        return self._block(taken, came_s)
+        return self._block(taken, received_s)
 
-    def finish(self, came_s: float) -> Block | None:
-        """Parse the rest at the end; a last line without a line end is garbled, unless it is a JSON object."""
+    def finish(self, received_s: float) -> Block | None:
+        """Parse the last bytes of the stream; a last line without a line end is garbled, unless it is a JSON object."""
         last = bytes(self._half)
         self._half.clear()
         is_json = last.lstrip().startswith(b"{") and last.rstrip().endswith(b"}")
@@ -86,15 +86,15 @@ class LineParser:
         for line in self._above:
             self._count_unparsed(line)
         self._above = []
-        return self._block(taken, came_s)
+        return self._block(taken, received_s)
 
-    def begin_within(self) -> None:
+    def expect_partial_line(self) -> None:
         """Expect that the next bytes may begin within a line; the counting of rows starts again.
 
         That line is left out and not counted, unless the layout is unknown and the line contains only names.
         """
         self._half.clear()
-        self._skipping, self._within = False, True
+        self._skipping, self._starts_in_line = False, True
         self._counted = 0
 
     def _complete_lines(self, data: bytes) -> list[bytes]:
@@ -121,15 +121,15 @@ class LineParser:
                 if len(line) > LONGEST_LINE:
                     self._bad.add(line[: _SHOWN + 1], _TOO_LONG)
             lines = [line for line in lines if len(line) <= LONGEST_LINE]
-        if self._within and lines:
-            self._within = False
+        if self._starts_in_line and lines:
+            self._starts_in_line = False
             if self._layout is not None or not may_be_names(lines[0]):
                 lines = lines[1:]
         if self._layout is None:
             lines = self._detect_layout(lines)
         if self._layout is None:
             return ParsedRows()
-        return take(self._layout, list(filter(None, lines)), self._bad)
+        return parse_lines(self._layout, list(filter(None, lines)), self._bad)
 
     def _detect_layout(self, lines: list[bytes]) -> list[bytes]:
         """Detect the layout of the lines; return the lines that can be parsed with it."""
@@ -151,11 +151,11 @@ class LineParser:
         if not is_remark(line):
             self._bad.add(line, "no line above it has names for its cells")
 
-    def _block(self, taken: ParsedRows, came_s: float) -> Block | None:
+    def _block(self, taken: ParsedRows, received_s: float) -> Block | None:
         count = len(taken.places)
         bad, self._bad = self._bad, GarbledLines()
-        time_s = self._times(taken, count, came_s)
-        self._came_s = came_s
+        time_s = self._times(taken, count, received_s)
+        self._received_s = received_s
         if not (count or bad.lines):
             return None
         columns = None if self._layout is None else self._layout.columns
@@ -169,23 +169,23 @@ class LineParser:
             arrived_s=time.monotonic(),
         )
 
-    def _times(self, taken: ParsedRows, count: int, came_s: float) -> Floats:
+    def _times(self, taken: ParsedRows, count: int, received_s: float) -> Floats:
         stamps = np.concatenate(taken.stamps) if taken.stamps else np.empty(0)
         if len(stamps):
             return stamps
         if self._options.rate_hz is not None:
             if not self._counted:
-                self._began_s = came_s
+                self._began_s = received_s
             numbers = self._counted + np.array(taken.places)
             self._counted += taken.lines
             computed: Floats = self._began_s + numbers / self._options.rate_hz
             return computed
         if not count:
             return stamps
-        start_s = came_s - _SPREAD_S
-        if start_s < self._came_s < came_s:
-            start_s = self._came_s
-        spread: Floats = start_s + (came_s - start_s) * np.arange(1, count + 1) / count
+        start_s = received_s - _SPREAD_S
+        if start_s < self._received_s < received_s:
+            start_s = self._received_s
+        spread: Floats = start_s + (received_s - start_s) * np.arange(1, count + 1) / count
         return spread
 
 

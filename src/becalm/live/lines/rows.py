@@ -58,7 +58,7 @@ class ParsedRows:
     stamps : list of (n,) float arrays
         Stamps in seconds; empty if the lines have none.
     places : list of int
-        Indices, from 0, of the lines that became rows.
+        Indices, from 0, of the lines that became rows, without blank lines and comments.
     lines : int
         Number of lines, without blank lines and comments.
     """
@@ -78,7 +78,7 @@ class LineLayout(Protocol):
         """Return the cells of a line in the order of the columns; raise UnreadableLineError if it is not a row."""
         ...
 
-    def well(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
+    def parse_many(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
         """Return values and stamps of many lines, parsed at once; None if any line is not plain and valid."""
         ...
 
@@ -97,7 +97,7 @@ class CsvLayout:
     def __init__(self, columns: Columns, separator: str) -> None:
         self.columns, self.separator = columns, separator
         self._cut = None if separator == " " else separator.encode()
-        self._commas = separator != ","  # a comma can be a decimal sign
+        self._commas = separator != ","  # True if a comma is a decimal sign
 
     def cells(self, line: bytes) -> Sequence[Cell]:
         """Return the cells of a line; raise UnreadableLineError if it is not a row."""
@@ -113,7 +113,7 @@ class CsvLayout:
             raise UnreadableLineError(f"it has {len(cells)} cell{'s' * (len(cells) != 1)}, not {width}")
         return [cell.replace(",", ".") for cell in cells] if self._commas else cells
 
-    def well(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
+    def parse_many(self, lines: Sequence[bytes]) -> tuple[Floats, Floats] | None:
         """Return values and stamps of many lines, parsed at once; None if any line is not plain and valid."""
         columns = self.columns
         if self._commas:
@@ -127,7 +127,7 @@ class CsvLayout:
             by_row = np.ascontiguousarray(values.reshape(-1, len(rows)).T)
             if columns.stamp_place is None or columns.stamp_of is None:
                 return by_row, np.empty(0)
-            return by_row, columns.stamp_of.many(cells[columns.stamp_place])
+            return by_row, columns.stamp_of.parse_many(cells[columns.stamp_place])
         except ValueError:
             return None
 
@@ -154,7 +154,7 @@ class JsonLayout:
             raise UnreadableLineError("it has none of the channels")
         return [row.get(name) for name in columns.all_names]
 
-    def well(self, lines: Sequence[bytes]) -> None:
+    def parse_many(self, lines: Sequence[bytes]) -> None:
         """Return None, because objects are always parsed one by one."""
         return
 
@@ -170,15 +170,15 @@ def json_object(line: bytes) -> dict[str, Cell] | None:
     return value if isinstance(value, dict) else None
 
 
-def take(layout: LineLayout, lines: Sequence[bytes], bad: GarbledLines) -> ParsedRows:
+def parse_lines(layout: LineLayout, lines: Sequence[bytes], bad: GarbledLines) -> ParsedRows:
     """Parse lines; skip blank lines and comments, and count the other lines that cannot be parsed in `bad`."""
     taken = ParsedRows()
     for start in range(0, len(lines), _PIECE):
         piece = lines[start : start + _PIECE]
         joined = b"".join(piece)
-        parsed = None if any(mark in joined for mark in _NOT_PLAIN) else layout.well(piece)
+        parsed = None if any(mark in joined for mark in _NOT_PLAIN) else layout.parse_many(piece)
         if parsed is None:
-            _take_one_by_one(layout, [line for line in piece if not is_remark(line)], taken, bad)
+            _parse_one_by_one(layout, [line for line in piece if not is_remark(line)], taken, bad)
             continue
         taken.values.append(parsed[0])
         taken.stamps.append(parsed[1])
@@ -192,7 +192,7 @@ def is_remark(line: bytes) -> bool:
     return line.lstrip()[:1] in (b"", b"#")
 
 
-def _take_one_by_one(layout: LineLayout, lines: Sequence[bytes], taken: ParsedRows, bad: GarbledLines) -> None:
+def _parse_one_by_one(layout: LineLayout, lines: Sequence[bytes], taken: ParsedRows, bad: GarbledLines) -> None:
     rows, stamps = [], []
     for place, line in enumerate(lines, taken.lines):
         try:
@@ -225,7 +225,7 @@ def _row(layout: LineLayout, line: bytes) -> tuple[float | None, list[float], st
     stamp = None
     if columns.stamp_place is not None and columns.stamp_of is not None:
         try:
-            stamp = columns.stamp_of.one(cells[columns.stamp_place])
+            stamp = columns.stamp_of.parse(cells[columns.stamp_place])
         except ValueError as cause:
             raise UnreadableLineError(f"{columns.all_names[columns.stamp_place]!r} is not a time") from cause
     return stamp, [np.nan if value is None else value for value in numbers], why

@@ -25,10 +25,10 @@ class _Plan:
     names: tuple[str, ...]
     units: tuple[str, ...]
     columns: list[int]  # of the matrix: [seq,] [time,] channels
-    leading: int  # columns of the matrix before the channels
+    leading: int  # number of columns of the matrix before the channels
     has_seq: bool
     has_time: bool
-    moment: int  # index of the column of Arrow timestamps, -1 if there is none
+    timestamp_column: int  # index of the column of Arrow timestamps, -1 if there is none
     tick_s: float  # resolution of these timestamps
     stamp: tuple[str, str]  # the column of stamps and its unit
     stamps: NumberStamps | None = None  # parser of the stamps, chosen from the first one
@@ -75,7 +75,9 @@ class ArrowMessages:
         matrices = [_matrix(part, plan) for part in parts]
         matrix = matrices[0] if len(matrices) == 1 else np.concatenate(matrices)
         seq = first_of(matrix[:, 0]) if plan.has_seq else None
-        return _parsed(matrix, [_moments(part, plan) for part in parts] if plan.moment >= 0 else [], seq, plan)
+        return _parsed(
+            matrix, [_timestamps(part, plan) for part in parts] if plan.timestamp_column >= 0 else [], seq, plan
+        )
 
     def read_many(self, payloads: list[bytes]) -> list[ParsedMessage]:
         """Return the rows of messages with the same schema; messages with consecutive row numbers are joined.
@@ -85,7 +87,8 @@ class ArrowMessages:
         Raises
         ------
         UnreadableMessageError
-            If a message is not one whole record batch, or its rows are not numbered one by one; also as `read`.
+            If a message is not one whole record batch, or its rows are not numbered one by one; also raised
+            for the reasons given in `read`.
         """
         try:
             return self._read_many(payloads)
@@ -109,12 +112,12 @@ class ArrowMessages:
         table.validate()
         combined = table.combine_chunks().to_batches()[0]
         matrix = _matrix(combined, plan)
-        moments = _moments(combined, plan) if plan.moment >= 0 else None
+        timestamps = _timestamps(combined, plan) if plan.timestamp_column >= 0 else None
         cuts = _cuts(matrix[:, 0], np.cumsum([len(batch) for batch in batches])) if plan.has_seq else [0, len(matrix)]
         return [
             _parsed(
                 matrix[cut:end],
-                [] if moments is None else [moments[cut:end]],
+                [] if timestamps is None else [timestamps[cut:end]],
                 int(matrix[cut, 0]) if plan.has_seq else None,
                 plan,
             )
@@ -124,8 +127,8 @@ class ArrowMessages:
     def _make_plan(self, head: bytes) -> _Plan:
         schema = pa.ipc.read_schema(pa.py_buffer(head))
         roles = self._finder.roles(tuple(schema.names))
-        named = self._finder.options.channels
-        channels = [one for one in roles.channels if named or _is_number(schema.field(_index(schema, one[0])).type)]
+        selected = self._finder.options.channels
+        channels = [one for one in roles.channels if selected or _is_number(schema.field(_index(schema, one[0])).type)]
         if not channels:
             raise UnreadableMessageError("which has no channels")
         stamp = -1 if roles.stamp is None else _index(schema, roles.stamp)
@@ -182,8 +185,8 @@ def _matrix(batch: pa.RecordBatch, plan: _Plan) -> Floats:
     return np.asarray(numbers, dtype=np.float64)
 
 
-def _moments(batch: pa.RecordBatch, plan: _Plan) -> Floats:
-    column = batch.column(plan.moment)
+def _timestamps(batch: pa.RecordBatch, plan: _Plan) -> Floats:
+    column = batch.column(plan.timestamp_column)
     if column.null_count:
         raise UnreadableMessageError("which has a row without a stamp")
     return np.asarray(column.view(pa.int64()).to_numpy(), dtype=np.float64) * plan.tick_s
@@ -199,8 +202,8 @@ def _cuts(numbers: Floats, ends: Integers) -> list[int]:
     return [0, *breaks.tolist(), len(numbers)]
 
 
-def _parsed(matrix: Floats, moments: list[Floats], seq: int | None, plan: _Plan) -> ParsedMessage:
-    time_s = np.concatenate(moments) if moments else None
+def _parsed(matrix: Floats, timestamps: list[Floats], seq: int | None, plan: _Plan) -> ParsedMessage:
+    time_s = np.concatenate(timestamps) if timestamps else None
     if plan.has_time:
         time_s = _seconds(matrix[:, plan.leading - 1], plan)
     return ParsedMessage(plan.names, plan.units, seq, time_s, np.ascontiguousarray(matrix[:, plan.leading :]))

@@ -144,7 +144,7 @@ def stamps_of(column: str, cells: Sequence[Cell]) -> Floats:
     exact = [float(cell) if type(cell) is int else cell for cell in cells]
     reader = stamps_reader(column, "", exact[0] if exact else None)
     try:
-        return np.array([reader.one(cell) for cell in exact])
+        return np.array([reader.parse(cell) for cell in exact])
     except ValueError as cause:
         raise UnreadableMessageError("which has a row without a stamp") from cause
 

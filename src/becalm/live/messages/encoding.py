@@ -34,7 +34,7 @@ class Encoder:
 
     form: str = "arrow"
     units: Mapping[str, str] = field(default_factory=dict)
-    _last: tuple[tuple[tuple[str, str], ...], object, bytes] | None = field(default=None, repr=False)
+    _last: tuple[tuple[tuple[str, str], ...], object, bytes] | None = field(default=None, repr=False)  # cached schema
 
     @classmethod
     def of(cls, head: Head, form: str) -> Encoder:

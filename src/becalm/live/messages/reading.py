@@ -66,8 +66,8 @@ class MessageReader:
 
     Arrow is an IPC stream of numeric columns, with the unit as `unit` in a field's metadata. JSON is an object of
     numbers (a row) or of lists (columns), or a list of row objects; it may contain an object `units`. CSV needs the
-    option `columns`. Text that is not a time is ignored. Column `seq` has the numbers of all rows, increasing by one;
-    in JSON it may be the number of the first row alone. Stamps are parsed like those of lines.
+    option `columns`. A text column that is not a time is ignored. Column `seq` has the numbers of all rows, increasing
+    by one; in JSON it may be the number of the first row alone. Stamps are parsed as in `becalm.live.lines`.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ WAIT_S = 0.02
 
 _OLD_S = 1.0  # seconds of only old row numbers after which the sender counts as restarted
 _OLD_MESSAGES = 3  # least number of messages in this time
-_REMEMBERED = 64  # spans of missing rows; rows of them that arrive later are late, not repeated
+_REMEMBERED = 64  # remembered spans of missing rows; a row in them that arrives later is late, not repeated
 _QUOTED = 4  # spans listed in a loss
 
 
@@ -26,28 +26,28 @@ class Sequence:
     """Sorts batches by their row numbers, and returns each row once.
 
     An early batch waits until more than `reorder` batches wait or 20 ms have passed; the rows before it then count as
-    missing. A batch with old numbers is repeated, or late if its rows were counted as missing (they are then counted
-    twice: as missing, and later as late). The sender has restarted if the numbers go back and the stamps advance, or if
-    only old, increasing numbers arrive for a second and in three messages.
+    missing. A batch with old numbers counts as repeated, or as late if its rows had counted as missing (such rows are
+    counted twice: as missing, and later as late). The sender has restarted if the numbers go back and the stamps
+    advance, or if only old, increasing numbers arrive for a second and in three messages.
 
     Parameters
     ----------
     reorder : int
-        Largest number of waiting batches; 0 for a transport that keeps the order.
+        Largest number of batches that wait; 0 for a transport that keeps the order.
     rate_hz : float
         Sample rate in hertz. Rows without stamps are stamped by their numbers at this rate, from the arrival of the
-        run's first row; 0 gives no stamps.
+        first row since the sender's last start; 0 gives no stamps.
     """
 
     reorder: int = 0
     rate_hz: float = 0.0
     _next: int | None = None
     _newest_s: float = -np.inf
-    _began: tuple[int, float] = (0, 0.0)  # the run's first row, and its arrival time
+    _began: tuple[int, float] = (0, 0.0)  # first row since the sender's last start, and its arrival time
     _waiting: list[tuple[int, float, MessageRows]] = field(default_factory=list)
     _ready: list[MessageRows] = field(default_factory=list)
     _missing: list[tuple[int, int]] = field(default_factory=list)
-    _missed: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    _recent_missing: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     _counts: dict[LossKind, int] = field(default_factory=dict)
     _restarts: list[Loss] = field(default_factory=list)
     _old: tuple[int, int, float] = (0, 0, 0.0)  # consecutive old batches: count, end row, arrival of the first
@@ -82,34 +82,34 @@ class Sequence:
         batch : MessageRows
             Rows with a number `seq`.
         now_s : float
-            Time in seconds on a clock that does not jump, the same clock as for `due`.
+            Time in seconds on a clock that does not jump, the same clock as for `release_due`.
         """
         seq = _number(batch)
         if self._next is None:
-            self._hold(batch, now_s)
+            self._add_waiting(batch, now_s)
             if seq == 0 and self._next is None:
                 self._release()  # there are no rows before row 0
             return
         if seq < self._next and self._is_restart(batch):
-            self._begin(batch)
+            self._restart(batch)
         elif seq + len(batch) <= self._next:
-            self._count(LossKind.LATE if self._was_missed(seq) else LossKind.REPEATED, len(batch))
+            self._count(LossKind.LATE if self._was_missing(seq) else LossKind.REPEATED, len(batch))
         elif seq <= self._next:
             self._append(batch)
         else:
-            self._hold(batch, now_s)
+            self._add_waiting(batch, now_s)
         self._catch_up()
 
-    def due(self, now_s: float) -> None:
+    def release_due(self, now_s: float) -> None:
         """Release the batches that have waited long enough. Call this after all received batches were added."""
         while self._waiting and now_s - min(since for _, since, _ in self._waiting) >= WAIT_S:
             self._release()
 
     def wait_s(self, now_s: float) -> float:
-        """Return the time until `due` must be called, in seconds; infinity if no batch waits."""
+        """Return the time until `release_due` must be called, in seconds; infinity if no batch waits."""
         return min((since + WAIT_S - now_s for _, since, _ in self._waiting), default=np.inf)
 
-    def rest(self) -> None:
+    def release_all(self) -> None:
         """Release all waiting batches."""
         while self._waiting:
             self._release()
@@ -139,7 +139,7 @@ class Sequence:
         self._restarts, self._missing, self._counts = [], [], {}
         return tuple(losses)
 
-    def _hold(self, batch: MessageRows, now_s: float) -> None:
+    def _add_waiting(self, batch: MessageRows, now_s: float) -> None:
         seq = _number(batch)
         if any(number == seq and len(batch) <= len(other) for number, _, other in self._waiting):
             self._count(LossKind.REPEATED, len(batch))
@@ -155,11 +155,12 @@ class Sequence:
             self._began = (first, batch.arrived_s)
         elif first > self._next:
             self._missing.append((self._next, first))
-            self._missed.append((self._next, first))
+            self._recent_missing.append((self._next, first))
         self._next = first
         self._catch_up()
 
     def _catch_up(self) -> None:
+        """Append the waiting batches that now follow without a gap."""
         while self._waiting and self._next is not None and self._waiting[0][0] <= self._next:
             batch = self._waiting.pop(0)[2]
             if _number(batch) + len(batch) > self._next:
@@ -183,8 +184,8 @@ class Sequence:
             batch = MessageRows(seq, self._began[1] + steps / self.rate_hz, batch.values, batch.arrived_s)
         self._ready.append(batch)
 
-    def _was_missed(self, seq: int) -> bool:
-        return any(first <= seq < end for first, end in self._missed)
+    def _was_missing(self, seq: int) -> bool:
+        return any(first <= seq < end for first, end in self._recent_missing)
 
     def _count(self, kind: LossKind, rows: int) -> None:
         self._counts[kind] = self._counts.get(kind, 0) + rows
@@ -201,13 +202,13 @@ class Sequence:
         self._old = (many + 1, _number(batch) + len(batch), since_s)
         return many + 1 >= _OLD_MESSAGES and batch.arrived_s - since_s >= _OLD_S
 
-    def _begin(self, batch: MessageRows) -> None:
-        self.rest()  # release the batches of the previous run
+    def _restart(self, batch: MessageRows) -> None:
+        self.release_all()  # release the batches of the previous run
         seq = _number(batch)
         text = f"The sender restarted at row {seq}; the last row of its previous run was {(self._next or 0) - 1}."
         self._restarts.append(Loss(LossKind.GAP, None, text))
         self._next, self._newest_s, self._began = seq, -np.inf, (seq, batch.arrived_s)
-        self._missed.clear()
+        self._recent_missing.clear()
         self._append(batch)
 
 

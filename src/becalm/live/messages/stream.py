@@ -80,9 +80,9 @@ class MessageStream:
         """Return the time until `block` must be called because of waiting messages, in seconds."""
         return self._sequence.wait_s(time.monotonic())
 
-    def rest(self) -> None:
+    def release_all(self) -> None:
         """Release the messages that wait for earlier ones."""
-        self._sequence.rest()
+        self._sequence.release_all()
 
     def block(self, *, extra: tuple[Loss, ...] = ()) -> Block | None:
         """Return the rows that are ready and the losses; None if there are none. The source adds the position.
@@ -92,7 +92,7 @@ class MessageStream:
         extra : tuple of Loss
             Losses that the source itself has found.
         """
-        self._sequence.due(time.monotonic())
+        self._sequence.release_due(time.monotonic())
         batches = self._ready + self._sequence.ready()
         self._ready = []
         losses = (*extra, *self._reader.losses(), *self._sequence.losses())

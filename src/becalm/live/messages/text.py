@@ -28,11 +28,11 @@ def from_json(payload: bytes, finder: RoleFinder) -> ParsedMessage:
     units = message.pop("units", {})
     units = units if isinstance(units, dict) else {}
     roles = finder.roles(tuple(message))
-    named = finder.options.channels
-    channels = [channel for channel in roles.channels if named or not _is_text(message[channel[0]])]
+    selected = finder.options.channels
+    channels = [channel for channel in roles.channels if selected or not _is_text(message[channel[0]])]
     if not channels:
         raise UnreadableMessageError("which has no channels")
-    columns = [_numbers(column, message[column]) for column, _, _ in channels]
+    columns = [_json_column(column, message[column]) for column, _, _ in channels]
     rows = len(columns[0])
     if not rows or any(len(column) != rows for column in columns):
         raise UnreadableMessageError("which has no rows, or not the same number of them in all columns")
@@ -69,9 +69,9 @@ def from_csv(payload: bytes, finder: RoleFinder) -> ParsedMessage:
     return ParsedMessage(
         tuple(name for _, name, _ in roles.channels),
         tuple(unit for _, _, unit in roles.channels),
-        None if roles.seq is None else first_of(_read(SEQ, cells[SEQ])),
+        None if roles.seq is None else first_of(_csv_column(SEQ, cells[SEQ])),
         None if roles.stamp is None else stamps_of(roles.stamp, cells[roles.stamp]),
-        np.stack([_read(column, cells[column]) for column, _, _ in roles.channels], axis=1),
+        np.stack([_csv_column(column, cells[column]) for column, _, _ in roles.channels], axis=1),
     )
 
 
@@ -94,7 +94,7 @@ def _is_text(value: object) -> bool:
     return isinstance((_cells(value) or [None])[0], str | dict)
 
 
-def _numbers(name: str, value: object) -> Floats:
+def _json_column(name: str, value: object) -> Floats:
     """Return a number, or a list of numbers and nulls, as a column."""
     numbers = _cells(value)
     if not all(number is None or type(number) in (int, float) for number in numbers):
@@ -102,7 +102,7 @@ def _numbers(name: str, value: object) -> Floats:
     return np.array(numbers, dtype=np.float64)
 
 
-def _read(name: str, cells: tuple[str, ...]) -> Floats:
+def _csv_column(name: str, cells: tuple[str, ...]) -> Floats:
     """Return cells of CSV as a column."""
     numbers = [number_of(cell) for cell in cells]
     if None in numbers:
@@ -114,7 +114,7 @@ def _seq(value: object, rows: int) -> int:
     """Return the number of the first row, from that number alone or from a list with the numbers of all rows."""
     if type(value) is int:
         return value
-    numbers = _numbers(SEQ, value)
+    numbers = _json_column(SEQ, value)
     if len(numbers) != rows:
         raise UnreadableMessageError("whose seq does not number its rows one by one")
     return first_of(numbers)

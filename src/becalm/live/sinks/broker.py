@@ -1,4 +1,4 @@
-"""Base class of broker sinks: rows stay in an outbox until they are acknowledged, over several connections."""
+"""Base class of broker sinks: rows stay in an outbox until they are acknowledged, even across reconnections."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from becalm.errors import BecalmError
 from becalm.live.block import Head, Output
 from becalm.live.brokers.remote import OPTIONS, Remote
 from becalm.live.messages.encoding import FORMATS
-from becalm.live.sinks.outbox import LARGEST, Letter, Outbox
+from becalm.live.sinks.outbox import LARGEST, Outbox, OutgoingMessage
 
 _STALL_S = 20.0  # seconds without an acknowledgement after which the broker is away
 _GATHER_S = 0.02  # default of the option `gather`, in seconds
@@ -43,7 +43,7 @@ class BrokerConnection(Protocol):
         """Return whether the connection was lost."""
         ...
 
-    def post(self, letter: Letter) -> int:
+    def post(self, message: OutgoingMessage) -> int:
         """Send a message; return the number of its acknowledgement."""
         ...
 
@@ -63,8 +63,8 @@ class BrokerSink(ABC):
     NAME, NAME_sigma and NAME_verdict. A reader should drop duplicate rows by `seq`, as becalm's own sources do.
     Losses are not published; they are in the journal and the log.
 
-    Options: `format=arrow|json` (arrow); `gather=20ms`, the time for which rows are collected into one message; those
-    of `Remote`.
+    Options: `format=arrow|json`, by default arrow; `gather=20ms`, the time for which rows are collected into one
+    message; the options of `Remote`.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class BrokerSink(ABC):
         self._remote = remote
         form = remote.address.chosen("format", FORMATS, FORMATS[0])
         self._outbox = Outbox(form, remote.address.seconds("gather", _GATHER_S))
-        self._line: BrokerConnection | None = None
+        self._connection: BrokerConnection | None = None
         self._reached = False
         self._acknowledged: set[int] = set()
         self._refusal: BecalmError | None = None
@@ -97,7 +97,7 @@ class BrokerSink(ABC):
         self.close()
         self._outbox.begin(head)
         self._acknowledged = set()
-        self._line = self._connect()
+        self._connection = self._connect()
         self._reached, self._refusal = True, None
         self._send()
 
@@ -126,51 +126,53 @@ class BrokerSink(ABC):
         left, since = len(self._outbox), time.monotonic()
         while left:
             self._send()
-            line = self._line
-            if line is None:
+            connection = self._connection
+            if connection is None:
                 raise self._remote.away("the connection was lost before")
-            has_event = self._wait(line)
+            has_event = self._wait(connection)
             if self._refusal is not None:
                 raise self._refusal
-            self._outbox.acknowledged(self._acknowledged)
+            self._outbox.drop_acknowledged(self._acknowledged)
             if len(self._outbox) < left:
                 left, since = len(self._outbox), time.monotonic()
             elif not has_event and time.monotonic() > since + _STALL_S:
                 raise self._remote.away(f"it acknowledged nothing for {_STALL_S:g} s")
             else:
-                line.check()
+                connection.check()
 
     def close(self) -> None:
         """Disconnect; unacknowledged messages are kept. May be called twice."""
-        line, self._line = self._line, None
-        if line is not None:
-            line.close()
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
 
     def _largest(self) -> int:
         """Return the largest size of a message in bytes."""
-        return LARGEST if self._line is None else self._line.largest
+        return LARGEST if self._connection is None else self._connection.largest
 
     def _send(self) -> None:
         """Publish messages up to the connection's window."""
-        line = self._line
-        if line is None or line.ended:
+        connection = self._connection
+        if connection is None or connection.ended:
             return
-        self._outbox.acknowledged(self._acknowledged)
-        while self._outbox.flying < line.window and (letter := self._outbox.next()) is not None:
-            self._outbox.sent(line.post(letter))
+        self._outbox.drop_acknowledged(self._acknowledged)
+        while self._outbox.in_flight < connection.window and (message := self._outbox.next()) is not None:
+            self._outbox.sent(connection.post(message))
 
-    def _wait(self, line: BrokerConnection) -> bool:
-        """Wait up to 1 s for an acknowledgement, a refusal or the end; return whether there is one."""
-        with line.changed:
-            return line.changed.wait_for(lambda: bool(self._acknowledged or self._refusal or line.ended), 1.0)
+    def _wait(self, connection: BrokerConnection) -> bool:
+        """Wait up to 1 s for an acknowledgement, a refusal or a lost connection; return whether one occurred."""
+        with connection.changed:
+            return connection.changed.wait_for(
+                lambda: bool(self._acknowledged or self._refusal or connection.ended), 1.0
+            )
 
     def _on_result(self, number: int, refusal: BecalmError | None) -> None:
         """Record the result of a message; the connection's thread calls this."""
-        line = self._line
+        connection = self._connection
         if refusal is None:
             self._acknowledged.add(number)
         else:
             self._refusal = refusal
-        if line is not None:
-            with line.changed:
-                line.changed.notify_all()
+        if connection is not None:
+            with connection.changed:
+                connection.changed.notify_all()

@@ -18,30 +18,30 @@ from becalm.errors import BecalmError, InputError, OutputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Output
 from becalm.live.protocols import AwayError, StorageFullError
-from becalm.live.sinks.delta_files import BESIDE, DeltaFiles, library
+from becalm.live.sinks.delta_files import CHECKPOINT_FOLDER, DeltaFiles, library
 from becalm.live.tables import ROW, output_table, table_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _APPLICATION = "becalm"
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # errors of a full disk; EIO may be one
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # error numbers that a full disk can cause
 _LOG_KEPT = {"delta.logRetentionDuration": "interval 7 days"}
 _CONFLICTS = ("oncurrent", "changed since last commit")  # in deltalake's messages about a concurrent commit
 _OTHER = "is also written by another process; stop that process, or give another folder."
-_SEARCHED_COMMITS = (16, 1024, None)  # commits to search for becalm's last one, attempt by attempt; None: all
+_SEARCHED_COMMITS = (16, 1024, None)  # commits in which becalm's last one is searched, attempt by attempt; None: all
 
 
 class DeltaSink:
-    """A keeper that writes a stream to a Delta table: each commit adds rows and names a checkpoint.
+    """A checkpoint sink that writes a stream to a Delta table: each commit adds rows and names a checkpoint file.
 
-    The columns are those of the journal's Parquet files. The checkpoint, with filters and position, is a file in the
-    table's folder `_becalm/`, written before the commit that names it. The number of rows is also Delta's transaction
+    The columns are those of the journal's Parquet files. The checkpoint is a JSON file in the table's
+    folder `_becalm/`, written before the commit that names it. The number of rows is also Delta's transaction
     identifier, so that the commit of a second writer fails. Losses are in the metadata of the commits (`becalm` in
     the table's history, for the seven days for which the log is kept).
 
-    Each call of `keep` makes a file and a commit (10 to 20 ms), so it should be called about once a second. `OPTIMIZE`
-    and `VACUUM` may be run at any time while the stream runs.
+    Each call of `commit` makes a file and a Delta commit (10 to 20 ms), so it should be called about once a second.
+    `OPTIMIZE` and `VACUUM` may be run at any time while the stream runs.
 
     Parameters
     ----------
@@ -113,11 +113,11 @@ class DeltaSink:
             self._table = library().DeltaTable.create(
                 self._place, self._schema, "overwrite", name=_APPLICATION, description=text, configuration=_LOG_KEPT
             )
-            self._files.commit_lasts(self._table.version())
+            self._files.sync_commit(self._table.version())
             self._files.lock(f"{self._shown} {_OTHER}")
 
-    def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
-        """Write rows and checkpoint in one commit; when this returns they are on the disk, or in the remote store.
+    def commit(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
+        """Write rows and checkpoint in one commit; when this returns, they are on the disk or in the remote store.
 
         Raises
         ------
@@ -133,14 +133,16 @@ class DeltaSink:
             raise AwayError(f"{self._shown} is not open.")
         table = output_table(self._head, outputs).cast(self._schema)
         stem = f"{checkpoint.rows:015}-{secrets.token_hex(4)}"
-        new_files = (f"rows-{stem}.parquet", f"{BESIDE}/{stem}.json")
+        new_files = (f"rows-{stem}.parquet", f"{CHECKPOINT_FOLDER}/{stem}.json")
         with self._undoing(new_files):
             actions = [self._add_action(new_files[0], table)] if table.num_rows else []
             self._files.put(f"{stem}.json", _packed(checkpoint))
         losses = [asdict(loss) | {"row": one.first_row} for one in outputs for loss in one.losses]
-        self._commit(actions, {"rows": checkpoint.rows, "checkpoint": f"{stem}.json", "losses": losses}, new_files)
+        self._commit_actions(
+            actions, {"rows": checkpoint.rows, "checkpoint": f"{stem}.json", "losses": losses}, new_files
+        )
         if self._checkpoint_file:
-            self._files.remove(f"{BESIDE}/{self._checkpoint_file}")
+            self._files.remove(f"{CHECKPOINT_FOLDER}/{self._checkpoint_file}")
         self._checkpoint_file = f"{stem}.json"
 
     def close(self) -> None:
@@ -151,9 +153,9 @@ class DeltaSink:
     def _remove_old_checkpoints(self) -> None:
         """Remove older checkpoint files; newer ones may belong to a process that is about to commit."""
         current = self._checkpoint_file
-        for name in self._files.beside():
+        for name in self._files.checkpoint_names():
             if name != current and name.partition("-")[0] <= current.partition("-")[0]:
-                self._files.remove(f"{BESIDE}/{name}")
+                self._files.remove(f"{CHECKPOINT_FOLDER}/{name}")
 
     def _add_action(self, name: str, table: pa.Table) -> Any:
         """Write a Parquet file; return the action that adds it to the table."""
@@ -167,8 +169,8 @@ class DeltaSink:
         action = library("transaction").AddAction
         return action(name, size, {}, int(time.time() * 1000), data_change=True, stats=json.dumps(statistics))
 
-    def _commit(self, actions: list[Any], metadata: dict[str, Any], new_files: tuple[str, ...]) -> None:
-        """Commit and sync; after an error of deltalake, the log shows whether the commit was made."""
+    def _commit_actions(self, actions: list[Any], metadata: dict[str, Any], new_files: tuple[str, ...]) -> None:
+        """Commit and sync; after an error of deltalake, read in the table's log whether the commit was made."""
         module = library()
         properties = module.CommitProperties(
             custom_metadata={_APPLICATION: json.dumps(metadata)},
@@ -184,7 +186,7 @@ class DeltaSink:
             newest = self._commit_metadata(_SEARCHED_COMMITS[0])
             is_committed = any(one.get("checkpoint") == metadata["checkpoint"] for one in newest)
             for version in range(before + 1, self._table.version() + 1):
-                self._files.commit_lasts(version)
+                self._files.sync_commit(version)
         except Exception as cause:
             raise AwayError(f"{self._shown} could not be read after a commit ({_first_line(cause)}).") from cause
         if failure is not None and not is_committed:

@@ -17,10 +17,10 @@ from pyarrow import fs
 
 from becalm.files.atomic_file import sync_folder
 from becalm.files.parquet_writer import ParquetTableWriter
-from becalm.live.locking import locked
+from becalm.live.locking import lock_file
 from becalm.live.optional_libraries import import_optional
 
-BESIDE = "_becalm"
+CHECKPOINT_FOLDER = "_becalm"
 """Folder of the checkpoints; programs that read or clean Delta tables ignore names with a leading underscore."""
 
 _LOG_FOLDER = "_delta_log"
@@ -52,12 +52,12 @@ class DeltaFiles:
 
     def put(self, name: str, content: bytes) -> None:
         """Write a file to the checkpoint folder and sync it."""
-        self._fs.create_dir(BESIDE)
-        self._put(f"{BESIDE}/{name}", content)
+        self._fs.create_dir(CHECKPOINT_FOLDER)
+        self._put(f"{CHECKPOINT_FOLDER}/{name}", content)
 
     def get(self, name: str) -> bytes:
         """Return the content of a file in the checkpoint folder."""
-        with self._fs.open_input_stream(f"{BESIDE}/{name}") as file:
+        with self._fs.open_input_stream(f"{CHECKPOINT_FOLDER}/{name}") as file:
             return bytes(file.read())
 
     def remove(self, name: str) -> None:
@@ -65,9 +65,9 @@ class DeltaFiles:
         with suppress(OSError):
             self._fs.delete_file(name)
 
-    def beside(self) -> list[str]:
+    def checkpoint_names(self) -> list[str]:
         """Return the names of the files in the checkpoint folder."""
-        files = self._fs.get_file_info(fs.FileSelector(BESIDE, allow_not_found=True))
+        files = self._fs.get_file_info(fs.FileSelector(CHECKPOINT_FOLDER, allow_not_found=True))
         return [one.base_name for one in files if one.base_name.endswith(".json")]
 
     def lock(self, refusal: str) -> None:
@@ -79,8 +79,8 @@ class DeltaFiles:
             If another process writes to the table; `refusal` is the message.
         """
         if self.folder is not None and self._lock is None:
-            (self.folder / BESIDE).mkdir(exist_ok=True)
-            self._lock = locked(self.folder / BESIDE / "lock", refusal)
+            (self.folder / CHECKPOINT_FOLDER).mkdir(exist_ok=True)
+            self._lock = lock_file(self.folder / CHECKPOINT_FOLDER / "lock", refusal)
 
     def unlock(self) -> None:
         """Release the lock; may be called twice."""
@@ -88,7 +88,7 @@ class DeltaFiles:
             self._lock.close()
             self._lock = None
 
-    def commit_lasts(self, version: int) -> None:
+    def sync_commit(self, version: int) -> None:
         """Sync a commit to the disk, which deltalake does not do, so that a power cut does not lose it."""
         self._sync(f"{_LOG_FOLDER}/{version:020}.json")
 
@@ -98,7 +98,7 @@ class DeltaFiles:
             return
         commits = sorted((self.folder / _LOG_FOLDER).glob("*.json"))
         if commits and not _is_complete(commits[-1]):
-            commits[-1].rename(commits[-1].with_suffix(".json.torn"))
+            commits[-1].replace(commits[-1].with_suffix(".json.torn"))
             _log.warning("The last commit in %s was torn; it was renamed to %s.torn.", self.folder, commits[-1].name)
 
     def _put(self, name: str, content: bytes) -> None:

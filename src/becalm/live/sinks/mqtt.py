@@ -10,7 +10,7 @@ from becalm.live.brokers.mqtt_link import MqttLink
 from becalm.live.brokers.mqtt_session import PORT, TLS_PORT, VERSIONS, Session, topic_of
 from becalm.live.brokers.remote import Remote
 from becalm.live.sinks.broker import BrokerConnection, BrokerSink, ResultCallback
-from becalm.live.sinks.outbox import Letter
+from becalm.live.sinks.outbox import OutgoingMessage
 
 _WINDOW = 100  # most unacknowledged messages; fewer if the broker's limit is lower
 
@@ -18,10 +18,10 @@ _WINDOW = 100  # most unacknowledged messages; fewer if the broker's limit is lo
 class MqttSink(BrokerSink):
     """A sink that publishes rows to a topic: `mqtt://HOST:PORT/TOPIC?format=json`.
 
-    Messages are those of `BrokerSink`. After the broker was away, or becalm was killed, rows may be published twice,
-    with the same numbers and in order.
+    `BrokerSink` describes the messages. After the broker was away, or becalm was killed, rows may be published twice:
+    with the same numbers, and in order.
 
-    Options: `version=5|3.1.1`; `client=NAME`, if the broker accepts only certain clients; those of `BrokerSink`.
+    Options: `version=5|3.1.1`; `client=NAME`, if the broker accepts only certain clients; the options of `BrokerSink`.
 
     Parameters
     ----------
@@ -42,12 +42,12 @@ class MqttSink(BrokerSink):
         self._session = Session(name, address.chosen("version", VERSIONS, VERSIONS[0]), kept_s=0.0, window=1)
 
     def _connect(self) -> BrokerConnection:
-        line = _MqttLine(self._remote, self._session, self._on_result)
-        line.connect(reached=self._reached)
-        return line
+        connection = _MqttPublisher(self._remote, self._session, self._on_result)
+        connection.connect(reached=self._reached)
+        return connection
 
 
-class _MqttLine(MqttLink):
+class _MqttPublisher(MqttLink):
     """A connection that publishes to the address's topic."""
 
     def __init__(self, remote: Remote, session: Session, on_result: ResultCallback) -> None:
@@ -60,8 +60,8 @@ class _MqttLine(MqttLink):
         self.window = min(self.window, _WINDOW)
         self.largest -= len(self._topic.encode()) + 32  # the broker limits packets, which also hold topic and header
 
-    def post(self, letter: Letter) -> int:
-        return self.publish(self._topic, letter.payload)
+    def post(self, message: OutgoingMessage) -> int:
+        return self.publish(self._topic, message.payload)
 
     def _on_answer(self, number: int, refusal: str) -> None:
         error = InputError(f"The broker refuses messages of {self._topic}: {refusal}.") if refusal else None

@@ -11,7 +11,7 @@ from becalm.live.address import Address
 from becalm.live.brokers.nats_link import PORT, NatsLink, check_subject, stream_of
 from becalm.live.brokers.remote import Remote
 from becalm.live.sinks.broker import BrokerConnection, BrokerSink, ResultCallback
-from becalm.live.sinks.outbox import Letter
+from becalm.live.sinks.outbox import OutgoingMessage
 
 if TYPE_CHECKING:
     from nats.aio.msg import Msg
@@ -24,11 +24,11 @@ _ID = "Nats-Msg-Id"
 class NatsSink(BrokerSink):
     """A sink that publishes rows to a stream: `nats://HOST:PORT/STREAM?subject=clean.pump`.
 
-    Messages are those of `BrokerSink`. A message's Nats-Msg-Id is made of its first row and a hash of its contents, so
-    that the server drops duplicates. After the server was killed, each row is in the stream once and in order. After
-    becalm was killed, rows since its last commit are published again, possibly in other messages.
+    `BrokerSink` describes the messages. A message's Nats-Msg-Id consists of the number of its first row and a hash of
+    its contents, so that the server drops duplicates. If the server is killed, each row is still in the stream once
+    and in order. If becalm is killed, the rows since its last commit are published again, possibly in other messages.
 
-    Options: `subject=`, which must be a subject of the stream; those of `BrokerSink`.
+    Options: `subject=`, which must be a subject of the stream; the options of `BrokerSink`.
 
     Parameters
     ----------
@@ -50,19 +50,19 @@ class NatsSink(BrokerSink):
             raise UsageError(f"{address} does not name one subject to publish to; add for example subject=clean.pump")
 
     def _connect(self) -> BrokerConnection:
-        line = _NatsLine(self._remote, self._stream, self._subject, self._on_result)
-        line.connect(reached=self._reached)
+        connection = _NatsPublisher(self._remote, self._stream, self._subject, self._on_result)
+        connection.connect(reached=self._reached)
         try:
-            check_subject(line.stream_info(self._stream, reached=self._reached), self._subject)
+            check_subject(connection.stream_info(self._stream, reached=self._reached), self._subject)
             if self._refusal is None:  # after a refusal, a message before the last one may be missing
-                self._outbox.arrived(line.last_id())
+                self._outbox.drop_through(connection.last_id())
         except BaseException:
-            line.close()
+            connection.close()
             raise
-        return line
+        return connection
 
 
-class _NatsLine(NatsLink):
+class _NatsPublisher(NatsLink):
     """A connection that publishes to the address's subject."""
 
     window = _WINDOW
@@ -95,10 +95,10 @@ class _NatsLine(NatsLink):
             raise self._remote.away(cause) from cause
         return str((last.headers or {}).get(_ID, ""))
 
-    def post(self, letter: Letter) -> int:
+    def post(self, message: OutgoingMessage) -> int:
         number = next(self._numbers)
-        headers = {_ID: letter.name, "Nats-Expected-Stream": self._stream}
-        self.start(self._publish(letter.payload, f"{self._inbox}.{number}", headers))
+        headers = {_ID: message.name, "Nats-Expected-Stream": self._stream}
+        self.start(self._publish(message.payload, f"{self._inbox}.{number}", headers))
         return number
 
     async def _publish(self, payload: bytes, reply: str, headers: dict[str, str]) -> None:

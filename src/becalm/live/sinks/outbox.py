@@ -19,7 +19,7 @@ LARGEST = 250_000
 
 
 @dataclass(frozen=True)
-class Letter:
+class OutgoingMessage:
     """A message for a broker.
 
     Attributes
@@ -40,14 +40,14 @@ class Letter:
 
 
 class Outbox:
-    """The rows that are written and not acknowledged, in order; it stays across reconnections.
+    """The rows that were written and are not acknowledged yet, in order; an outbox outlives its connections.
 
     Parameters
     ----------
     form : str
         Format, "arrow" or "json".
     gather_s : float
-        Time for which outputs are collected into one message, in seconds; each message has a cost of its own.
+        Time for which outputs are collected into one message, in seconds; fewer messages cost less.
     """
 
     def __init__(self, form: str, gather_s: float) -> None:
@@ -57,16 +57,16 @@ class Outbox:
         self._since_s = 0.0
         self._head: Head | None = None
         self._encoder = Encoder(form)
-        self._waiting: deque[Letter] = deque()
-        self._flying: deque[tuple[int, Letter]] = deque()
+        self._waiting: deque[OutgoingMessage] = deque()
+        self._in_flight: deque[tuple[int, OutgoingMessage]] = deque()
 
     def begin(self, head: Head) -> None:
         """Prepare for a stream or a new connection; messages that were sent and not acknowledged are sent again."""
         if self._head != head:
             self.seal(LARGEST)
             self._head, self._encoder = head, Encoder.of(head, self._form)
-        self._waiting.extendleft(letter for _, letter in reversed(self._flying))
-        self._flying.clear()
+        self._waiting.extendleft(message for _, message in reversed(self._in_flight))
+        self._in_flight.clear()
 
     def put(self, output: Output, largest: int) -> None:
         """Add rows; make messages of at most `largest` bytes once rows are collected for `gather_s`.
@@ -92,45 +92,45 @@ class Outbox:
         """Make messages of all collected rows; raises the errors of `put`."""
         gathered, self._gathered = self._gathered, []
         if self._head is not None and gathered:
-            self._waiting.extend(self._letters(self._head, _joined(gathered), min(largest, LARGEST)))
+            self._waiting.extend(self._make_messages(self._head, _joined(gathered), min(largest, LARGEST)))
 
-    def next(self) -> Letter | None:
+    def next(self) -> OutgoingMessage | None:
         """Return the next message to send; None if there is none."""
         return self._waiting[0] if self._waiting else None
 
     def sent(self, number: int) -> None:
-        """Record that the next message was sent; `number` is that of its acknowledgement."""
-        self._flying.append((number, self._waiting.popleft()))
+        """Record that the next message was sent; its acknowledgement will have `number`."""
+        self._in_flight.append((number, self._waiting.popleft()))
 
-    def acknowledged(self, numbers: set[int]) -> None:
+    def drop_acknowledged(self, numbers: set[int]) -> None:
         """Drop the acknowledged messages before the first unacknowledged one; remove their numbers from the set."""
-        while self._flying and self._flying[0][0] in numbers:
-            numbers.remove(self._flying.popleft()[0])
+        while self._in_flight and self._in_flight[0][0] in numbers:
+            numbers.remove(self._in_flight.popleft()[0])
 
-    def arrived(self, name: str) -> None:
-        """Drop the messages up to this name, which were stored before the connection ended; ignore an unknown name."""
-        names = [letter.name for letter in self._waiting]
+    def drop_through(self, name: str) -> None:
+        """Drop the messages up to the one called `name`, which the broker has stored; ignore an unknown name."""
+        names = [message.name for message in self._waiting]
         if name in names:
             for _ in range(names.index(name) + 1):
                 self._waiting.popleft()
 
     @property
-    def flying(self) -> int:
+    def in_flight(self) -> int:
         """Return the number of messages that were sent and not acknowledged."""
-        return len(self._flying)
+        return len(self._in_flight)
 
     def __len__(self) -> int:
         """Return the number of messages that are not acknowledged, sent or not."""
-        return len(self._waiting) + len(self._flying)
+        return len(self._waiting) + len(self._in_flight)
 
-    def _letters(self, head: Head, output: Output, largest: int) -> Iterator[Letter]:
+    def _make_messages(self, head: Head, output: Output, largest: int) -> Iterator[OutgoingMessage]:
         payload = self._encoder.output(output, head)
         if len(payload) <= largest:
-            yield Letter(output.first_row, payload)
+            yield OutgoingMessage(output.first_row, payload)
         elif len(output) > 1:
             half = len(output) // 2
-            yield from self._letters(head, _rows(output, 0, half), largest)
-            yield from self._letters(head, _rows(output, half, len(output)), largest)
+            yield from self._make_messages(head, _rows(output, 0, half), largest)
+            yield from self._make_messages(head, _rows(output, half, len(output)), largest)
         else:
             raise OutputError(
                 f"A row of {len(head.names)} channels has {len(payload)} bytes, but the broker's largest message has "

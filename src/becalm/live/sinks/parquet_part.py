@@ -21,8 +21,8 @@ from becalm.live.tables import output_table
 PART = ".part"
 """Suffix of the name of an incomplete file."""
 
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # errors of a full disk; EIO may be one
-_MOST_ROWS, _MOST_OUTPUTS = 1 << 16, 1 << 12  # buffered until they become a table; an output may be a single row
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # error numbers that a full disk can cause
+_MOST_ROWS, _MOST_OUTPUTS = 1 << 16, 1 << 12  # buffered before encoding; an output may be a single row
 
 
 class PartFile:
@@ -84,7 +84,7 @@ class PartFile:
         self._packed.truncate()
 
     def finish(self) -> Path:
-        """Complete the file and rename it; if it raises an error of `drain`, it may be called again."""
+        """Complete the file and rename it; after an error of `drain`, it may be called again."""
         if not self._ended:
             self._tabulate()
             self._rows.close()

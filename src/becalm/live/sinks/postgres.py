@@ -12,7 +12,7 @@ from becalm.live.address import Address
 from becalm.live.block import Checkpoint, Head, Output
 from becalm.live.protocols import AwayError
 from becalm.live.sinks.postgres_reaching import connect_to, driver, error_of, place_of
-from becalm.live.sinks.postgres_rows import BEGINS, ENDS, BinaryRows
+from becalm.live.sinks.postgres_rows import COPY_HEADER, COPY_TRAILER, BinaryRows
 from becalm.live.sinks.postgres_tables import Tables
 
 if TYPE_CHECKING:
@@ -22,17 +22,17 @@ _LOCK_WAIT_S, _LOCK_RETRY_S = 3.0, 0.05  # longest wait for the lock, and wait b
 
 
 class PostgresSink:
-    """A keeper that writes a stream to three tables: NAME, NAME_checkpoint and NAME_losses.
+    """A checkpoint sink that writes a stream to three tables: NAME, NAME_checkpoint and NAME_losses.
 
     The columns of NAME are `row` (the key), `time_s`, `time` (a timestamp, if `time_s` counts from 1970), and for each
     channel NAME, NAME_raw, NAME_sigma and NAME_verdict. A verdict is a number that the column's comment explains; the
-    comments of the other columns are units. While a stream writes, an advisory lock keeps other streams from its
-    tables.
+    comment of any other channel column is its unit. While a stream writes, an advisory lock keeps other streams from
+    its tables.
 
     Parameters
     ----------
     address : Address
-        `postgres://USER@HOST:PORT/DATABASE?table=NAME`; without HOST the server on loopback. The password comes from
+        `postgres://USER@HOST:PORT/DATABASE?table=NAME`; without HOST, the server on loopback. The password comes from
         the environment (PGPASSWORD), from ~/.pgpass, or from a file (`password_file=FILE`, with the user optionally in
         the line above), never from the address. For TLS, `sslmode=verify-full&sslrootcert=FILE`, and `sslcert=`,
         `sslkey=` if the server requires a client certificate.
@@ -46,7 +46,7 @@ class PostgresSink:
     def __init__(self, address: Address) -> None:
         self._place = place_of(address)
         self._connection: psycopg.Connection | None = None
-        self._had_lock = False  # if True, the holder of the lock may be the server's side of a lost connection
+        self._had_lock = False  # if True, a lost connection of this object may still hold the lock on the server
 
     def last(self) -> Checkpoint | None:
         """Return the last committed checkpoint; None for a new stream.
@@ -92,10 +92,10 @@ class PostgresSink:
                     self._check_channels(connection, head)
         except psycopg.Error as cause:
             raise self._error_of(connection, cause) from cause
-        self._binary, self._copying = BinaryRows(len(head.names)), self._tables.copying(head)
+        self._binary, self._copy_statement = BinaryRows(len(head.names)), self._tables.copy_statement(head)
 
-    def keep(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
-        """Write rows and checkpoint in one transaction; when this returns the server has them on its disk.
+    def commit(self, outputs: list[Output], checkpoint: Checkpoint) -> None:
+        """Write rows and checkpoint in one transaction; when this returns, they are on the server's disk.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class PostgresSink:
         AwayError
             If the connection was lost; `last` then shows whether the rows were committed.
         OutputError
-            If the server refuses them, for example because this user may not write.
+            If the server refuses the rows, for example because this user may not write.
         """
         psycopg = driver()
         connection = self._connection
@@ -114,7 +114,7 @@ class PostgresSink:
             with connection.transaction():
                 self._copy(connection, outputs)
                 self._tables.write_losses(connection, outputs)
-                self._tables.stand(connection, checkpoint)
+                self._tables.write_checkpoint(connection, checkpoint)
         except psycopg.Error as cause:
             raise self._error_of(connection, cause) from cause
 
@@ -128,17 +128,17 @@ class PostgresSink:
     def _copy(self, connection: psycopg.Connection, outputs: list[Output]) -> None:
         if not any(map(len, outputs)):
             return
-        with connection.cursor() as cursor, cursor.copy(self._copying) as copy:
-            copy.write(BEGINS)
+        with connection.cursor() as cursor, cursor.copy(self._copy_statement) as copy:
+            copy.write(COPY_HEADER)
             for output in outputs:
-                for piece in self._binary.of(output):
+                for piece in self._binary.encode(output):
                     copy.write(piece)
-            copy.write(ENDS)
+            copy.write(COPY_TRAILER)
 
-    def _locked(self, connection: psycopg.Connection) -> bool:
-        """Take the lock, and return whether that succeeds within 3 s; a killed process releases it a little later."""
+    def _wait_for_lock(self, connection: psycopg.Connection) -> bool:
+        """Wait up to 3 s for the lock, which the server releases shortly after a kill; return whether it was taken."""
         until = time.monotonic() + _LOCK_WAIT_S
-        while not (locked := self._tables.locked(connection)) and time.monotonic() < until:
+        while not (locked := self._tables.try_lock(connection)) and time.monotonic() < until:
             time.sleep(_LOCK_RETRY_S)
         return locked
 
@@ -150,10 +150,10 @@ class PostgresSink:
         self._tables = Tables(self._place.table)
         self._connection = connection
         try:
-            locked = self._locked(connection)
+            locked = self._wait_for_lock(connection)
         except driver().Error as cause:
             error = self._error_of(connection, cause)
-            self.close()  # it has no lock
+            self.close()  # the connection has no lock
             raise error from cause
         if not locked:
             self.close()

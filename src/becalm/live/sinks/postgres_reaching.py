@@ -21,7 +21,7 @@ LONGEST_NAME = 63
 _TLS = ("sslmode", "sslrootcert", "sslcert", "sslkey")
 _TLS_MODES = ("disable", "allow", "prefer", "require", "verify-ca", "verify-full")
 _FORM = "postgres://USER@HOST:PORT/DATABASE?table=NAME"
-# parameters of libpq, in seconds, and the number of keepalives without an answer that closes the connection
+# parameters of libpq in seconds; keepalives_count unanswered keepalives close the connection
 _ALIVE = {"connect_timeout": 10, "keepalives_idle": 15, "keepalives_interval": 5, "keepalives_count": 3}
 _SILENT_MS = 30_000  # milliseconds after which unacknowledged data closes the connection
 _SERVER_OPTIONS = "-c tcp_keepalives_idle=15 -c tcp_keepalives_interval=5 -c tcp_keepalives_count=3"
@@ -54,7 +54,7 @@ class TablePlace:
         Name of the table of rows; the other tables are named after it.
     shown : str
         Server and database for messages, without user and password.
-    asked : dict
+    connect_options : dict
         Parameters for libpq, without the password.
     password_file : Path or None
         File with the password, or with the user in the first line and the password in the second.
@@ -62,7 +62,7 @@ class TablePlace:
 
     table: str
     shown: str
-    asked: dict[str, Any]
+    connect_options: dict[str, Any]
     password_file: Path | None
 
 
@@ -91,12 +91,12 @@ def place_of(address: Address) -> TablePlace:
     refuse_long(table, "_checkpoint")
     address.chosen("sslmode", _TLS_MODES, "prefer")
     host = parts.hostname or "127.0.0.1"
-    asked: dict[str, Any] = {"host": host, "port": port, "dbname": database}
-    asked |= {name: address.options[name] for name in _TLS if name in address.options}
+    connect_options: dict[str, Any] = {"host": host, "port": port, "dbname": database}
+    connect_options |= {name: address.options[name] for name in _TLS if name in address.options}
     if parts.username:
-        asked["user"] = unquote(parts.username)
+        connect_options["user"] = unquote(parts.username)
     file = address.options.get("password_file")
-    return TablePlace(table, f"{host}:{port}/{database}", asked, Path(file) if file else None)
+    return TablePlace(table, f"{host}:{port}/{database}", connect_options, Path(file) if file else None)
 
 
 def refuse_long(name: str, end: str = "") -> None:
@@ -124,7 +124,7 @@ def connect_to(place: TablePlace) -> psycopg.Connection:
         If the server can never be reached: a wrong password, no such database, no such certificate or password file.
     """
     library = driver()
-    parameters = {**place.asked, **_ALIVE, "tcp_user_timeout": _SILENT_MS, "options": _SERVER_OPTIONS}
+    parameters = {**place.connect_options, **_ALIVE, "tcp_user_timeout": _SILENT_MS, "options": _SERVER_OPTIONS}
     if place.password_file is not None:
         parameters |= _read_login(place.password_file)
     try:

@@ -8,9 +8,9 @@ import numpy as np
 
 from becalm.live.block import Output
 
-BEGINS = b"PGCOPY\n\xff\r\n\0" + bytes(8)
+COPY_HEADER = b"PGCOPY\n\xff\r\n\0" + bytes(8)
 """Bytes before the first row: the signature, no flags, no extension."""
-ENDS = b"\xff\xff"
+COPY_TRAILER = b"\xff\xff"
 """Bytes after the last row."""
 
 _MOST_BYTES = 1 << 18  # of one piece, so that it stays in the processor's cache until it is sent
@@ -42,7 +42,7 @@ class BinaryRows:
         for name in ("row", "time", "floats", "verdicts"):
             self._piece[name]["length"] = self._layout[name].base["value"].itemsize
 
-    def of(self, output: Output) -> Iterator[memoryview]:
+    def encode(self, output: Output) -> Iterator[memoryview]:
         """Yield the encoded rows of an output in pieces; each piece is valid until the next one is taken."""
         for first in range(0, len(output), len(self._piece)):
             rows = slice(first, min(first + len(self._piece), len(output)))

@@ -44,7 +44,7 @@ class Tables:
         digest = hashlib.blake2b(table.encode(), digest_size=8).digest()
         self._key = int.from_bytes(digest, "big", signed=True)
 
-    def locked(self, connection: psycopg.Connection) -> bool:
+    def try_lock(self, connection: psycopg.Connection) -> bool:
         """Lock the tables until the connection ends; return False if another connection holds the lock."""
         row = connection.execute("SELECT pg_try_advisory_lock(%s)", (self._key,)).fetchone()
         return bool(row and row[0])
@@ -115,13 +115,13 @@ class Tables:
             parts = {"column": self._sql.Identifier(name), "comment": self._sql.Literal(comment)}
             connection.execute(self._of("COMMENT ON COLUMN {rows}.{column} IS {comment}", **parts))
 
-    def copying(self, head: Head) -> sql.Composed:
+    def copy_statement(self, head: Head) -> sql.Composed:
         """Return the COPY statement for the bytes of `BinaryRows`."""
         written = [self._sql.Identifier(name) for name, kind, _ in _columns(head) if "GENERATED" not in kind]
         return self._of("COPY {rows} ({columns}) FROM STDIN (FORMAT BINARY)", columns=self._sql.SQL(", ").join(written))
 
     def write_losses(self, connection: psycopg.Connection, outputs: list[Output]) -> None:
-        """Write the losses, each with the first row of its output; the loss is before or in the rows from there on."""
+        """Write the losses, each with the number of the first row of its output."""
         rows = [
             (one.first_row, loss.kind.value, loss.rows, _plain(loss.says), loss.noticed_s)
             for one in outputs
@@ -132,7 +132,7 @@ class Tables:
                 query = "INSERT INTO {losses} VALUES (%s, %s, %s, %s, to_timestamp(%s))"
                 cursor.executemany(self._with_values(query), rows)
 
-    def stand(self, connection: psycopg.Connection, checkpoint: Checkpoint) -> None:
+    def write_checkpoint(self, connection: psycopg.Connection, checkpoint: Checkpoint) -> None:
         """Write the checkpoint."""
         connection.execute(
             self._with_values(
@@ -181,5 +181,5 @@ def _columns(head: Head) -> list[tuple[str, str, str]]:
 
 
 def _plain(text: str) -> str:
-    """Return text with the characters replaced that PostgreSQL cannot hold: NUL and lone surrogates."""
+    """Return a text in which NUL and lone surrogates, which PostgreSQL cannot hold, are replaced."""
     return text.encode("utf-8", "replace").decode("utf-8").replace("\0", "\N{REPLACEMENT CHARACTER}")

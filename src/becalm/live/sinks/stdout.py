@@ -1,4 +1,4 @@
-"""Write clean rows as lines of text to standard output, for another program or a person."""
+"""Write the estimates as lines of text to standard output, for another program or a person."""
 
 from __future__ import annotations
 
@@ -50,28 +50,28 @@ class StdoutSink:
         self._json = address.chosen("format", ("csv", "json"), "csv") == "json"
         self._unknown = _UNKNOWN_IN_JSON if self._json else _UNKNOWN_IN_CSV
         self._descriptor = descriptor
-        self._line = ""  # format of a line, with a %s for each number; "" before `open`
+        self._row_format = ""  # format of a line, with a %s for each number; "" before `open`
 
     def open(self, head: Head) -> None:
-        """Write the header of CSV, the first time only.
+        """Write the CSV header, at the first call only.
 
         Raises
         ------
         OutputError
-            If it cannot be written, or standard output is closed; its descriptor may then be that of another file.
+            If the header cannot be written, or standard output is closed (another file may then have its descriptor).
         """
         if self._descriptor == 1 and sys.__stdout__ is None:
             raise OutputError(
                 "Standard output is closed; connect it to a program or a file, or leave out --sink stdout:."
             )
-        if self._line:
+        if self._row_format:
             return
         names = [_TIME, *(name + end for name in head.names for end in ("", SIGMA))]
         if self._json:
             keys = (json.dumps(name, ensure_ascii=False).replace("%", "%%") for name in names)
-            self._line = "{" + ", ".join(f"{key}: %s" for key in keys) + "}\n"
+            self._row_format = "{" + ", ".join(f"{key}: %s" for key in keys) + "}\n"
             return
-        self._line = ",".join(["%s"] * len(names)) + "\n"
+        self._row_format = ",".join(["%s"] * len(names)) + "\n"
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerow(names)
         self._write(text.getvalue())
@@ -92,7 +92,7 @@ class StdoutSink:
         if not np.isfinite(numbers).all():
             texts = [self._unknown.get(text, text) for text in texts]
         width = numbers.shape[1]
-        self._write("".join([self._line % (*texts[at : at + width],) for at in range(0, len(texts), width)]))
+        self._write("".join([self._row_format % (*texts[at : at + width],) for at in range(0, len(texts), width)]))
 
     def flush(self) -> None:
         """Do nothing: rows are not buffered."""

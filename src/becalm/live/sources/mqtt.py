@@ -28,7 +28,7 @@ _QUEUED_BYTES = 64_000_000  # bytes of queued messages above which paho's thread
 class _Message(NamedTuple):
     number: int  # message identifier for the acknowledgement; 0 for QoS 0, which has none
     payload: bytes
-    came_s: float  # seconds since 1970
+    received_s: float  # seconds since 1970
     arrived_s: float  # time.monotonic()
 
 
@@ -46,8 +46,8 @@ class MqttSource:
 
     Options: `client=NAME`, the client identifier of this session, by default made from the topic (two readers of one
     topic need two names, else the broker disconnects one of them again and again); `keep=7d`, the time for which the
-    broker keeps the session while the client is away; `version=5|3.1.1`; `window=10000`; those of `MessageStream` and
-    `Remote`.
+    broker keeps the session while the client is away; `version=5|3.1.1`; `window=10000`; the options of `MessageStream`
+    and `Remote`.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class MqttSource:
         self._queued_bytes = 0
         self._pending_losses: tuple[Loss, ...] = ()
         self._blocks: int | None = None  # number of blocks with rows; None before `open`
-        self._kept = 0  # number of these blocks that are committed
+        self._committed_blocks = 0  # number of these blocks that are committed
         self._guard = threading.Lock()  # one thread reads rows, another commits them
         self._unacknowledged: deque[tuple[int, int]] = deque()  # (message, block that must be committed before)
 
@@ -94,7 +94,7 @@ class MqttSource:
         self.close()
         fields = parse_position("mqtt", position, "blocks")
         if self._blocks is None:
-            self._blocks = self._kept = fields.get("blocks", 0)
+            self._blocks = self._committed_blocks = fields.get("blocks", 0)
         self._stream.resume(fields.get("rows", {}))
         self._queue.clear()
         self._queued_bytes = 0
@@ -102,7 +102,7 @@ class MqttSource:
             self._unacknowledged.clear()
         self._link = link = MqttLink(self._remote, self._session, on_message=self._on_message)
         link.connect(reached=self._reached)
-        if (position or self._reached) and not link.remembered:
+        if (position or self._reached) and not link.session_present:
             text = f"{self._remote.host} no longer has this client's session; messages that it held for it are lost."
             self._pending_losses += (Loss(LossKind.GAP, None, text),)
         self._reached = True
@@ -127,7 +127,7 @@ class MqttSource:
         if not taken and not self._pending_losses:
             link.check()
             return None
-        self._stream.take_many([(message.payload, message.came_s) for message in taken])
+        self._stream.take_many([(message.payload, message.received_s) for message in taken])
         block = self._stream.block(extra=self._pending_losses)
         self._pending_losses = ()
         self._await_commit(taken, new=block is not None and len(block) > 0)
@@ -139,7 +139,9 @@ class MqttSource:
 
     def committed(self, position: str) -> None:
         """Acknowledge the messages of all blocks up to `position`."""
-        self._kept = max(self._kept, parse_position("mqtt", position, "blocks").get("blocks", 0))
+        self._committed_blocks = max(
+            self._committed_blocks, parse_position("mqtt", position, "blocks").get("blocks", 0)
+        )
         self._acknowledge()
 
     def close(self) -> None:
@@ -175,5 +177,5 @@ class MqttSource:
         """Acknowledge in order the messages whose rows are committed."""
         with self._guard:
             link = self._link
-            while link is not None and self._unacknowledged and self._unacknowledged[0][1] <= self._kept:
+            while link is not None and self._unacknowledged and self._unacknowledged[0][1] <= self._committed_blocks:
                 link.acknowledge(self._unacknowledged.popleft()[0])

@@ -25,14 +25,14 @@ _BLOCK_MESSAGES = 256  # most messages in a block, so that a backlog is split
 class NatsSource:
     """A source that reads a stream: `nats://HOST:PORT/STREAM?subject=plant.pump`.
 
-    The position is the number of the last message whose rows were returned. Reading continues after it, whichever
-    process was killed; messages are not acknowledged. The stream must keep its messages by limits (not by interest,
-    nor as a work queue), preferably in files. Rows without stamps get the time at which the server stored them, which
-    is the same whenever they are read. Messages that were deleted before they were read are counted as missing.
-    `MessageStream` describes the messages.
+    The position is the number of the last message whose rows were returned. Reading continues after this message,
+    even if becalm or the server was killed; messages are not acknowledged. The stream must have the retention policy
+    `limits` (not `interest` or `workqueue`), preferably with file storage. Rows without stamps get the time at which
+    the server stored them, which is the same whenever they are read. Messages that were deleted before they were read
+    are reported as missing. `MessageStream` describes the messages.
 
     Options: `subject=`, if the stream has several subjects (each is a separate stream of numbered rows);
-    `start=first|now`, the start of a new stream (first: the oldest message that the server stores); those of
+    `start=first|now`, the start of a new stream (first: the oldest message that the server stores); the options of
     `MessageStream` and `Remote`.
 
     Parameters

@@ -34,15 +34,14 @@ class NiSource:
     the vendor's driver.
 
     The stamps count the device's samples from the moment when it was started. The driver buffers at least ten seconds;
-    if the stream falls further behind, the driver stops, the source is away as after unplugging, and the device is
-    started again.
+    if the stream falls further behind, the driver stops, the source counts as away, and the device is started again.
 
     Parameters
     ----------
     address : Address
         `ni:Dev1/ai0:3?rate=1000&range=10&wiring=diff&columns=ax,bridge (mV)&rows=10`. `rate` in hertz is required;
         `range` is the greatest voltage, 10 by default; a name may contain a unit of voltage, to which readings are
-        converted; `rows` is the least number of rows in a block, by default those of 10 ms.
+        converted; `rows` is the least number of rows in a block, by default as many as are sampled in 10 ms.
 
     Attributes
     ----------

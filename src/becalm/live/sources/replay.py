@@ -23,7 +23,7 @@ _OPTIONS = ("speed", "rows", "group", "rate", "time", "channels", "stamps")
 _BLOCK_ROWS = 1000  # most rows in a block by default
 _BLOCK_S = 0.01  # length of a block if the speed is limited
 _CHUNK_ROWS = 1 << 16  # approximate number of rows read at once, and returned in blocks
-_HEAD_BYTES = 1 << 16  # bytes at each end of the file that identify it
+_END_BYTES = 1 << 16  # bytes at each end of the file that identify it
 AS_FAST_AS_IT_GOES = float("inf")
 
 
@@ -44,8 +44,8 @@ class ReplaySource:
     address : Address
         `replay:FILE?speed=10&rows=1000&group=NAME&rate=100&time=COLUMN&channels=a,b&stamps=as-written`. `speed` is in
         seconds of the recording per second, or "max" for as fast as possible; `rows` is the number of rows in each
-        block except the last, by default 1000, or those of 10 ms if the speed is limited; the other options are those
-        of `becalm clean`.
+        block except the last, by default 1000, or as many as are due in 10 ms if the speed is limited; the other
+        options are those of `becalm clean`.
 
     Attributes
     ----------
@@ -196,9 +196,9 @@ def _fingerprint(path: Path) -> dict[str, int | str]:
     try:
         with file_path.open("rb") as file:
             size = file_path.stat().st_size
-            ends = hashlib.sha256(file.read(_HEAD_BYTES))
-            file.seek(max(0, size - _HEAD_BYTES))
-            ends.update(file.read(_HEAD_BYTES))
+            ends = hashlib.sha256(file.read(_END_BYTES))
+            file.seek(max(0, size - _END_BYTES))
+            ends.update(file.read(_END_BYTES))
     except OSError as cause:
         raise InputError(f"{path} cannot be read: {cause.strerror or cause}.") from cause
     return {"size": size, "ends": ends.hexdigest()[:16]}

@@ -21,7 +21,7 @@ class SerialSource(LineSource):
     """A `LineSource` that reads a serial port.
 
     The port may be opened in the middle of a line, so the first line after each opening is left out and not counted.
-    The exception is a first line of names only, from a board that restarts when its port is opened.
+    A first line of names only is used: a board that restarts when its port is opened sends it complete.
 
     Parameters
     ----------
@@ -71,10 +71,10 @@ class SerialSource(LineSource):
                     " $USER, and log in again."
                 ) from cause
             raise AwayError(f"The port {self._name} cannot be opened: {cause}.") from cause
-        self._lines.begin_within()
+        self._lines.expect_partial_line()
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the received rows; None if none arrives within `timeout_s`, which may take 50 ms more.
+        """Return the received rows; None if none arrives within `timeout_s`, or up to 50 ms later.
 
         Raises
         ------

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-import select
 import sys
+import threading
 import time
+from queue import Empty, Queue
 
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
@@ -14,6 +15,7 @@ from becalm.live.protocols import EndOfStream
 from becalm.live.sources.lined import LineSource
 
 _PIECE = 1 << 18  # most bytes of one read
+_PIECES = 4  # most pieces that wait to be parsed
 
 
 class StdinSource(LineSource):
@@ -34,17 +36,19 @@ class StdinSource(LineSource):
                 f"stdin: takes no name, but {address.rest!r} was given; write stdin: alone, or replay:FILE for a file."
             )
         self._descriptor, self._ended = descriptor, False
+        self._pieces: Queue[bytes | OSError] = Queue(_PIECES)
 
     def open(self, position: str) -> None:
-        """Check that standard input is open.
+        """Begin to read, in a thread, because Windows cannot wait for a pipe with a timeout.
 
         Raises
         ------
         InputError
-            If standard input is closed; its descriptor may then be that of another file.
+            If standard input is closed; another file may then have its descriptor.
         """
         if self._descriptor == 0 and sys.__stdin__ is None:
             raise InputError("Standard input is closed; pipe lines of CSV or JSON into becalm live stdin:.")
+        threading.Thread(target=self._read_pieces, name="standard input", daemon=True).start()
 
     def read(self, timeout_s: float) -> Block | None:
         """Return the received rows; None if none arrives within `timeout_s`.
@@ -72,11 +76,22 @@ class StdinSource(LineSource):
     def close(self) -> None:
         """Do nothing: the pipe was opened by the parent process."""
 
+    def _read_pieces(self) -> None:
+        """Queue what is read, until nothing comes any more or reading fails."""
+        try:
+            while data := os.read(self._descriptor, _PIECE):
+                self._pieces.put(data)
+            self._pieces.put(b"")
+        except OSError as cause:
+            self._pieces.put(cause)
+
     def _read_bytes(self, timeout_s: float) -> bytes | None:
-        ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
-        if not ready:
+        try:
+            data = self._pieces.get(timeout_s > 0, timeout_s)
+        except Empty:
             return None
-        data = os.read(self._descriptor, _PIECE)
+        if isinstance(data, OSError):
+            raise data
         if not data:
             self._ended = True
             raise EndOfStream

@@ -25,7 +25,7 @@ _READ_BYTES = 4_000_000  # most bytes in one read, so that blocks are bounded
 _BUFFER = 8 * 2**20  # size of the kernel's buffer in bytes: a third of a second at 25 MB/s
 _REORDER = 8  # default of the option `reorder`
 _LONGEST_GATHER_S = 1.0
-_SHORTEST_PAUSE_S = 1e-3  # of gathering, however full the kernel's buffer is
+_SHORTEST_PAUSE_S = 1e-3  # shortest time of gathering, however full the kernel's buffer is
 _FILL = 0.25  # fraction of the kernel's buffer that gathering may fill
 
 # Linux's constants SO_RCVBUFFORCE, SO_TIMESTAMPNS and SO_MEMINFO, which the module socket does not have
@@ -105,19 +105,19 @@ class UdpSource:
             raise InputError(
                 f"udp: {host} is not an address of this machine; write host=0.0.0.0 to listen at all its addresses."
             ) from cause
-        opened = socket.socket(family, kind, protocol)
+        udp_socket = socket.socket(family, kind, protocol)
         try:
-            self._pending_losses = self._enlarge(opened)
+            self._pending_losses = self._enlarge(udp_socket)
             if sys.platform == "linux":
-                opened.setsockopt(socket.SOL_SOCKET, _STAMP, 1)
-            opened.bind(place)
-            opened.setblocking(False)
+                udp_socket.setsockopt(socket.SOL_SOCKET, _STAMP, 1)
+            udp_socket.bind(place)
+            udp_socket.setblocking(False)
         except OSError as cause:
-            opened.close()
+            udp_socket.close()
             raise _error_of(cause, host, port) from cause
         self._dropped = 0
         self._wake, self._woken = socket.socketpair()
-        self._socket = opened
+        self._socket = udp_socket
 
     def read(self, timeout_s: float) -> Block | None:
         """Return the rows of all received datagrams; None if there are none within `timeout_s`.
@@ -147,7 +147,7 @@ class UdpSource:
                 raise _error_of(cause, *self._place) from cause
             self._stream.take_many(messages)
             if timeout_s <= 0 and not messages:
-                self._stream.rest()
+                self._stream.release_all()
             block = self._stream.block(extra=(*self._pending_losses, *lost))
             self._pending_losses = ()
             return block and replace(block, position=json.dumps({"rows": self._stream.state}))
@@ -162,19 +162,19 @@ class UdpSource:
             with suppress(OSError):  # closed by another thread
                 wake.send(b"\0")
         with self._reading:
-            for opened in (self._socket, self._wake, self._woken):
-                if opened is not None:
-                    opened.close()
+            for each in (self._socket, self._wake, self._woken):
+                if each is not None:
+                    each.close()
             self._socket = self._wake = self._woken = None
 
-    def _enlarge(self, opened: socket.socket) -> tuple[Loss, ...]:
-        """Request a large buffer; return a loss, once, if the kernel grants less."""
-        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self._buffer)
-        granted = opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    def _enlarge(self, udp_socket: socket.socket) -> tuple[Loss, ...]:
+        """Request a large buffer; return a loss if the kernel grants less, at the first call only."""
+        udp_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self._buffer)
+        granted = udp_socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         if sys.platform == "linux":
             with suppress(PermissionError):  # only root may exceed the limit
-                opened.setsockopt(socket.SOL_SOCKET, _BUFFER_FORCED, self._buffer)
-            granted = opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux returns twice the size
+                udp_socket.setsockopt(socket.SOL_SOCKET, _BUFFER_FORCED, self._buffer)
+            granted = udp_socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux returns twice the size
         if granted >= self._buffer or self._small_buffer:
             return ()
         self._small_buffer = True
@@ -184,13 +184,16 @@ class UdpSource:
         )
         return (Loss(LossKind.DROPPED, 0, text),)
 
-    def _received(self, opened: socket.socket) -> list[tuple[bytes, float]]:
+    def _received(self, udp_socket: socket.socket) -> list[tuple[bytes, float]]:
         """Return all datagrams in the buffer, each with the time at which the kernel received it."""
         messages: list[tuple[bytes, float]] = []
         taken = 0
         try:
             while taken < _READ_BYTES:
-                payload, ancillary, _, _ = opened.recvmsg(_DATAGRAM, 64)
+                if sys.platform == "linux":
+                    payload, ancillary, _, _ = udp_socket.recvmsg(_DATAGRAM, 64)
+                else:  # Windows has no recvmsg, and only Linux gives the time of reception
+                    payload, ancillary = udp_socket.recv(_DATAGRAM), []
                 if ancillary:
                     seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
                     messages.append((payload, seconds + nanoseconds * 1e-9))
@@ -201,11 +204,11 @@ class UdpSource:
             pass
         return messages
 
-    def _overrun(self, opened: socket.socket) -> tuple[Loss, ...]:
+    def _overrun(self, udp_socket: socket.socket) -> tuple[Loss, ...]:
         """Return a loss for datagrams that the kernel dropped since the last call; adapt the pause to its buffer."""
         if sys.platform != "linux":
             return ()
-        words = _MEMORY_WORDS.unpack(opened.getsockopt(socket.SOL_SOCKET, _MEMORY, _MEMORY_WORDS.size))
+        words = _MEMORY_WORDS.unpack(udp_socket.getsockopt(socket.SOL_SOCKET, _MEMORY, _MEMORY_WORDS.size))
         room = _FILL * words[1] / max(words[0], 1)
         self._pause_s = min(self._gather_s, max(_SHORTEST_PAUSE_S, self._pause_s * min(room, 2.0)))
         new = (words[8] - self._dropped) % 2**32

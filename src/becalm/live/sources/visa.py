@@ -35,10 +35,10 @@ class VisaSource:
     ----------
     address : Address
         `visa:GPIB0::7::INSTR?query=READ?&interval=100ms&columns=bridge (V)&setup=*RST&backend=@py&timeout=3s&end=lf`.
-        `query` is sent for each row, `READ?` by default; `query=` listens to an instrument that sends by itself.
+        `query` is sent for each row, `READ?` by default; an empty `query=` is for an instrument that sends by itself.
         `interval` is the time between two queries, by default 0; `setup` is sent once at each opening;
-        `backend` is PyVISA's: @ivi is the vendor's library, @py is pyvisa-py, FILE@sim is pyvisa-sim. `timeout` is the
-        longest wait for an answer; `end` is the line end: lf, cr, crlf or none.
+        `backend` selects PyVISA's library: @ivi is the vendor's, @py is pyvisa-py, FILE@sim is pyvisa-sim.
+        `timeout` is the longest wait for an answer; `end` is the line end: lf, cr, crlf or none.
 
     Raises
     ------
@@ -113,7 +113,7 @@ class VisaSource:
             return None
         now_s = time.monotonic()
         on_time = self._due_s + self._interval_s > now_s
-        self._due_s = (self._due_s if on_time else now_s) + self._interval_s  # late queries are not caught up
+        self._due_s = (self._due_s if on_time else now_s) + self._interval_s  # missed queries are not made up for
         answer = self._answer()
         if answer is not None:
             self._silences = 0
@@ -151,13 +151,13 @@ class VisaSource:
         except (pyvisa.errors.Error, OSError) as cause:
             if getattr(cause, "error_code", None) != pyvisa.constants.StatusCode.error_timeout:
                 raise AwayError(f"The instrument {self._resource} can no longer be reached: {cause}.") from cause
-            with suppress(Exception):  # drop a late answer, so that it is not read as the next; not every bus can
+            with suppress(Exception):  # drop a late answer to this query; not every bus can
                 self._instrument.clear()
             return None
         return answer
 
     def _row(self, answer: str) -> Block:
-        came_s = time.time()
+        received_s = time.time()
         numbers = [number_of(cell) for cell in answer.split(",")]
         values = [math.nan if value is None or abs(value) >= _NO_READING else value for value in numbers]
         names = self._names or tuple(unique_names(["value"] * len(numbers)))
@@ -165,7 +165,7 @@ class VisaSource:
             message = f"The instrument answered {answer[:60]!r}, not {_expected(self._names)}."
             return self._losses(Loss(LossKind.GARBLED, 1, message))
         self._names = names
-        return Block(names, self._units, np.array([came_s]), np.array([values]), arrived_s=time.monotonic())
+        return Block(names, self._units, np.array([received_s]), np.array([values]), arrived_s=time.monotonic())
 
     def _losses(self, *losses: Loss) -> Block:
         width = len(self._names)

@@ -33,11 +33,11 @@ class Log(Closing):
     Parameters
     ----------
     where : str
-        A file for JSON lines, or "-" for name=value lines on stderr.
+        Path of a file for JSON lines, or "-" for name=value lines on stderr.
     environment : mapping of str to str
         Environment variables whose secrets are never logged: see `Scrubber`.
     clock : callable
-        `time.monotonic`.
+        Function that returns the time in seconds; by default `time.monotonic`.
 
     Raises
     ------
@@ -56,26 +56,26 @@ class Log(Closing):
         structlog = import_optional("--log", "structlog")
         self._where = "stderr" if where == "-" else where
         self._handler = _handler(where)
-        self._lines = _lines(structlog, self._handler, Scrubber(environment), as_json=where != "-")
+        self._logger = _make_logger(structlog, self._handler, Scrubber(environment), as_json=where != "-")
         self._clock = clock
         self._lock = threading.Lock()
         self._pending: dict[LossKind, _Pending] = {}
 
     def info(self, event: str, **values: object) -> None:
         """Log an event: a few words, and named values."""
-        self._lines.info(event, **values)
+        self._logger.info(event, **values)
 
     def warning(self, event: str, **values: object) -> None:
         """Log an event that the user may have to check."""
-        self._lines.warning(event, **values)
+        self._logger.warning(event, **values)
 
     def error(self, event: str, **values: object) -> None:
         """Log an error that stopped the stream, or a refused request."""
-        self._lines.error(event, **values)
+        self._logger.error(event, **values)
 
     def unexpected(self, cause: BaseException) -> str:
         """Log an unexpected error with its traceback; return a message for the user."""
-        self._lines.error("unexpected", exc_info=cause)
+        self._logger.error("unexpected", exc_info=cause)
         return (
             f"An unexpected error occurred in becalm ({type(cause).__name__}); the log ({self._where}) shows where."
             " Please report it with those lines."
@@ -91,12 +91,12 @@ class Log(Closing):
             pending.last = loss
             self._log_pending(pending, now_s)
 
-    def turn(self) -> None:
-        """Log losses that have been counted for a minute; to be called every few seconds."""
+    def log_due_losses(self) -> None:
+        """Log the counted losses of each kind that was last logged a minute ago; to be called every few seconds."""
         self._log_all(self._clock())
 
     def close(self) -> None:
-        """Log the losses still counted and close the file; may be called twice."""
+        """Log the losses that are not logged yet, and close the file; may be called twice."""
         self._log_all(float("inf"))
         self._handler.close()
 
@@ -109,7 +109,7 @@ class Log(Closing):
         if pending.last is None or now_s - pending.logged_s < LOSSES_EVERY_S:
             return
         values = {"events": pending.events, "rows": pending.rows, "says": pending.last.says}
-        self._lines.warning("loss", kind=pending.last.kind.value, **values)
+        self._logger.warning("loss", kind=pending.last.kind.value, **values)
         pending.logged_s, pending.events, pending.rows, pending.last = now_s, 0, 0, None
 
 
@@ -124,6 +124,23 @@ class _Pending:
 
 class _RotatingFile(RotatingFileHandler):
     """A log file that is rotated before it grows too large."""
+
+    def doRollover(self) -> None:  # noqa: N802  (its name in the library)
+        """Rotate the files; if this one cannot be renamed, let it grow, and try again later.
+
+        Windows renames no file that a viewer holds open.
+        """
+        if self.stream is not None:
+            self.stream.close()
+            self.stream = None  # as the library does: the next line opens it
+        path = Path(self.baseFilename)
+        try:
+            path.replace(path)  # fails before the older files are moved
+        except PermissionError:
+            self.maxBytes += FILE_BYTES
+            return
+        super().doRollover()
+        self.maxBytes = FILE_BYTES
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802  (its name in the library)
         """Drop the line; a full disk must not stop the stream."""
@@ -143,7 +160,7 @@ def _handler(where: str) -> logging.Handler:
     return _RotatingFile(where, maxBytes=FILE_BYTES, backupCount=OLD_FILES, encoding="utf-8", errors="backslashreplace")
 
 
-def _lines(structlog: Any, handler: logging.Handler, scrub: Scrubber, *, as_json: bool) -> Any:
+def _make_logger(structlog: Any, handler: logging.Handler, scrub: Scrubber, *, as_json: bool) -> Any:
     """Return a structlog logger that writes to a handler; global logging is not configured."""
     lines = logging.Logger("becalm.live")  # not from getLogger: other logs of this process stay separate
     lines.addHandler(handler)

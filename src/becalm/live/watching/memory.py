@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def resident_bytes() -> int | None:
-    """Return the resident memory of this process in bytes; without /proc its peak, and None if unknown."""
+    """Return the resident memory of this process in bytes; without /proc its peak value, or None if that is unknown."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:

@@ -58,13 +58,13 @@ class _Commits:
     rows: int = 0
     took_s: float = 0.0
     longest_s: float = 0.0
-    last_s: float | None = None  # on the meter's clock
+    last_s: float | None = None  # time of the last commit, on the meter's clock
     position: str = ""
 
 
 @dataclass
 class _Latencies:
-    """A ring of the last latencies in seconds, and count, sum and maximum of all."""
+    """A ring buffer of the last latencies in seconds, and the count, sum and maximum of all latencies."""
 
     ring: Floats = field(default_factory=lambda: np.zeros(LATENCIES))
     count: int = 0
@@ -78,7 +78,7 @@ class _Latencies:
         self.longest_s = max(self.longest_s, latency_s)
 
     def status(self, last: Floats) -> dict[str, Any]:
-        """Return the latencies in milliseconds; the percentiles are those of `last`, in seconds."""
+        """Return the latencies in milliseconds; the percentiles are computed from the latencies `last`, in seconds."""
         middle, late = (float(each) for each in np.percentile(last, [50, 99])) if len(last) else (None, None)
         return {
             "p50": _milli(middle),
@@ -98,7 +98,7 @@ class Meter:
     source : str
         The source's address without secrets.
     clock : callable
-        `time.monotonic`, as in `Output.arrived_s`.
+        Function that returns the time in seconds, the clock of `Output.arrived_s`; by default `time.monotonic`.
     """
 
     def __init__(self, source: str = "", *, clock: Callable[[], float] = time.monotonic) -> None:
@@ -109,10 +109,10 @@ class Meter:
         self._loop_s = self._begun_s
         self._rows_taken = self._rows = 0
         self._queue = (0, 0)
-        self._seconds: deque[tuple[int, int]] = deque(maxlen=RATE_OVER_S + 1)  # whole seconds, and rows in each
+        self._seconds: deque[tuple[int, int]] = deque(maxlen=RATE_OVER_S + 1)  # (whole second on the clock, rows in it)
         self._latencies, self._commits = _Latencies(), _Commits()
         self._losses = {kind: Losses() for kind in LossKind}
-        self._all_used = np.eye(1, len(Verdict), Verdict.USED, np.int64)
+        self._all_used = np.eye(1, len(Verdict), Verdict.USED, np.int64)  # counts of one used reading
         self._health: dict[str, tuple[float, tuple[str, ...]]] = {}
         self._source = source
         self.recipe = ""
@@ -125,23 +125,23 @@ class Meter:
             self._names = tuple(names)
             self._verdicts = np.zeros((len(self._names), len(Verdict)), np.int64)
             self._first_codes = np.arange(len(self._names)) * len(Verdict)  # index of each channel's first count
-        self.tuned(recipe)
+        self.set_recipe(recipe)
 
-    def tuned(self, recipe: str) -> None:
+    def set_recipe(self, recipe: str) -> None:
         """Set the recipe (TOML) of all following rows."""
         self.recipe = recipe
         self._sha256 = hashlib.sha256(recipe.encode()).hexdigest() if recipe else ""
 
-    def took(self, block: Block) -> None:
+    def count_block(self, block: Block) -> None:
         """Count a block from the source."""
         with self._lock:
             self._rows_taken += len(block)
 
-    def queued(self, blocks: int, rows: int) -> None:
+    def set_queue(self, blocks: int, rows: int) -> None:
         """Set the number of blocks and rows in the queue before the filter."""
         self._queue = (blocks, rows)
 
-    def turned(self) -> None:
+    def record_iteration(self) -> None:
         """Record an iteration of the main loop."""
         self._loop_s = self._clock()
 
@@ -155,7 +155,7 @@ class Meter:
                 return
             self._rows += len(output)
             self._verdicts += counts
-            if output.arrived_s:  # the end of a stream makes rows ready that arrived at several times
+            if output.arrived_s:  # 0 at the end of the stream, when rows with several arrival times are returned
                 self._latencies.add(now_s - output.arrived_s)
             second = int(now_s)
             if self._seconds and self._seconds[-1][0] == second:
@@ -163,12 +163,12 @@ class Meter:
             else:
                 self._seconds.append((second, len(output)))
 
-    def lost(self, losses: Iterable[Loss]) -> None:
-        """Count losses of a stream that has no rows yet."""
+    def count_losses(self, losses: Iterable[Loss]) -> None:
+        """Count losses that no output carries, because the stream has no rows yet."""
         with self._lock:
             self._count(losses)
 
-    def kept(self, rows: int, took_s: float, position: str = "") -> None:
+    def count_commit(self, rows: int, took_s: float, position: str = "") -> None:
         """Count a commit: its rows, its duration in seconds, and the position from which a restart continues."""
         with self._lock:
             commits = self._commits
@@ -178,7 +178,7 @@ class Meter:
             commits.last_s, commits.position = self._clock(), position
 
     def health(self, channel: str, nis: float, alarms: Sequence[str] = ()) -> None:
-        """Set a channel's windowed NIS (1 if the model is right, NaN if unknown), and its alarms."""
+        """Set a channel's alarms, and its normalised innovation squared (1 if the model is right, NaN if unknown)."""
         with self._lock:
             self._health[channel] = (nis, tuple(alarms))
 
@@ -217,7 +217,7 @@ class Meter:
         return status | {"latency_ms": self._latencies.status(last)}
 
     def _verdict_counts(self, output: Output) -> Integers:
-        """Return the counts of verdicts, (m, kinds); (1, kinds) for every channel if all readings were used."""
+        """Return the counts of verdicts, (m, kinds), or (1, kinds) for every channel if all readings were used."""
         if not output.verdicts.any():
             return len(output) * self._all_used
         codes = (output.verdicts + self._first_codes).ravel()

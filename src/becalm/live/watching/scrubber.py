@@ -1,4 +1,4 @@
-"""Remove secrets from logs, status files and the live page: passwords of the environment and in addresses."""
+"""Remove secrets from logs, status files and the live page: passwords from the environment and in addresses."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Any
 from urllib.parse import quote, quote_plus
 
 _ENDINGS = ("PASSWORD", "TOKEN", "SECRET")
-_SHORTEST = 4  # characters; replacing a one-letter secret would garble every text
+_SHORTEST = 4  # least length of a secret in characters: replacing a one-letter secret would garble every text
 _HIDDEN = "***"
 _IN_ADDRESS = re.compile(r"(?<=//)\S*@")  # user and password, with any characters
-_NAMED = re.compile(r"(?i)((?:password|token|secret)=)[^&\s]+")
+_NAMED = re.compile(r"(?i)((?:password|token|secret)=)[^&\s]+")  # password=... and the like in a text
 
 
 class Scrubber:

@@ -29,7 +29,7 @@ class StatusFile(Closing):
         The file; it is replaced by renaming, so that a reader always finds a complete file.
     meter : Meter
         Meter with the counts.
-    say : callable
+    report : callable
         Called with a sentence when writing fails, and when it works again.
 
     Raises
@@ -38,9 +38,9 @@ class StatusFile(Closing):
         If the file name is not possible, or no file can be created in its folder.
     """
 
-    def __init__(self, path: Path, meter: Meter, say: Callable[[str], object]) -> None:
+    def __init__(self, path: Path, meter: Meter, report: Callable[[str], object]) -> None:
         refuse_unwritable(path)
-        self._path, self._meter, self._say, self._scrub = path, meter, say, Scrubber()
+        self._path, self._meter, self._report, self._scrub = path, meter, report, Scrubber()
         self._part = path.with_name(f".{path.name}.part")
         self._failing = False
         self._ended = threading.Event()
@@ -69,9 +69,11 @@ class StatusFile(Closing):
             with suppress(OSError):
                 self._part.unlink(missing_ok=True)
             if not self._failing:
-                self._say(f"The status file {self._path} cannot be written ({cause.strerror}); the stream continues.")
+                self._report(
+                    f"The status file {self._path} cannot be written ({cause.strerror}); the stream continues."
+                )
             self._failing = True
         else:
             if self._failing:
-                self._say(f"The status file {self._path} is written again.")
+                self._report(f"The status file {self._path} is written again.")
             self._failing = False

@@ -10,7 +10,7 @@ from becalm.live.watching.logs import Log
 from becalm.live.watching.meter import Meter, State
 from becalm.live.watching.watchdog import Silence, Systemd
 
-_LOG_TURN_S = 10.0  # interval between calls of `Log.turn`, in seconds
+_LOG_LOSSES_S = 10.0  # interval between calls of `Log.log_due_losses`, in seconds
 
 
 class Watch:
@@ -30,7 +30,7 @@ class Watch:
         self.meter, self._log = meter, log
         self._silence, self._systemd = Silence(silent_s), Systemd()
         self._state: State = "starting"
-        self._log_turn_s = 0.0
+        self._losses_logged_s = 0.0
 
     def state(self, state: State, says: str = "") -> None:
         """Report the current state of the stream."""
@@ -47,43 +47,43 @@ class Watch:
             log = self._log.warning if state in ("away", "full", "failed", "silent") else self._log.info
             log(state, **({"says": says} if says else {}))
 
-    def tuned(self, recipe: str) -> None:
+    def record_retuning(self, recipe: str) -> None:
         """Report another recipe (TOML) for all following rows."""
-        self.meter.tuned(recipe)
+        self.meter.set_recipe(recipe)
         if self._log is not None:
             self._log.info("tuned anew")
 
-    def refused(self, says: str) -> None:
+    def record_refusal(self, says: str) -> None:
         """Report a refused request to a running stream; the stream continues unchanged."""
         if self._log is not None:
             self._log.error("refused", says=says)
 
-    def turned(self, block_came: bool) -> tuple[Loss, ...]:
-        """Record an iteration of the main loop, and whether it got a block.
+    def record_iteration(self, has_block: bool) -> tuple[Loss, ...]:
+        """Record an iteration of the main loop; `has_block` is True if it got a block from the source.
 
         Returns
         -------
         tuple of Loss
-            One loss if the source has just become silent or come back, else none.
+            A loss if the source has just become silent, or has just ended its silence; otherwise empty.
         """
-        self.meter.turned()
-        self._systemd.alive()
-        loss = self._silence.came() if block_came else self._silence.waited()
+        self.meter.record_iteration()
+        self._systemd.ping_watchdog()
+        loss = self._silence.record_rows() if has_block else self._silence.record_no_rows()
         if loss is not None:
             self.state("silent" if self._silence.silent else "running", loss.says)
-        if self._log is not None and time.monotonic() - self._log_turn_s > _LOG_TURN_S:
-            self._log_turn_s = time.monotonic()
-            self._log.turn()
+        if self._log is not None and time.monotonic() - self._losses_logged_s > _LOG_LOSSES_S:
+            self._losses_logged_s = time.monotonic()
+            self._log.log_due_losses()
         return () if loss is None else (loss,)
 
     def record(self, output: Output) -> None:
-        """Report rows that were passed to the sinks, with their losses."""
+        """Report rows that were passed to the sinks, and their losses."""
         self.meter.record(output)
         self._log_losses(output.losses)
 
-    def lost(self, losses: Sequence[Loss]) -> None:
-        """Report losses of a stream that has no rows yet."""
-        self.meter.lost(losses)
+    def record_losses(self, losses: Sequence[Loss]) -> None:
+        """Report losses that no output carries, because the stream has no rows yet."""
+        self.meter.count_losses(losses)
         self._log_losses(losses)
 
     def _log_losses(self, losses: Sequence[Loss]) -> None:

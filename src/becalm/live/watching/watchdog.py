@@ -18,7 +18,7 @@ class Silence:
     patience_s : float
         Longest time without rows, in seconds.
     clock : callable
-        `time.monotonic`.
+        Function that returns the time in seconds; by default `time.monotonic`.
     """
 
     def __init__(self, patience_s: float, clock: Callable[[], float] = time.monotonic) -> None:
@@ -26,7 +26,7 @@ class Silence:
         self._last_s = clock()
         self.silent = False
 
-    def came(self) -> Loss | None:
+    def record_rows(self) -> Loss | None:
         """Record that rows arrived; return a loss with the length of the silence, if one was reported."""
         last_s, self._last_s = self._last_s, self._clock()
         if not self.silent:
@@ -34,7 +34,7 @@ class Silence:
         self.silent = False
         return Loss(LossKind.SILENT, None, f"The source is back after {self._last_s - last_s:.3g} s of silence.")
 
-    def waited(self) -> Loss | None:
+    def record_no_rows(self) -> Loss | None:
         """Record that no rows arrived; return a loss when the silence first exceeds the limit."""
         silence_s = self._clock() - self._last_s
         if self.silent or silence_s <= self._patience_s:
@@ -53,7 +53,7 @@ class Systemd:
     environment : mapping of str to str
         Environment variables; systemd sets NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID.
     clock : callable
-        `time.monotonic`.
+        Function that returns the time in seconds; by default `time.monotonic`.
     """
 
     def __init__(
@@ -75,8 +75,8 @@ class Systemd:
             self._says = says
             self._send(f"STATUS={' '.join(says.split())}")
 
-    def alive(self) -> None:
-        """Report that the main loop runs; only that loop may call this, or a hang goes unnoticed."""
+    def ping_watchdog(self) -> None:
+        """Report that the main loop runs; only that loop may call this, so that its hang is noticed."""
         now_s = self._clock()
         if now_s >= self._next_s:
             self._next_s = now_s + self._every_s

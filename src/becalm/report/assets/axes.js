@@ -1,9 +1,9 @@
-// Configures the axes of figures: numbers, width and range.
+// Configures the axes of figures: tick labels, width and range.
 
 import { colour } from "./colours.js";
 import { decade, even, logarithmic } from "./numbers.js";
 
-const FINEST = 2 ** -46; // smallest range relative to the values: with less, the ticks would have equal numbers
+const FINEST = 2 ** -46; // smallest range relative to the values: a smaller range would have equal tick labels
 const FONT = "12px system-ui, sans-serif";
 
 /**
@@ -21,8 +21,8 @@ export function axisOf(axis, more) {
 }
 
 /**
- * Return how wide an axis must be for its numbers and its label.
- * @param {number} least pixels, the width of the axes that it must align with
+ * Return a function that computes the width of an axis from its tick labels.
+ * @param {number} least smallest width in pixels, that of the axes to align with
  * @returns {uPlot.Axis.Size}
  */
 export function roomFor(least) {

@@ -1,4 +1,4 @@
-// The colours of figures in the reader's light or dark theme.
+// The colours of figures in the browser's light or dark theme.
 
 const OTHERS = 6;
 /** @type {Map<string, string>} */
@@ -12,7 +12,7 @@ export function readColours() {
     palette.set(name, style.getPropertyValue(`--${name}`).trim());
 }
 
-/** Call a function after a change of the theme, with the new colours. @param {() => void} redraw */
+/** Call a function after each change of the theme, when the new colours are read. @param {() => void} redraw */
 export function onTheme(redraw) {
   for (const query of ["(prefers-color-scheme: dark)", "print"])
     matchMedia(query).addEventListener("change", () => {
@@ -25,5 +25,5 @@ export function onTheme(redraw) {
 export const colour = (role) => () => palette.get(role) ?? "";
 /** Return the same colour, translucent. @param {string} role */
 export const translucent = (role) => () => `${palette.get(role)}40`;
-/** @param {number} number */
+/** Return the colour name of a layer with the role "other". @param {number} number its number among these layers */
 export const other = (number) => `other-${number % OTHERS}`;

@@ -1,4 +1,4 @@
-// Draws figures from their descriptions with uPlot, for reports and for the app.
+// Draws figures with uPlot, from the descriptions that `payload` encodes, for reports and for the app.
 
 import { axisOf, roomFor, roomOf, roomy } from "./axes.js";
 import { colour, other, translucent } from "./colours.js";
@@ -11,7 +11,7 @@ import { short } from "./numbers.js";
  * @property {Kind} kind
  * @property {string} name
  * @property {string} role
- * @property {number} [x] index of an array in the payload, as are y, low, high, starts and ends
+ * @property {number} [x] index of an array in the payload; so are y, low, high, starts and ends
  * @property {number} [y]
  * @property {number} [low]
  * @property {number} [high]
@@ -29,7 +29,7 @@ import { short } from "./numbers.js";
  * @typedef {{ key: string, plots: Plot[] }} Group figures that are zoomed together
  */
 
-const LEFT = 72; // pixels, the width of the y axes of figures with a common time axis, so that they align
+const LEFT = 72; // pixels, the smallest width of the y axes of wide figures, so that their time axes align
 /** @type {WeakSet<uPlot>} */
 const zoomed = new WeakSet();
 
@@ -48,14 +48,14 @@ export function decode(held) {
   return Array.from(numbers, (value) => (Number.isFinite(value) ? value + (held.offset ?? 0) : null));
 }
 
-/** Return the colour name of each layer; layers with the role "other" get successive ones. @param {Layer[]} layers */
+/** Return the colour name of each layer; layers with the role "other" get successive colours. @param {Layer[]} layers */
 function rolesOf(layers) {
   let others = 0;
   return layers.map((layer) => (layer.role === "other" ? other(others++) : layer.role));
 }
 
 /**
- * Return the layers as columns with a common x, and for each column the layer that it belongs to.
+ * Return the layers as data columns with a common x, and for each column the index of its layer.
  * @param {Figure} figure
  * @param {Arrays} arrays
  * @returns {{ data: uPlot.AlignedData, owners: number[] }}
@@ -76,8 +76,8 @@ function columnsOf(figure, arrays) {
 }
 
 /**
- * Return the indices of values without neighbours, which a line does not show. Undefined values are skipped: their x
- * comes from another layer.
+ * Return the indices of values without neighbours, which a line does not show. Undefined values are skipped, because
+ * their x belongs to another layer.
  * @param {uPlot} u
  * @param {number} i
  */
@@ -125,7 +125,7 @@ function bandsOf(figure, owners, roles) {
 }
 
 /**
- * Return a scale with the limits of an axis; missing limits come from the data, or from the reader's zoom.
+ * Return a scale with the limits of an axis; missing limits come from the data. A zoomed figure ignores the limits.
  * @param {Axis} axis
  * @returns {uPlot.Scale}
  */
@@ -137,10 +137,10 @@ function scaleOf({ log, low, high }) {
   return scale;
 }
 
-/** @param {Axis} axis */
+/** Return the scale of a y axis. @param {Axis} axis */
 const heightsOf = (axis) => (axis.log || axis.low !== null || axis.high !== null ? scaleOf(axis) : roomy);
 
-/** Clip drawing to a plot's frame. @param {uPlot} u @param {() => void} paint */
+/** Paint within the frame of a plot only. @param {uPlot} u @param {() => void} paint */
 export function clipped(u, paint) {
   const { left, top, width, height } = u.bbox;
   u.ctx.save();
@@ -152,7 +152,7 @@ export function clipped(u, paint) {
 }
 
 /**
- * Draw the layers that uPlot has no series for: lanes, rules, and the names of points.
+ * Return a function that draws what is no uPlot series: lanes, rules, and the labels of points.
  * @param {Figure} figure
  * @param {Arrays} arrays
  * @param {string[]} roles
@@ -208,11 +208,11 @@ function label(u, text, x, y) {
 }
 
 /**
- * Make a legend: a button for each name, which hides its layer and shows the value under the cursor.
+ * Make a legend: a button for each layer, which shows the value at the cursor; a click hides or shows the layer.
  * @param {uPlot} u
  * @param {{ name: string, role: string, columns: number[] }[]} entries
  * @param {Element} place
- * @returns {() => void} call it after each move of the cursor
+ * @returns {() => void} a function to call after each move of the cursor
  */
 export function legend(u, entries, place) {
   const buttons = entries.map(({ name, role, columns }) => {

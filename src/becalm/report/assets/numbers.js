@@ -1,17 +1,17 @@
-// Formats numbers, and places them on the axes of figures.
+// Formats numbers, and chooses the ticks of logarithmic axes.
 
 /**
- * Write a number with five digits; very large and very small ones with a power of ten.
+ * Format a number with five digits; very large and very small numbers with a power of ten.
  * @param {number} value
  */
 export function short(value) {
   const far = value !== 0 && (Math.abs(value) >= 1e12 || Math.abs(value) < 1e-3);
   if (far) return value.toExponential(4).replace(/\.?0*e\+?/, "e");
-  return String(Number(value.toPrecision(Math.abs(value) >= 1e4 ? 12 : 5))); // large numbers may differ by little
+  return String(Number(value.toPrecision(Math.abs(value) >= 1e4 ? 12 : 5))); // more digits, because large numbers may differ by little
 }
 
 /**
- * Write a number of a logarithmic axis; large ones with a power of ten.
+ * Format a tick label of a logarithmic axis; large numbers with a power of ten.
  * @param {number} value
  */
 export function decade(value) {
@@ -19,7 +19,7 @@ export function decade(value) {
 }
 
 /**
- * Write a number of an axis with enough digits to distinguish it from its neighbours, one step away.
+ * Format a tick label of a linear axis, with enough digits to distinguish it from the next ticks, one step away.
  * @param {number} value
  * @param {number} step
  */
@@ -33,7 +33,7 @@ export function even(value, step) {
 }
 
 /**
- * Return the numbers of a logarithmic axis: at most seven powers of ten; for less than two decades, numbers between too.
+ * Return the ticks of a logarithmic axis: up to about seven powers of ten; below two decades, also numbers between them.
  * @param {unknown} u
  * @param {number} axis
  * @param {number} low
@@ -47,7 +47,7 @@ export function logarithmic(u, axis, low, high) {
 }
 
 /**
- * Return 1, 2 and 5 times the powers of ten between two limits; if these are too few, even steps.
+ * Return 1, 2 and 5 times the powers of ten between two limits; if there are fewer than two, even steps.
  * @param {number} low
  * @param {number} high
  */

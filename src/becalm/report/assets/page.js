@@ -3,13 +3,13 @@
 import { onTheme, readColours } from "./colours.js";
 import { bytesOf, decode, draw } from "./figures.js";
 
-/** Unpack the figures for print. @param {HTMLElement} place */
+/** Unpack the SVG figures for print. @param {HTMLElement} place */
 async function unpack(place) {
   const stream = new Blob([bytesOf(place.dataset.svg ?? "")]).stream().pipeThrough(new DecompressionStream("gzip"));
   place.innerHTML = await new Response(stream).text();
 }
 
-/** Draw all figures; those with the same key form a group that zooms together. */
+/** Draw all figures; figures with the same data-together form a group that zooms together. */
 function drawAll() {
   const { arrays: held, figures } = JSON.parse(document.getElementById("figures")?.textContent ?? "");
   const arrays = held.map(decode);

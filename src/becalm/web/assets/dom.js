@@ -29,7 +29,7 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** Write a text if it has changed, so that screen readers read it only once. @param {HTMLElement} place @param {string} text */
+/** Write a text into an element if it has changed, so that screen readers read it only once. @param {HTMLElement} place @param {string} text */
 export function write(place, text) {
   if (place.textContent !== text) place.textContent = text;
 }
@@ -53,7 +53,7 @@ const PREFIXES = {
 };
 
 /**
- * Write a number with three digits and a unit; a dash if there is none.
+ * Format a number with three digits and a unit; return a dash if there is no number.
  * @param {number | null | undefined} value
  * @param {string} unit
  */

@@ -1,4 +1,4 @@
-// Decodes binary frames: the length of a JSON header, the header, and the arrays after it.
+// Decodes binary frames: each has the length of its JSON header, the header, and arrays.
 
 /** @typedef {{ type: "f4" | "f8" | "u2", at: number, count: number, offset?: number | null }} Place */
 /** @typedef {Float32Array | Float64Array | Uint16Array} Values */
@@ -7,7 +7,7 @@
 const KINDS = { f4: Float32Array, f8: Float64Array, u2: Uint16Array };
 
 /**
- * Read the arrays of a frame in place; only those with an offset are copied.
+ * Decode a frame; only arrays with an offset are copied.
  * @param {ArrayBuffer} buffer
  * @returns {Frame}
  */

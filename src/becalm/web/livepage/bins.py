@@ -1,7 +1,7 @@
 """Collect the rows of a stream in bins: minimum and maximum over some rows, at several levels of resolution.
 
-Bin b of level l covers rows b * rows_each[l] to (b + 1) * rows_each[l] - 1, independent of the blocks that the rows
-arrive in. One thread writes, others read, without locks: a reader copies bins, and then drops those that the writer has
+Bin b of level l covers rows b * rows_each[l] to (b + 1) * rows_each[l] - 1, whatever blocks the rows arrive in. One
+thread writes and other threads read, without locks: a reader copies bins, and then drops the bins that the writer has
 overwritten meanwhile.
 """
 
@@ -21,7 +21,7 @@ COARSER = 8
 """Number of bins of a level that form one bin of the next level."""
 
 _BINS_PER_S = 150.0  # at level 0: about 1500 in the ten seconds that a page shows
-_MOST_KEPT, _LEAST_KEPT = 1 << 13, 1 << 11  # bins of each level; the most last 55 s, 7 min, 58 min, 8 h, 2.6 days
+_MOST_KEPT, _LEAST_KEPT = 1 << 13, 1 << 11  # bins of each level; 8192 last 55 s, 7 min, 58 min, 8 h, 2.6 days
 _MEMORY = 64 << 20  # memory limit of all levels in bytes, unless `_LEAST_KEPT` bins need more
 _AT_ONCE = 1 << 8  # bins of level 0 that are written at once
 _LARGEST = 1e30  # largest magnitude that a page can draw; no sensor has larger readings
@@ -31,7 +31,7 @@ Bits = np.ndarray[Any, np.dtype[np.uint16]]
 
 
 class Span(NamedTuple):
-    """Some consecutive bins of a level (n of them); unknown values are NaN."""
+    """Consecutive bins of one level, n in number; unknown values are NaN."""
 
     first: int
     """Number of the first bin."""
@@ -53,7 +53,7 @@ class Span(NamedTuple):
         return len(self.time_s)
 
     def part(self, begin: int, end: int) -> Span:
-        """Return the bins at places `begin` to before `end`."""
+        """Return the bins with indices `begin` to `end` - 1."""
         some = slice(begin, end)
         return Span(self.first + begin, self.time_s[some], self.low[some], self.high[some], self.verdicts[some])
 
@@ -61,7 +61,8 @@ class Span(NamedTuple):
 class Bins:
     """The newest bins of a stream at each level, within a memory limit.
 
-    A bin needs 42 bytes for each channel, and 8 more: six channels need 10 MB, and up to 150 channels at most 64 MB.
+    A bin takes 8 bytes, 42 bytes more for each channel and 8 more for each mode: six channels without modes take 10 MB,
+    and up to 150 channels at most 64 MB.
 
     Parameters
     ----------
@@ -79,12 +80,12 @@ class Bins:
         self.rows_each = tuple(finest * COARSER**level for level in range(LEVELS))
         each = LEVELS * (channels * (5 * 8 + 2) + modes * 8 + 8)
         self.kept = max(_LEAST_KEPT, min(_MOST_KEPT, _MEMORY // each))
-        """Number of the newest bins of each level that can be read."""
+        """Number of bins that each level keeps, which are the newest ones."""
         self._rings = [_Ring(self.kept, channels, modes) for _ in self.rows_each]
         self._open: Span | None = None  # the bin whose last rows are still missing
 
     def push(self, output: Output) -> None:
-        """Add the next rows; a resumed stream may begin with any row."""
+        """Add the next rows; the first row of a resumed stream may have any number."""
         rows = self.rows_each[0] * _AT_ONCE
         for begin in range(0, len(output), rows):
             self._push(output, slice(begin, begin + rows))
@@ -98,7 +99,7 @@ class Bins:
             self._coarsen(lower, upper, -(-lower.closed // COARSER))
 
     def newest(self, level: int) -> int:
-        """Return the number of the bin after the last closed one."""
+        """Return the number of the bin after the last closed bin."""
         return self._rings[level].closed
 
     def oldest(self, level: int) -> int:
@@ -107,12 +108,12 @@ class Bins:
         return max(ring.began, ring.closed - self.kept)
 
     def read(self, level: int, first: int, stop: int) -> Span:
-        """Return the closed bins from `first` to before `stop`, as far as they can be read."""
+        """Return the closed bins with numbers `first` to `stop` - 1 that are still kept."""
         ring = self._rings[level]
         stop = min(stop, ring.closed)
         first = min(max(first, self.oldest(level)), stop)
         span = ring.read(first, stop)
-        overtaken = max(0, min(ring.reached - self.kept - first, len(span)))
+        overtaken = max(0, min(ring.claimed - self.kept - first, len(span)))
         return span.part(overtaken, len(span)) if overtaken else span
 
     def _push(self, output: Output, some: slice) -> None:
@@ -121,9 +122,9 @@ class Bins:
         codes = output.verdicts[some]
         bits = _BITS[codes] if codes.any() else np.zeros(codes.shape, np.uint16)
         low = columns[:, : 2 * self._channels]
-        span = _gathered(Span(row, output.time_s[some], low, columns, bits), each)
+        span = _coarser(Span(row, output.time_s[some], low, columns, bits), each)
         if self._open is not None and self._open.first == span.first:
-            span = _begun_by(self._open, span)
+            span = _merge_first(self._open, span)
         whole = (row + len(columns)) % each == 0
         self._open = None if whole else span.part(len(span) - 1, len(span))
         self._rings[0].write(span if whole else span.part(0, len(span) - 1))
@@ -145,11 +146,11 @@ class Bins:
         return columns
 
     def _coarsen(self, lower: _Ring, upper: _Ring, closed: int) -> bool:
-        """Close the bins of the upper level before number `closed`; return whether there were any."""
+        """Close the bins of the upper level with numbers below `closed`; return whether any was open."""
         first = upper.closed * COARSER if upper.closed else lower.began
         if closed * COARSER <= first:
             return False
-        upper.write(_gathered(lower.read(first, min(closed * COARSER, lower.closed)), COARSER))
+        upper.write(_coarser(lower.read(first, min(closed * COARSER, lower.closed)), COARSER))
         return True
 
 
@@ -161,7 +162,8 @@ class _Ring:
         self._time_s, self._verdicts = np.zeros(kept), np.zeros((kept, channels), np.uint16)
         self._low, self._high = np.zeros((kept, 2 * channels)), np.zeros((kept, 3 * channels + modes))
         self.began = 0  # number of the first bin of the stream
-        self.closed = self.reached = 0  # number after the last complete bin; the same for bins that are being written
+        self.closed = 0  # number after the last complete bin
+        self.claimed = 0  # number after the last bin that is complete or being written
 
     def write(self, span: Span) -> None:
         """Append bins."""
@@ -169,7 +171,7 @@ class _Ring:
             return
         if self.closed == self.began:
             self.began = self.closed = span.first
-        stop = self.reached = span.first + len(span)
+        stop = self.claimed = span.first + len(span)
         at = np.arange(span.first, stop) % self._kept
         self._time_s[at], self._low[at], self._high[at] = span.time_s, span.low, span.high
         self._verdicts[at] = span.verdicts
@@ -181,8 +183,8 @@ class _Ring:
         return Span(first, self._time_s[at], self._low[at], self._high[at], self._verdicts[at])
 
 
-def _gathered(span: Span, each: int) -> Span:
-    """Return larger bins, each of `each` rows or smaller bins; the first and the last may have fewer."""
+def _coarser(span: Span, each: int) -> Span:
+    """Merge each `each` rows or smaller bins into one bin; the first and the last bin may have fewer."""
     first, stop = span.first // each, span.first + len(span)
     starts = np.arange(first * each, stop, each) - span.first
     starts[0] = 0
@@ -195,10 +197,10 @@ def _gathered(span: Span, each: int) -> Span:
     )
 
 
-def _begun_by(begun: Span, span: Span) -> Span:
-    """Merge an incomplete bin into the first of some bins, which continues it; return these bins."""
-    span.time_s[0] = begun.time_s[0]
-    span.low[0] = np.fmin(begun.low[0], span.low[0])
-    span.high[0] = np.fmax(begun.high[0], span.high[0])
-    span.verdicts[0] |= begun.verdicts[0]
+def _merge_first(incomplete: Span, span: Span) -> Span:
+    """Merge an incomplete bin into the first bin of a span, which continues it; return the span."""
+    span.time_s[0] = incomplete.time_s[0]
+    span.low[0] = np.fmin(incomplete.low[0], span.low[0])
+    span.high[0] = np.fmax(incomplete.high[0], span.high[0])
+    span.verdicts[0] |= incomplete.verdicts[0]
     return span

@@ -10,13 +10,13 @@ from becalm.live.block import Head, Output
 from becalm.web.livepage.bins import Bins
 
 
-class Shown(NamedTuple):
-    """The data of a stream for its pages."""
+class StreamData(NamedTuple):
+    """The description and the bins of a stream, which the live page shows."""
 
     head: Head
     bins: Bins
     modes: dict[int, tuple[str, ...]]
-    """Names of the modes of each channel with several, by its number; probabilities have the same order."""
+    """Names of the modes, by number of the channel, if it has several; probabilities in bins have this order."""
 
 
 class Feed:
@@ -29,8 +29,8 @@ class Feed:
 
     Attributes
     ----------
-    shown : Shown or None
-        Data of the stream; None before it has begun.
+    stream : StreamData or None
+        Data of the stream; None before the stream has begun.
     ended : bool
         Whether the stream has ended.
     """
@@ -38,7 +38,7 @@ class Feed:
     def __init__(self, say: Callable[[str], object]) -> None:
         self._say = say
         self._failed = False
-        self.shown: Shown | None = None
+        self.stream: StreamData | None = None
         self.ended = False
 
     def open(self, head: Head) -> None:
@@ -49,23 +49,23 @@ class Feed:
             for number, channel in enumerate(channels)
             if channel.switching is not None
         }
-        self.shown = Shown(head, Bins(len(head.names), head.rate_hz, sum(map(len, modes.values()))), modes)
+        self.stream = StreamData(head, Bins(len(head.names), head.rate_hz, sum(map(len, modes.values()))), modes)
 
     def write(self, output: Output) -> None:
-        """Add some rows in about ten microseconds, whatever the number of viewers; this never fails."""
-        if self.shown is None or self._failed:
+        """Add some rows in about ten microseconds, whatever the number of viewers; this raises no exception."""
+        if self.stream is None or self._failed:
             return
         try:
-            self.shown.bins.push(output)
+            self.stream.bins.push(output)
         except Exception as cause:  # an error of the page must not end a stream
             self._failed = True
             self._say(f"The live page stopped ({type(cause).__name__}: {cause}); the stream goes on.")
 
     def flush(self) -> None:
-        """Do nothing: viewers need not have seen the rows."""
+        """Do nothing: a commit does not wait for viewers."""
 
     def close(self) -> None:
         """Close the last bins; a second call does nothing."""
-        if self.shown is not None and not self.ended:
-            self.shown.bins.finish()
+        if self.stream is not None and not self.ended:
+            self.stream.bins.finish()
         self.ended = True

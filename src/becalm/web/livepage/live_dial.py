@@ -11,29 +11,29 @@ from becalm.cleaning.dial_positions import dial, summary_of
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.errors import BecalmError, UsageError
-from becalm.live.retuning import Heard, Retune
+from becalm.live.retuning import Retune, RetuneCallback
 
-_DIAL_S = 600.0  # the strongest smoothing on the dial is that for a record of this length
-_REMEMBERED = 1000  # most changes that can be undone
+_DIAL_S = 600.0  # length of the record whose strongest smoothing is the last position of a dial
+_REMEMBERED = 1000  # limit of the changes that can be undone
 NOT_BEGUN = "The stream has not begun yet."
 _NOTHING = "No filter was changed since becalm began; there is nothing to undo."
 _NO_TURN = "A page turned a dial but did not send a value; reload it."
-_FEWER = 4  # with tones or coloured noise only every fourth position is computed: each takes hundredths of a second
+_FEWER = 4  # with tones or coloured noise only every fourth position is computed, because each takes some 0.01 s
 
 
 Trail = list[Recipe]
 """The recipes before each change that can be undone, oldest first, and at the end the recipe in force."""
 
 
-class _Step:
-    """A requested change: `take` applies it to a trail, `turns` is the number of changes that it adds (undo: -1)."""
+class _ChangeRequest:
+    """A requested change: `apply` changes a trail, `turns` is the number of recipes that it adds there (undo: -1)."""
 
-    def __init__(self, take: Callable[[Trail], object], turns: int) -> None:
-        self.take, self.turns, self.settled = take, turns, False
+    def __init__(self, apply: Callable[[Trail], object], turns: int) -> None:
+        self.apply, self.turns, self.settled = apply, turns, False
 
 
 class LiveDial:
-    """Requests the changes of filters that all viewers of a stream want, and undoes them.
+    """Requests changes of a stream's filters for all viewers, and undoes them.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ class LiveDial:
 
     def __init__(self, now: Callable[[], str], retune: Retune) -> None:
         self._now, self._retune = now, retune
-        self._lock = threading.Lock()  # the filtering thread takes it too, so it is held only briefly
-        self._requests: tuple[_Step, ...] = ()  # requested, but not yet taken or refused
-        self._before: Trail = []
+        self._lock = threading.Lock()  # the filtering thread needs it too: hold it only briefly
+        self._requests: tuple[_ChangeRequest, ...] = ()  # neither accepted nor refused yet
+        self._history: Trail = []
 
     @property
     def can_undo(self) -> bool:
         """Return whether a change can be undone."""
-        return bool(self._before)
+        return bool(self._history)
 
-    def turn(self, channel: int, density: float | None, noise_std: float | None, heard: Heard) -> None:
+    def turn(self, channel: int, density: float | None, noise_std: float | None, on_result: RetuneCallback) -> None:
         """Request another process noise density or noise standard deviation for a channel.
 
         Parameters
@@ -63,9 +63,9 @@ class LiveDial:
             Number of the channel, from 0.
         density, noise_std : float or None
             New values, in unit^2/s^(2 order - 1) and in unit; None keeps the old one.
-        heard : callable
-            Function that gets the outcome: "" if the stream takes the change, why not if it refuses, None if a newer
-            request replaces this one.
+        on_result : callable
+            Function that gets the outcome: "" if the stream accepts the change, the reason if it refuses, None if a
+            newer request replaces this one.
 
         Raises
         ------
@@ -76,22 +76,24 @@ class LiveDial:
         update = {name: value for name, value in values.items() if value is not None}
         if not update:
             raise UsageError(_NO_TURN)
-        _turned(self._running(), channel, update)  # raises at once if the change is impossible
-        self._ask(_Step(lambda trail: trail.append(_turned(trail[-1], channel, update)), +1), heard)
+        _changed_recipe(self._running(), channel, update)  # raises at once if the change is impossible
+        self._ask(
+            _ChangeRequest(lambda trail: trail.append(_changed_recipe(trail[-1], channel, update)), +1), on_result
+        )
 
-    def undo(self, heard: Heard) -> None:
-        """Request to undo the last change, which may be a request that is not settled yet.
+    def undo(self, on_result: RetuneCallback) -> None:
+        """Request to undo the last change, even if the stream has not accepted that change yet.
 
         Raises
         ------
         UsageError
-            If there is no change.
+            If there is no change to undo.
         """
         with self._lock:
-            turns = len(self._before) + sum(step.turns for step in self._requests)
+            turns = len(self._history) + sum(step.turns for step in self._requests)
         if turns < 1:
             raise UsageError(_NOTHING)
-        self._ask(_Step(_undone, -1), heard)
+        self._ask(_ChangeRequest(_undone, -1), on_result)
 
     def _running(self) -> Recipe:
         toml = self._now()
@@ -99,32 +101,32 @@ class LiveDial:
             raise UsageError(NOT_BEGUN)
         return _read(toml)
 
-    def _ask(self, step: _Step, heard: Heard) -> None:
-        """Request a step; it changes the recipe that is in force when the stream takes it.
+    def _ask(self, step: _ChangeRequest, on_result: RetuneCallback) -> None:
+        """Request a change of the recipe that is in force when the stream processes the request.
 
-        Earlier steps that are not settled by then are applied first, so that this request, which replaces theirs, does
-        not drop them.
+        This request replaces earlier requests. It therefore also applies their changes, if they are not settled by
+        then.
         """
         with self._lock:
             requests = self._requests = (*self._requests, step)
         trail: Trail = []
 
-        def recipe() -> Recipe:  # one at a time: the recipe in force stays until this one is taken or refused
-            trail[:] = [*self._before, self._running()]
+        def recipe() -> Recipe:  # the recipe in force cannot change before this one is accepted or refused
+            trail[:] = [*self._history, self._running()]
             for each in requests:
                 if not each.settled:
-                    each.take(trail)
+                    each.apply(trail)
             return trail[-1]
 
         def settle(why: str | None) -> None:
             with self._lock:
                 if why == "":
-                    self._before = trail[:-1][-_REMEMBERED:]
+                    self._history = trail[:-1][-_REMEMBERED:]
                 if why is not None:
                     for each in requests:
                         each.settled = True
                 self._requests = tuple(each for each in self._requests if each is not step and not each.settled)
-            heard(why)
+            on_result(why)
 
         self._retune(recipe, settle)
 
@@ -135,7 +137,7 @@ def _read(toml: str) -> Recipe:
     return Recipe.from_toml(toml)
 
 
-def _turned(recipe: Recipe, channel: int, update: dict[str, float]) -> Recipe:
+def _changed_recipe(recipe: Recipe, channel: int, update: dict[str, float]) -> Recipe:
     channels = list(recipe.channel)
     if channel >= len(channels):
         raise UsageError(f"There is no channel {channel + 1}; the stream has {len(channels)}. Reload the page.")
@@ -157,8 +159,8 @@ def has_dial(channel: ChannelRecipe) -> bool:
     return channel.motion is not None and channel.switching is None
 
 
-def facts(recipe: str, step_s: float) -> dict[str, Any]:
-    """Describe the filters of a recipe (TOML), and the filters at the positions of their dials.
+def describe_filters(recipe: str, step_s: float) -> dict[str, Any]:
+    """Describe the filters of a recipe (TOML), and the filter at each position of their dials.
 
     Returns
     -------
@@ -168,7 +170,7 @@ def facts(recipe: str, step_s: float) -> dict[str, Any]:
     Raises
     ------
     BecalmError
-        If the recipe is not valid at this step.
+        If the recipe is not valid at this sampling interval.
     """
     read = _read(recipe)
     lag = 0 if read.lag_s is None else lag_in_rows(read.lag_s, step_s)
@@ -184,10 +186,10 @@ def facts(recipe: str, step_s: float) -> dict[str, Any]:
 @lru_cache(maxsize=64)
 def _positions(channel: ChannelRecipe, step_s: float, lag: int) -> dict[str, list[float | None]]:
     """Describe a channel's filter at each position of its dial, with its tones and its coloured noise."""
-    alone = dial(channel, step_s, lag, round(_DIAL_S / step_s))
+    positions = dial(channel, step_s, lag, round(_DIAL_S / step_s))
     if not channel.tone and channel.coloured_noise is None:
-        return {name: values.tolist() for name, values in alone.items()}
-    densities = alone["process_noise_density"][::_FEWER].tolist()
+        return {name: values.tolist() for name, values in positions.items()}
+    densities = positions["process_noise_density"][::_FEWER].tolist()
     filters = [
         _filter(channel.model_copy(update={"process_noise_density": density}), step_s, lag) for density in densities
     ]

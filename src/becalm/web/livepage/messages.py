@@ -54,6 +54,6 @@ Message = From | Past | TuneRequest | UndoRequest
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
 
 
-def parse_message(said: Mapping[str, Any]) -> Message:
+def parse_message(content: Mapping[str, Any]) -> Message:
     """Check a message of a live page; see `incoming_messages.checked_message`."""
-    return incoming_messages.checked_message(_ANY, said)
+    return incoming_messages.checked_message(_ANY, content)

@@ -1,4 +1,4 @@
-"""The live page: the state that all its viewers share. Timers in the server's thread update it."""
+"""The state of the live page that all viewers share. Timers in the server's thread update it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from becalm.live.watching.meter import Meter
 from becalm.live.watching.scrubber import Scrubber
 from becalm.web.frames import text
 from becalm.web.livepage.feed import Feed
-from becalm.web.livepage.live_dial import NOT_BEGUN, LiveDial, facts
+from becalm.web.livepage.live_dial import NOT_BEGUN, LiveDial, describe_filters
 from becalm.web.livepage.pictures import LivePictures
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ _GOODBYE_S = 2.0  # how long `close` waits until the last bins are sent
 _log = logging.getLogger(__name__)
 
 
-class News(NamedTuple):
-    """A message for every viewer, who gets it when its number changes."""
+class VersionedMessage(NamedTuple):
+    """A message to all viewers; its number increases when the text changes, and each viewer then gets it again."""
 
     number: int
     text: str
@@ -53,16 +53,16 @@ class LivePage:
 
     def __init__(self, feed: Feed, meter: Meter, retune: Retune) -> None:
         self.feed = feed
-        self.desk = LiveDial(lambda: meter.recipe, retune)
+        self.dial = LiveDial(lambda: meter.recipe, retune)
         self.pictures: LivePictures | None = None
-        self.health, self.tuning = News(0, ""), News(-1, "")
+        self.health, self.tuning = VersionedMessage(0, ""), VersionedMessage(-1, "")
         self.ending = False
-        self._closing, self._look_again_s = False, 0.0
+        self._closing, self._next_status_s = False, 0.0
         self._meter, self._scrub = meter, Scrubber()
         self._run = secrets.token_hex(8)
         self._recipe: tuple[str, bool] | None = None  # recipe and `can_undo` that `tuning` describes
         self._viewers = 0
-        self._clocks: list[asyncio.Task[None]] = []
+        self._timers: list[asyncio.Task[None]] = []
 
     @property
     def routes(self) -> list[BaseRoute]:
@@ -72,23 +72,23 @@ class LivePage:
         return [Route("/save/recipe", self._save)]
 
     @asynccontextmanager
-    async def looked_at(self) -> AsyncIterator[None]:
-        """Count a viewer as long as the context lasts; timers run while there is at least one."""
+    async def count_viewer(self) -> AsyncIterator[None]:
+        """Count a viewer as long as the context lasts; timers run while there is at least one viewer."""
         self._viewers += 1
         try:
-            if not self._clocks:
-                self._look()
-                self._clocks = [asyncio.create_task(_repeat(each)) for each in (self._update, self._describe)]
+            if not self._timers:
+                self._update_health()
+                self._timers = [asyncio.create_task(_repeat(each)) for each in (self._update, self._describe)]
             yield
         finally:
             self._viewers -= 1
             if not self._viewers:
-                for clock in self._clocks:
-                    clock.cancel()
-                self._clocks = []
+                for timer in self._timers:
+                    timer.cancel()
+                self._timers = []
 
     def close(self) -> None:
-        """Let all viewers get the last messages and disconnect; wait for it two seconds at most."""
+        """Send all viewers the last messages and disconnect them; wait for this two seconds at most."""
         self._closing = True
         until = time.monotonic() + _GOODBYE_S
         while self._viewers and time.monotonic() < until:
@@ -96,57 +96,57 @@ class LivePage:
 
     def welcome(self) -> str | None:
         """Return the first message to a page, which describes the stream; None before the stream has begun."""
-        shown = self.feed.shown
-        if shown is None:
+        stream = self.feed.stream
+        if stream is None:
             return None
         if self.pictures is None:
-            self.pictures = LivePictures(shown.bins, len(shown.head.names))
-        levels = range(len(shown.bins.rows_each))
+            self.pictures = LivePictures(stream.bins, len(stream.head.names))
+        levels = range(len(stream.bins.rows_each))
         return text(
             {
                 "kind": "welcome",
                 "version": version(),
                 "run": self._run,
-                "names": shown.head.names,
-                "units": shown.head.units,
-                "rate_hz": shown.head.rate_hz,
-                "rows_each": shown.bins.rows_each,
-                "kept": [shown.bins.kept for _ in levels],
-                "oldest": [shown.bins.oldest(level) for level in levels],
-                "newest": [shown.bins.newest(level) for level in levels],
-                "modes": shown.modes,
+                "names": stream.head.names,
+                "units": stream.head.units,
+                "rate_hz": stream.head.rate_hz,
+                "rows_each": stream.bins.rows_each,
+                "kept": [stream.bins.kept for _ in levels],
+                "oldest": [stream.bins.oldest(level) for level in levels],
+                "newest": [stream.bins.newest(level) for level in levels],
+                "modes": stream.modes,
             }
         )
 
     async def _update(self) -> None:
         """Update the status of the stream once a second, and at once when the page closes."""
-        if self._closing or time.monotonic() >= self._look_again_s:
+        if self._closing or time.monotonic() >= self._next_status_s:
             self.ending = self._closing
-            self._look()
+            self._update_health()
 
-    def _look(self) -> None:
-        self._look_again_s = time.monotonic() + _HEALTH_S
+    def _update_health(self) -> None:
+        self._next_status_s = time.monotonic() + _HEALTH_S
         status = self._scrub.scrub_value(self._meter.status())
-        self.health = News(self.health.number + 1, text({"kind": "health", **status}))
+        self.health = VersionedMessage(self.health.number + 1, text({"kind": "health", **status}))
 
     async def _describe(self) -> None:
         """Describe the filters after a change, in a thread, because it may take some seconds."""
-        shown, now = self.feed.shown, (self._meter.recipe, self.desk.can_undo)
-        if shown is None or not self._meter.recipe or self._recipe == now:
+        stream, now = self.feed.stream, (self._meter.recipe, self.dial.can_undo)
+        if stream is None or not self._meter.recipe or self._recipe == now:
             return
         recipe, can_undo = now
         description = {}
         try:
-            description = await asyncio.to_thread(facts, recipe, 1 / shown.head.rate_hz)
+            description = await asyncio.to_thread(describe_filters, recipe, 1 / stream.head.rate_hz)
         except BecalmError:  # the recipe runs, but cannot be described
             pass
         except Exception:
             _log.exception("The filters of a live page could not be described.")
-        if self._meter.recipe != recipe:  # changed meanwhile; the next call describes the new one
+        if self._meter.recipe != recipe:  # changed meanwhile; the next call describes the new recipe
             return
         self._recipe = now
         message = text({"kind": "tuned", "recipe": recipe, "can_undo": can_undo, **description})
-        self.tuning = News(self.tuning.number + 1, message)
+        self.tuning = VersionedMessage(self.tuning.number + 1, message)
 
     async def _save(self, request: Request) -> Response:
         from starlette.responses import Response
@@ -159,7 +159,7 @@ class LivePage:
 
 
 async def _repeat(do: Callable[[], Awaitable[None]]) -> None:
-    """Call a function every `_LOOK_S`; log an exception and go on."""
+    """Call a function every `_LOOK_S` seconds, even if it raises an exception, which is logged."""
     while True:
         await asyncio.sleep(_LOOK_S)
         try:

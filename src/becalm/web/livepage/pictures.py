@@ -11,7 +11,7 @@ from becalm.core.arrays import Floats
 from becalm.web.frames import Values, frame
 from becalm.web.livepage.bins import Bins, Span
 
-_CACHED = 16  # frames: viewers request the same ones at about the same time
+_CACHED = 16  # frames in the cache; viewers request the same frame at about the same time
 
 
 class LivePictures:
@@ -30,9 +30,10 @@ class LivePictures:
         self._cache: OrderedDict[tuple[int, int, int], tuple[int, bytes]] = OrderedDict()
 
     def following(self, level: int, first: int, most: int) -> tuple[int, bytes] | None:
-        """Return a frame with up to `most` bins from `first` on, after the number of the next bin; None without bins.
+        """Return the number of the next bin, and a frame with up to `most` bins before it, from `first` on.
 
-        "gap" in the header is the number of bins from `first` on that are no longer kept.
+        Return None if there are no such bins. The header's "gap" is the number of bins from `first` on that are no
+        longer kept.
         """
         stop = min(self._bins.newest(level), max(first, self._bins.oldest(level)) + most)
         if stop <= first:
@@ -41,13 +42,13 @@ class LivePictures:
         if key not in self._cache:
             span = self._bins.read(level, first, stop)
             encoded = self._frame(level, span, {"gap": span.first - first})
-            self._cache[key] = span.first + len(span), encoded  # without the span, which is several times as large
+            self._cache[key] = span.first + len(span), encoded  # the frame is several times smaller than the span
             while len(self._cache) > _CACHED:
                 self._cache.popitem(last=False)
         return self._cache[key]
 
     def past(self, level: int, first: int, count: int, answers: int) -> bytes:
-        """Return a frame with `count` closed bins from `first` on, as far as they are kept; it answers a message."""
+        """Return a frame with those of `count` bins from `first` on that are kept; it answers message `answers`."""
         return self._frame(level, self._bins.read(level, first, first + count), {"answers": answers})
 
     def _frame(self, level: int, span: Span, more: dict[str, Any]) -> bytes:

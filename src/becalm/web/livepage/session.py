@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
 UPDATES_PER_S = 30
-_MOST_ANSWERS = 16  # with so many unsent or unfinished answers no message is read
-_MOST_HEARD = 8  # most messages between two updates; a person causes fewer, and other viewers need time too
+_MOST_ANSWERS = 16  # limit of unsent or unfinished answers; no message is read until there are fewer
+_MOST_MESSAGES = 8  # limit of messages between two updates: other viewers need time too, and a person causes fewer
 _NORMAL = 1000  # close code of a WebSocket
 
 
@@ -45,11 +45,11 @@ class Viewer:
         self._sent_tuning = self._sent_health = -1  # numbers of the last messages of their kind
 
     async def converse(self) -> None:
-        """Exchange messages until the page disconnects, or the stream has ended and all of it is sent."""
+        """Exchange messages until the page disconnects, or until the stream has ended and all its bins are sent."""
         tasks = [asyncio.create_task(each) for each in (self._receive_all(), self._send_all())]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-        finally:  # also after a cancellation, when the page may not see any more data
+        finally:  # also after a cancellation: the page must not get any more data
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -62,7 +62,7 @@ class Viewer:
             if frame["type"] == "websocket.disconnect":
                 return
             self._received += 1
-            while self._received > _MOST_HEARD or len(self._answers) + self._tunings >= _MOST_ANSWERS:
+            while self._received > _MOST_MESSAGES or len(self._answers) + self._tunings >= _MOST_ANSWERS:
                 await asyncio.sleep(1 / UPDATES_PER_S)
             number = None
             try:
@@ -70,13 +70,13 @@ class Viewer:
                 number = number_of(content)
                 self._do(parse_message(content))
             except BecalmError as cause:
-                self._trouble(str(cause), number)
+                self._answer_error(str(cause), number)
 
     def _do(self, message: Message) -> None:
         if isinstance(message, From):
             self._level, self._next = message.level, message.bin
-            if message.bin is None and self._page.feed.shown is not None:
-                self._next = self._page.feed.shown.bins.newest(message.level)
+            if message.bin is None and self._page.feed.stream is not None:
+                self._next = self._page.feed.stream.bins.newest(message.level)
         elif isinstance(message, Past):
             self._answers.append(lambda: self._past(message))
         else:
@@ -92,20 +92,20 @@ class Viewer:
                 return
 
         if isinstance(message, TuneRequest):
-            self._page.desk.turn(message.channel, message.process_noise_density, message.noise_std, settled)
+            self._page.dial.turn(message.channel, message.process_noise_density, message.noise_std, settled)
         else:
-            self._page.desk.undo(settled)
+            self._page.dial.undo(settled)
         self._tunings += 1
 
     def _tuned(self, why: str | None, number: int) -> None:
         self._tunings -= 1
         if why:
-            self._trouble(why, number)
+            self._answer_error(why, number)
         else:
             kind = "passed over" if why is None else "taken"
             self._answers.append(lambda: text({"kind": kind, "answers": number}))
 
-    def _trouble(self, says: str, answers: int | None) -> None:
+    def _answer_error(self, says: str, answers: int | None) -> None:
         message = text({"kind": "trouble", "says": says, "answers": answers})
         self._answers.append(lambda: message)
 
@@ -116,7 +116,7 @@ class Viewer:
         return pictures.past(message.level, message.first, message.count, message.number)
 
     async def _send_all(self) -> None:
-        """Send updates 30 times a second by the clock; over a slow connection less often, but without losses."""
+        """Send updates 30 times a second, or less often over a slow connection; no update is lost."""
         loop = asyncio.get_running_loop()
         while True:
             self._received = 0
@@ -159,5 +159,5 @@ class Viewer:
 async def converse(page: LivePage, websocket: WebSocket) -> None:
     """Accept a WebSocket, and serve this viewer until it disconnects or the stream has ended."""
     await websocket.accept()
-    async with page.looked_at():
+    async with page.count_viewer():
         await Viewer(page, websocket).converse()

@@ -16,8 +16,8 @@ from becalm.errors import InputError, OutputError
 from becalm.files.read_options import ReadOptions
 from becalm.web.site import as_file
 from becalm.web.tuner.naming import stem_of
-from becalm.web.tuner.opened import AS_IT_IS, Opened
-from becalm.web.tuner.saving import CleaningJob, TemporaryOutput, cleaned, reported
+from becalm.web.tuner.opened import AS_IT_IS, OpenRecording
+from becalm.web.tuner.saving import CleaningJob, TemporaryOutput, clean_file, write_report
 from becalm.web.tuner.sharing import Shared
 from becalm.web.tuner.tuner_session import TunerSession
 
@@ -46,9 +46,9 @@ class Tuner:
 
     def __init__(self, folder: Path, file: Path | None, upload_limit: int, options: ReadOptions = AS_IT_IS) -> None:
         self._shared = Shared(folder, file, upload_limit, options)
-        self._saving = asyncio.Semaphore(1)  # one at a time, because each runs in a subprocess
+        self._saving = asyncio.Semaphore(1)  # one save at a time, because each runs a subprocess
         self.routes = [
-            Route("/files/{name:path}", self._bring, methods=["PUT"]),
+            Route("/files/{name:path}", self._upload, methods=["PUT"]),
             Route("/save/recipe", self._save_recipe),
             Route("/save/clean", self._save_clean),
             Route("/save/report", self._save_report),
@@ -62,42 +62,44 @@ class Tuner:
         """Stop the threads, and remove uploaded files."""
         self._shared.close()
 
-    async def _bring(self, request: Request) -> Response:
-        path = await self._shared.uploads.take(request, request.path_params["name"])
-        return JSONResponse({"file": self._shared.folder.bring(path)})
+    async def _upload(self, request: Request) -> Response:
+        path = await self._shared.uploads.store(request, request.path_params["name"])
+        return JSONResponse({"file": self._shared.folder.add_uploaded(path)})
 
     async def _save_recipe(self, request: Request) -> Response:
-        desk = self._shared.open_desk
-        name = f"{stem_of(desk.opened.path)}.recipe.toml"
-        return Response(desk.recipe().to_toml(), media_type="application/toml", headers=as_file(name))
+        view_model = self._shared.current_view_model
+        name = f"{stem_of(view_model.opened.path)}.recipe.toml"
+        return Response(view_model.recipe().to_toml(), media_type="application/toml", headers=as_file(name))
 
     async def _save_clean(self, request: Request) -> Response:
         ending = request.query_params.get("format", "csv").removeprefix(".")
-        return _Download(await _while_there(request, self._saved(lambda job: cleaned(job, ending))))
+        return _Download(await _until_disconnect(request, self._save(lambda job: clean_file(job, ending))))
 
     async def _save_report(self, request: Request) -> Response:
-        return _Download(await _while_there(request, self._saved(reported)))
+        return _Download(await _until_disconnect(request, self._save(write_report)))
 
-    async def _saved(self, make: Callable[[CleaningJob], Awaitable[TemporaryOutput]]) -> TemporaryOutput:
-        """Save the open recording with the present settings, once earlier savings are finished."""
-        desk = self._shared.open_desk
-        opened, recipe = desk.opened, desk.recipe().to_toml()
+    async def _save(self, make: Callable[[CleaningJob], Awaitable[TemporaryOutput]]) -> TemporaryOutput:
+        """Save the open recording with the present settings, after earlier saves have finished."""
+        view_model = self._shared.current_view_model
+        opened, recipe = view_model.opened, view_model.recipe().to_toml()
         async with self._saving:
             try:
                 made = await make(
-                    CleaningJob(self._unchanged(opened), recipe, opened.group if opened.several else None)
+                    CleaningJob(
+                        self._unchanged_path(opened), recipe, opened.group if opened.has_several_groups else None
+                    )
                 )
             except OutputError:
-                self._unchanged(opened)  # a changed file may be the cause, and raises a clearer error
+                self._unchanged_path(opened)  # a changed file may be the cause, and raises a clearer error
                 raise
         try:
-            self._unchanged(opened)  # the file may have changed while it was read again
+            self._unchanged_path(opened)  # the file may have changed while it was read again
         except InputError:
             made.close()
             raise
         return made
 
-    def _unchanged(self, opened: Opened) -> Path:
+    def _unchanged_path(self, opened: OpenRecording) -> Path:
         """Return the path of the open file; raise an InputError if the file has changed or is gone."""
         try:
             path = self._shared.folder.path_of(opened.id)
@@ -108,9 +110,9 @@ class Tuner:
         return path
 
 
-async def _while_there(request: Request, work: Coroutine[None, None, TemporaryOutput]) -> TemporaryOutput:
+async def _until_disconnect(request: Request, work: Coroutine[None, None, TemporaryOutput]) -> TemporaryOutput:
     """Await some work; cancel it and raise a ClientDisconnect if the client disconnects."""
-    job, gone = asyncio.ensure_future(work), asyncio.ensure_future(_gone(request))
+    job, gone = asyncio.ensure_future(work), asyncio.ensure_future(_wait_for_disconnect(request))
     try:
         await asyncio.wait((job, gone), return_when=asyncio.FIRST_COMPLETED)
         if job.done():
@@ -122,7 +124,7 @@ async def _while_there(request: Request, work: Coroutine[None, None, TemporaryOu
         await asyncio.gather(job, gone, return_exceptions=True)
 
 
-async def _gone(request: Request) -> None:
+async def _wait_for_disconnect(request: Request) -> None:
     while (await request.receive())["type"] != "http.disconnect":
         pass
 

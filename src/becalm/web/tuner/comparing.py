@@ -1,4 +1,4 @@
-"""Run a classic filter for comparison, at the cut-off at which it leaves as much noise as the channel's filter."""
+"""Run a classic filter for comparison, at the cut-off that gives it the noise gain of the channel's filter."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from becalm.errors import UsageError
 from becalm.report.envelope import Envelope
 from becalm.web.tuner.picture import View
 
-_SETTLED = 12.0  # rows after which the slowest filter has settled, times the cut-off
+_SETTLED = 12.0  # settling time of the slowest filter in rows, times its cut-off in cycles per row
 _DIGITS = 3  # significant digits of a noise gain, so that similar gains need only one search for a cut-off
 _MIDDLE = 0.1  # cut-off in cycles per row, for filters whose noise gain cannot be matched
 
@@ -25,13 +25,13 @@ def run_classic(rows: ChannelRows, view: View, name: str, noise_gain: float | No
     Parameters
     ----------
     rows : ChannelRows
-        Readings of the channel; impossible ones count as missing.
+        Readings of the channel; impossible readings count as missing.
     view : View
         Rows to show.
     name : str
         Name of the classic filter.
     noise_gain : float or None
-        Noise gain of the channel's filter: variance of white noise after it over that before; None if it is unknown.
+        Noise gain of the channel's filter, output variance over input variance of white noise; None if unknown.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def run_classic(rows: ChannelRows, view: View, name: str, noise_gain: float | No
     if classic is None:
         raise UsageError(f"There is no classic filter {name!r}; choose one from the list.")
     gain = None if noise_gain is None or not 0 < noise_gain < 1 else float(f"{noise_gain:.{_DIGITS}g}")
-    cutoff = _MIDDLE if gain is None or not classic.calms else _cutoff(name, gain)
+    cutoff = _MIDDLE if gain is None or not classic.reduces_noise else _cutoff(name, gain)
     margin = int(_SETTLED / cutoff) + 64
     first, stop = max(0, view.first - margin), min(len(rows), view.stop + (0 if classic.causal else margin))
     z = judge(np.ascontiguousarray(rows.z[first:stop])).readings

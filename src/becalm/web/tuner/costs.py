@@ -1,4 +1,4 @@
-"""Compute how well each pair of noise and process noise density predicts the next reading of a channel."""
+"""Compute how well each pair of noise and process noise density predicts a channel's readings."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from becalm.identification.gating import forecasts
 from becalm.identification.likelihood import UNSCORED, Evidence, Tuning
 from becalm.identification.likelihood_surface import surface
 
-MOST_READINGS = 20_000  # number of rows that a map uses at most
+MOST_READINGS = 20_000  # largest number of rows that a map uses
 
-_STRETCHES = 4  # number of stretches that they are taken from in a longer record
+_STRETCHES = 4  # of a longer record, a map uses this number of stretches
 
 
 class CostMap(NamedTuple):
@@ -62,7 +62,7 @@ def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
 
 
 def _stretches(rows: ChannelRows, channel: ChannelRecipe, tuning: Tuning) -> list[Evidence]:
-    """Return a few stretches of the readings; those that the gate rejects are missing."""
+    """Return a few stretches of a channel; readings that the gate rejects are missing."""
     readings, count = rows.healthy(channel.limits, None).readings, len(rows)
     length = MOST_READINGS if count <= MOST_READINGS else MOST_READINGS // _STRETCHES
     starts = [0] if count <= length else np.linspace(0, count - length, _STRETCHES).astype(int).tolist()

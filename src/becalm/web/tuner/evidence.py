@@ -9,11 +9,11 @@ import numpy as np
 from becalm.cleaning.recipe import ChannelRecipe
 from becalm.identification.likelihood import Tuning
 
-_ALIKE = 5e-4  # relative difference of the error below which models count as equal
-_ROUND = 0.1  # relative difference from which on it is shown in whole percent
+_ALIKE = 5e-4  # models count as equal if the relative difference of their errors is smaller
+_ROUND = 0.1  # relative differences from this one on are shown in whole percent
 
 
-def described(channel: ChannelRecipe) -> str:
+def describe_model(channel: ChannelRecipe) -> str:
     """Return a short description of a channel's model."""
     if channel.model != "motion":
         return "passes unchanged" if channel.model == "untold" else "constant: passes unchanged"
@@ -25,7 +25,7 @@ def described(channel: ChannelRecipe) -> str:
 
 
 def compared_with_best(rivals: Sequence[Tuning]) -> dict[int, str]:
-    """Return for each order a sentence on how much worse it predicts readings than the best one.
+    """Return a sentence for each order: how much worse this model predicts readings than the best model.
 
     Parameters
     ----------

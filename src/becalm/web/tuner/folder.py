@@ -1,4 +1,4 @@
-"""List the files that a page may open: those in one folder, one named at the start, and uploaded ones."""
+"""List the files that a page may open: files in one folder, the file of the command line, and uploaded files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ READ_ENDINGS = (
 )
 """Endings of the names of files that are listed; their content decides the format."""
 
-_MOST_LISTED = 2000  # files of the folder
+_MOST_LISTED = 2000  # largest number of files that are listed from the folder
 
 
 class OpenableFile(NamedTuple):
@@ -62,7 +62,7 @@ class OpenableFile(NamedTuple):
     changed: float
 
     def as_dict(self) -> dict[str, object]:
-        """Return the file as a part of messages to a page, without its path."""
+        """Return the description of the file for a page, without its path."""
         name = os.fsencode(self.path.name).decode("utf-8", "replace")
         return {"id": self.id, "name": name, "bytes": self.bytes, "changed": self.changed}
 
@@ -80,7 +80,7 @@ class Folder:
 
     def __init__(self, folder: Path, file: Path | None) -> None:
         self.folder, self._file = folder, file
-        self._brought: list[Path] = []
+        self._uploaded: list[Path] = []
 
     @property
     def name(self) -> str:
@@ -89,11 +89,11 @@ class Folder:
 
     @property
     def first(self) -> str | None:
-        """Return the id of the file that was named at the start, or None."""
+        """Return the id of the file of the command line, or None."""
         return None if self._file is None else _id("given", self._file.name)
 
-    def known(self) -> list[OpenableFile]:
-        """List the files that may be opened: the one named at the start, uploaded ones, and those in the folder."""
+    def openable_files(self) -> list[OpenableFile]:
+        """List the files that may be opened: the file of the command line, uploaded files, files in the folder."""
         return [*self._elsewhere(), *self._in_folder()]
 
     def path_of(self, file: str) -> Path:
@@ -102,33 +102,33 @@ class Folder:
         Raises
         ------
         InputError
-            If it is not one of these files, or no longer exists.
+            If a page may not open the file, or the file no longer exists.
         """
-        room, _, name = file.partition("/")
-        for one in self._in_folder(name) if room == "folder" else self._elsewhere():
+        origin, _, name = file.partition("/")
+        for one in self._in_folder(name) if origin == "folder" else self._elsewhere():
             if one.id == file:
                 return one.path
         raise InputError("That file no longer exists; choose another one, or drop it here.")
 
-    def bring(self, path: Path) -> str:
+    def add_uploaded(self, path: Path) -> str:
         """Add an uploaded file; return its id."""
-        self._brought.append(path)
+        self._uploaded.append(path)
         return _id(f"brought/{path.parent.name}", path.name)
 
     def _elsewhere(self) -> list[OpenableFile]:
-        files = [] if self._file is None else [_openable("given", self._file, leaving=True)]
-        files += [_openable(f"brought/{path.parent.name}", path) for path in self._brought]
+        files = [] if self._file is None else [_openable("given", self._file, allow_link_out=True)]
+        files += [_openable(f"brought/{path.parent.name}", path) for path in self._uploaded]
         return [one for one in files if one is not None]
 
     def _in_folder(self, name: str | None = None) -> list[OpenableFile]:
-        """List the files in the folder, or only those that a name from a page may mean."""
+        """List the files in the folder, or only those that a page may mean by a name."""
         given = None if self._file is None else os.path.realpath(self._file)
-        paths = self._listed() if name is None else self._named(name)
+        paths = self._listed() if name is None else self._candidates(name)
         files = [_openable("folder", path) for path in paths if os.path.realpath(path) != given]
         return [one for one in files if one is not None]
 
-    def _named(self, name: str) -> list[Path]:
-        """Return the paths that a name from a page may mean, if possible without reading the whole folder."""
+    def _candidates(self, name: str) -> list[Path]:
+        """Return the paths that a page may mean by a name, if possible without reading the whole folder."""
         if "\ufffd" in name:  # a replacement character: the real name is not valid text
             return self._listed()
         path = self.folder / name
@@ -148,18 +148,18 @@ def _looks_readable(path: Path) -> bool:
     return path.name.lower().endswith(READ_ENDINGS) or (path.is_dir() and (path / BAG).is_file())
 
 
-def _openable(room: str, path: Path, *, leaving: bool = False) -> OpenableFile | None:
-    """Describe a file; None for a pipe, a device, an unreadable file or, unless `leaving`, a link out of its folder."""
+def _openable(origin: str, path: Path, *, allow_link_out: bool = False) -> OpenableFile | None:
+    """Describe a file; None for a pipe, a device, an unreadable file or (unless allowed) a link to another folder."""
     try:
-        if not leaving and Path(os.path.realpath(path)).parent != Path(os.path.realpath(path.parent)):
+        if not allow_link_out and Path(os.path.realpath(path)).parent != Path(os.path.realpath(path.parent)):
             return None
         status = path.stat()
     except OSError:
         return None
     if stat.S_ISREG(status.st_mode) or (stat.S_ISDIR(status.st_mode) and (path / BAG).is_file()):
-        return OpenableFile(_id(room, path.name), path, status.st_size, status.st_mtime)
+        return OpenableFile(_id(origin, path.name), path, status.st_size, status.st_mtime)
     return None
 
 
-def _id(room: str, name: str) -> str:
-    return f"{room}/{os.fsencode(name).decode('utf-8', 'replace')}"
+def _id(origin: str, name: str) -> str:
+    return f"{origin}/{os.fsencode(name).decode('utf-8', 'replace')}"

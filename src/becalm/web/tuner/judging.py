@@ -1,4 +1,4 @@
-"""Compute the verdict and the figures of a channel's report over the whole record, unless a request interrupts it."""
+"""Compute the verdict and the figures of a channel's report over the whole record; a new request interrupts this."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TONES: dict[Decision, str] = {"fits": "fits", "constant": "fits", "fits except"
 _DIGITS = 4  # significant digits of the numbers
 
 
-def judged(
+def judge_channel(
     rows: ChannelRows, recipe: Recipe, channel: ChannelRecipe, number: int, wanted: Callable[[], bool]
 ) -> dict[str, Any] | None:
     """Clean a whole channel, and draw the figures of its report.
@@ -45,10 +45,10 @@ def judged(
     dict or None
         The message "figures" for a page; None if the result is no longer wanted.
     """
-    alone = recipe.model_copy(update={"channel": (channel,)})
+    recipe_of_one = recipe.model_copy(update={"channel": (channel,)})
     gathering = Gathering(len(rows), rows.step_s, 1)
     waiting: list[slice] = []
-    with Cleaner(alone, rows.step_s, looks=[gathering.channels[0].look]) as cleaner:
+    with Cleaner(recipe_of_one, rows.step_s, innovation_callbacks=[gathering.channels[0].add_innovations]) as cleaner:
         for start in range(0, len(rows), _CHUNK):
             if not wanted():
                 return None
@@ -63,7 +63,7 @@ def judged(
         reports = cleaner.reports()
     if not wanted():
         return None
-    drawn = Pictures(CleanedChannels(alone, reports, gathering, rows.step_s)).channel(0)
+    drawn = Pictures(CleanedChannels(recipe_of_one, reports, gathering, rows.step_s)).channel(0)
     return _message(drawn, number) if wanted() else None
 
 
@@ -82,7 +82,7 @@ def _message(drawn: Pictured, number: int) -> dict[str, Any]:
 
 
 def _numbers(drawn: Pictured) -> list[list[str]]:
-    """Return the known numbers of the report as text, each after its name."""
+    """Return those numbers of the report that are known: pairs of a name and a text."""
     report = drawn.report
     values = [
         ("noise of a reading", report.noise_std, report.unit),

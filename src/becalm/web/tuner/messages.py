@@ -12,7 +12,7 @@ from becalm.web import incoming_messages
 from becalm.web.incoming_messages import Numbered
 
 MOST_STRETCHES = 4000
-"""Largest number of stretches of a picture."""
+"""Largest number of stretches of a picture; a stretch of rows is drawn as one minimum and one maximum."""
 
 _LONGEST_NAME, _LONGEST_RECIPE = 500, 1_000_000
 
@@ -24,10 +24,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class Open(Numbered):
-    """Open a file of the folder, or an uploaded one; `group` chooses one of several time axes.
-
-    A rate replaces the times in the file.
-    """
+    """Open a file; `group` chooses one of several time axes, and `rate_hz` replaces the times in the file."""
 
     do: Literal["open"]
     file: Name
@@ -51,7 +48,7 @@ class Look(Numbered):
     width: Annotated[int, Field(ge=1, le=MOST_STRETCHES)]
 
 
-class Turned(BaseModel):
+class SettingChanges(BaseModel):
     """Changes of a channel's settings; values that are left out do not change."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -64,23 +61,23 @@ class Turned(BaseModel):
 
 
 class Turn(Numbered):
-    """Change the settings of a channel; the changes during a drag are not final."""
+    """Change the settings of a channel; `final` is false while the person still drags a dial."""
 
     do: Literal["turn"]
     channel: Channel
-    settings: Turned
+    settings: SettingChanges
     final: bool = True
 
 
-class InMode(Numbered):
-    """Choose the mode: smoother, filter, or fixed lag."""
+class SetMode(Numbered):
+    """Set the mode: smoother, causal filter, or fixed lag."""
 
     do: Literal["mode"]
     mode: Mode
     lag_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _lag_belongs_to_lagged(self) -> InMode:
+    def _lag_belongs_to_lagged(self) -> SetMode:
         if (self.mode == "lagged") != (self.lag_s is not None):
             raise ValueError('lag_s and mode "lagged" belong together')
         return self
@@ -120,11 +117,11 @@ class Restore(Numbered):
     recipe: Annotated[str, Field(max_length=_LONGEST_RECIPE)]
 
 
-Message = Open | ListFiles | Look | Turn | InMode | Undo | Redo | Map | Compare | Restore
+Message = Open | ListFiles | Look | Turn | SetMode | Undo | Redo | Map | Compare | Restore
 
 _ANY: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="do")])
 
 
-def parse_message(said: Mapping[str, Any]) -> Message:
+def parse_message(content: Mapping[str, Any]) -> Message:
     """Check a message of a tuner page; see `incoming_messages.checked_message`."""
-    return incoming_messages.checked_message(_ANY, said)
+    return incoming_messages.checked_message(_ANY, content)

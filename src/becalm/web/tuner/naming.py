@@ -1,4 +1,4 @@
-"""Name saved files after the recording, and write the command that makes the same files."""
+"""Make the names of saved files, and the command that writes the same files."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def stem_of(file: Path) -> str:
 
 
 def command(file: Path, group: str | None) -> str:
-    """Return the command that cleans a file; it is for the folder of the file, with the recipe saved there too.
+    """Return the command that cleans a file; it must run in the folder that contains the file and the saved recipe.
 
     Parameters
     ----------
     file : Path
         Recording to clean.
     group : str or None
-        Name of the time axis, for a file with several.
+        Name of the time axis, for a file with several time axes.
 
     Returns
     -------

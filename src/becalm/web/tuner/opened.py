@@ -1,4 +1,4 @@
-"""Read the recording that the tuner shows, and identify its filters, as on the command line."""
+"""Read the recording that the tuner shows, and identify its filters, as the command line does."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ AS_IT_IS = ReadOptions()
 """Options that read a file with its own times."""
 
 MOST_SAMPLES = 1 << 28
-"""Largest number of samples in memory, 2 GiB; each channel that a page shows needs two more copies."""
+"""Largest number of samples in memory (2 GiB); each channel that a page shows takes memory for two more copies."""
 
 
-class Opened:
+class OpenRecording:
     """The channels of a file that share one time axis, in memory.
 
     Parameters
@@ -38,10 +38,10 @@ class Opened:
     path : Path
         Path of the file.
     group : str or None
-        Name of the time axis, for a file with several; None takes the first.
+        Name of the time axis, for a file with several time axes; None means the first one.
     progress : callable
         Function that gets a sentence on the work in progress.
-    said : ReadOptions
+    read_options : ReadOptions
         Options for the file's time base.
 
     Attributes
@@ -49,7 +49,7 @@ class Opened:
     recording : Recording
         All rows.
     group : str
-        Name that the file gives this time axis; "" if it has only one.
+        Name of this time axis in the file; "" if the file has only one time axis.
     groups : list of str
         Names of all time axes of the file.
     remarks : list of str
@@ -60,16 +60,16 @@ class Opened:
     InputError
         If the file cannot be read, or is too large.
     UsageError
-        If there is no such group, or the options do not fit the file.
+        If the file has no such time axis, or the options do not fit the file.
     """
 
     def __init__(
-        self, id: str, path: Path, group: str | None, progress: Progress, said: ReadOptions = AS_IT_IS
+        self, id: str, path: Path, group: str | None, progress: Progress, read_options: ReadOptions = AS_IT_IS
     ) -> None:
-        self.id, self.path, self._progress, self.said = id, path, progress, said
+        self.id, self.path, self._progress, self.read_options = id, path, progress, read_options
         progress(f"Reading {path.name} ...")
-        self._stamps = _stamps(path)
-        with open_file(path, said) as opened:
+        self._fingerprint = _fingerprint(path)
+        with open_file(path, read_options) as opened:
             source = _chosen(opened.sources, group)
             self.groups = [one.group for one in opened.sources]
             if source.rows * len(source.names) > MOST_SAMPLES:
@@ -83,15 +83,15 @@ class Opened:
             self.group, self._calibrations = source.group, source.calibrations
             self._sha256 = source.sha256()
             self.remarks = list(source.notes)
-            self.several = len(opened.sources) > 1
+            self.has_several_groups = len(opened.sources) > 1
         self._explored: dict[bool, tuple[Tuned, tuple[Options, ...]]] = {}
-        self._exploration = threading.Lock()  # two pages may need it at once
+        self._exploration = threading.Lock()  # two pages may need the result at once
         self._times: Floats | None = None
         self._rows: dict[int, ChannelRows] = {}
 
     @property
     def step_s(self) -> float:
-        """Return the length of one step, in seconds."""
+        """Return the sampling interval, in seconds."""
         return self.recording.timebase.step_s
 
     @property
@@ -111,19 +111,19 @@ class Opened:
 
     def is_unchanged(self, path: Path) -> bool:
         """Return whether the file, now at `path`, is unchanged since it was read."""
-        return bool(self._stamps) and _stamps(path) == self._stamps
+        return bool(self._fingerprint) and _fingerprint(path) == self._fingerprint
 
     def as_filter(self, mode: str, lag_s: float | None) -> bool:
         """Return whether a mode is tuned as a filter, not as a smoother; raise a UsageError for an impossible lag."""
         return tuned_as_filter(mode == "causal", lag_s, self.step_s)
 
     def options(self, as_filter: bool) -> tuple[Options, ...]:
-        """Return the possible settings of each channel; the first call takes a while, as it identifies all filters."""
-        return self._exploring(as_filter)[1]
+        """Return the possible settings of each channel; the first call identifies all filters, which takes a while."""
+        return self._identify_once(as_filter)[1]
 
     def origin(self, as_filter: bool) -> Origin:
         """Return the origin of the identified parameters, for a recipe."""
-        return self._exploring(as_filter)[0].recipe.tuned_on.model_copy(update={"sha256": self._sha256})
+        return self._identify_once(as_filter)[0].recipe.tuned_on.model_copy(update={"sha256": self._sha256})
 
     def check_channel(self, channel: int) -> None:
         """Raise a UsageError if there is no such channel."""
@@ -131,7 +131,7 @@ class Opened:
             raise UsageError(f"There is no channel {channel + 1}; there are {len(self.recording.names)}.")
 
     def rows(self, channel: int) -> ChannelRows:
-        """Return the rows of a channel, a copy that is made once; raise a UsageError if there is no such channel."""
+        """Return a copy of a channel's rows, which is cached; raise a UsageError if there is no such channel."""
         self.check_channel(channel)
         if channel not in self._rows:
             limits = next(iter(self._explored.values()))[1][channel].channel.limits if self._explored else None
@@ -145,7 +145,7 @@ class Opened:
             self._times = np.cumsum(time.elapsed_steps) * time.step_s
         return self._times
 
-    def _exploring(self, as_filter: bool) -> tuple[Tuned, tuple[Options, ...]]:
+    def _identify_once(self, as_filter: bool) -> tuple[Tuned, tuple[Options, ...]]:
         if as_filter not in self._explored:
             with self._exploration:
                 if as_filter not in self._explored:
@@ -166,7 +166,7 @@ class Opened:
         return tuned, tuple(Options(found, channel, self.step_s, as_filter) for found, channel in pairs)
 
 
-def _stamps(path: Path) -> list[tuple[int, ...]]:
+def _fingerprint(path: Path) -> list[tuple[int, ...]]:
     """Return a fingerprint of a file, or of a folder and its files; empty if it cannot be examined."""
     try:
         entries = [one.stat() for one in (path, *(sorted(path.iterdir()) if path.is_dir() else ()))]

@@ -1,4 +1,4 @@
-"""Send messages to a page, one after the other, and report requests that failed."""
+"""Send messages to a page, one after the other; report the requests of the page that failed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from becalm.web.frames import UNFORESEEN, text
 
 _log = logging.getLogger(__name__)
 
-Said = TypeVar("Said", str, bytes)
+Payload = TypeVar("Payload", str, bytes)
 
 
 class Wire:
@@ -43,24 +43,24 @@ class Wire:
         """Send a binary frame."""
         await self._transmit(self._websocket.send_bytes, data)
 
-    async def trouble(self, says: str, answers: int | None) -> None:
+    async def send_error(self, says: str, answers: int | None) -> None:
         """Send a sentence on an error, with the number of the message that caused it."""
         await self.send_message({"kind": "trouble", "says": says, "answers": answers})
 
-    async def guarded(self, doing: Callable[[], Awaitable[None]], number: int | None) -> None:
-        """Await some work; if it fails, report the error to the page."""
+    async def report_errors(self, work: Callable[[], Awaitable[None]], number: int | None) -> None:
+        """Await some work for a page; if it fails, send the page the error."""
         try:
-            await doing()
+            await work()
         except WebSocketDisconnect:
             raise
         except BecalmError as cause:
-            await self.trouble(str(cause), number)
-        except Exception:  # the page goes on
+            await self.send_error(str(cause), number)
+        except Exception:  # the connection stays open
             if not self.gone:
                 _log.exception("A page's request failed.")
-                await self.trouble(UNFORESEEN, number)
+                await self.send_error(UNFORESEEN, number)
 
-    async def _transmit(self, send: Callable[[Said], Awaitable[None]], data: Said) -> None:
+    async def _transmit(self, send: Callable[[Payload], Awaitable[None]], data: Payload) -> None:
         async with self._sending:
             if self.gone:
                 raise WebSocketDisconnect

@@ -18,8 +18,8 @@ from becalm.report.envelope import Envelope
 from becalm.web.frames import frame, relative
 from becalm.web.tuner.comparing import run_classic
 from becalm.web.tuner.costs import cost_map
-from becalm.web.tuner.opened import Opened
-from becalm.web.tuner.picture import LONG, Clean, Raw, View, clean_of, raw_of, view_of
+from becalm.web.tuner.opened import OpenRecording
+from becalm.web.tuner.picture import LONG, CleanCurve, RawCurve, View, clean_of, raw_of, view_of
 
 _MOST_RAW = 8  # number of views whose readings are cached
 _DECIBEL = 10.0  # decibels of a factor of 10 in power
@@ -28,7 +28,7 @@ _DECIBEL = 10.0  # decibels of a factor of 10 in power
 class PictureRequest(NamedTuple):
     """A request for a picture: the channel, its recipe and the span of time that a page shows."""
 
-    opened: Opened
+    opened: OpenRecording
     channel: int
     recipe: ChannelRecipe
     lag: int | None
@@ -37,7 +37,7 @@ class PictureRequest(NamedTuple):
     answers: int
     classic: str | None = None
     hurried: bool = False  # whether to be fast, see `Painter.picture`
-    setting: list[object] | None = None  # the setting in the form that pages get
+    setting: list[object] | None = None  # the setting in the form for a page
 
     @property
     def dial_key(self) -> tuple[object, ...]:
@@ -47,17 +47,17 @@ class PictureRequest(NamedTuple):
 
     @property
     def judged_key(self) -> tuple[object, ...]:
-        """Return the key of the verdict on the whole record: all that it depends on, and the setting for the page."""
+        """Return the key of the figures of the whole record: they are computed and sent again when the key changes."""
         return self.channel, self.recipe, self.lag, self.setting
 
 
-class Painted(NamedTuple):
+class PaintedPicture(NamedTuple):
     """A finished picture, with the data for adding the curve of a classic filter."""
 
     header: dict[str, Any]
     view: View
-    raw: Raw
-    clean: Clean
+    raw: RawCurve
+    clean: CleanCurve
 
     def framed(self, classic: Envelope | None = None) -> bytes:
         """Return the picture as a frame, with the output of a classic filter if there is one."""
@@ -88,15 +88,15 @@ class Painter:
 
     def __init__(self, pool: Executor) -> None:
         self._pool = pool
-        self._of: Opened | None = None  # the recording that the caches belong to
-        self._raw: OrderedDict[tuple[int, View], Raw] = OrderedDict()
+        self._recording: OpenRecording | None = None  # the recording that the caches belong to
+        self._raw: OrderedDict[tuple[int, View], RawCurve] = OrderedDict()
         self._gated: dict[int, _Gated] = {}  # at most one channel
 
-    def picture(self, wanted: PictureRequest) -> Painted:
+    def picture(self, wanted: PictureRequest) -> PaintedPicture:
         """Compute a picture.
 
-        A hurried one is faster: instead of running the gate, it leaves out the spikes that the gate rejected before, in
-        the whole record. The result is the same unless the gate would now decide differently.
+        A hurried picture is faster: instead of running the gate, it leaves out the spikes that the gate rejected
+        earlier, in a picture of the whole record. The result is the same unless the gate would now decide differently.
 
         Raises
         ------
@@ -104,8 +104,8 @@ class Painter:
             If the parameters of the recipe do not make a valid filter.
         """
         opened, recipe = wanted.opened, wanted.recipe
-        if opened is not self._of:
-            self._of = opened
+        if opened is not self._recording:
+            self._recording = opened
             self._raw.clear()
             self._gated.clear()
         rows = opened.rows(wanted.channel)
@@ -129,16 +129,16 @@ class Painter:
             "classic": None,
             "hurried": hurried,
         }
-        return Painted(header, view, raw, clean)
+        return PaintedPicture(header, view, raw, clean)
 
     def hurries(self, wanted: PictureRequest) -> bool:
-        """Return whether a hurried picture is useful first: the full one takes long, and the spikes are known."""
+        """Return whether to send a hurried picture first: the full picture takes long, and the spikes are known."""
         rows = wanted.opened.rows(wanted.channel)
         view = view_of(rows, wanted.opened.times_s, wanted.span_s, wanted.width)
         return self._knows_spikes(wanted) and view.stop - view.first >= LONG
 
-    def remember(self, wanted: PictureRequest, painted: Painted) -> None:
-        """Remember the spikes of a picture of the whole record, for hurried pictures later."""
+    def remember(self, wanted: PictureRequest, painted: PaintedPicture) -> None:
+        """Remember the spikes in a picture of the whole record, for later hurried pictures."""
         rows = wanted.opened.rows(wanted.channel)
         view, gate = painted.view, wanted.recipe.gate
         if gate is None or wanted.hurried or view.stop - view.first < max(len(rows), LONG):
@@ -148,10 +148,10 @@ class Painter:
             return
         spikes, limits, before = painted.clean.spikes, wanted.recipe.limits, self._gated.get(wanted.channel)
         if before is None or before.limits != limits or not np.array_equal(before.spikes, spikes):
-            self._gated = {wanted.channel: _Gated(spikes, limits, rows.without(spikes, limits, wanted.lag))}
+            self._gated = {wanted.channel: _Gated(spikes, limits, rows.without_spikes(spikes, limits, wanted.lag))}
 
-    def classic(self, wanted: PictureRequest, painted: Painted) -> bytes:
-        """Return the frame of a picture with a classic filter that leaves as much noise as the channel's own.
+    def classic(self, wanted: PictureRequest, painted: PaintedPicture) -> bytes:
+        """Return the frame of a picture with a classic filter that has the noise gain of the channel's filter.
 
         Raises
         ------
@@ -165,9 +165,9 @@ class Painter:
         return painted._replace(header={**painted.header, "classic": wanted.classic}).framed(output)
 
     def _knows_spikes(self, wanted: PictureRequest) -> bool:
-        return wanted.opened is self._of and wanted.recipe.gate is not None and wanted.channel in self._gated
+        return wanted.opened is self._recording and wanted.recipe.gate is not None and wanted.channel in self._gated
 
-    def _raw_of(self, wanted: PictureRequest, view: View) -> Raw:
+    def _raw_of(self, wanted: PictureRequest, view: View) -> RawCurve:
         key = wanted.channel, view
         if key not in self._raw:
             self._raw[key] = raw_of(wanted.opened.rows(wanted.channel), wanted.opened.times_s, view)

@@ -1,4 +1,4 @@
-"""Compute the picture of a part of a channel: minimum and maximum of each stretch, so that spikes stay visible."""
+"""Compute the picture of a part of a channel: minimum and maximum of each stretch of rows show all spikes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from becalm.report.envelope import Envelope, Stretches, VerdictsByStretch
 from becalm.report.gathering import WIDTH
 
 LONG = 1 << 19
-"""Number of rows from which on two halves are filtered in parallel."""
+"""A view with at least this number of rows may be filtered as two halves in parallel."""
 
-_PIECE = 1 << 16  # rows that fit into the cache
+_PIECE = 1 << 16  # number of rows whose arrays fit into the cache of the processor
 
 _WORTH = 4  # a view is split only if it is this many times as long as the run-up of the filter
 
@@ -38,15 +38,15 @@ class View(NamedTuple):
         return Stretches(self.stop - self.first, self.width).rows_each
 
 
-class Raw(NamedTuple):
+class RawCurve(NamedTuple):
     """The part of a picture that does not depend on the filter."""
 
     times_s: Floats  # (k,) start of each of the k stretches, in seconds since the first row
     readings: Envelope
 
 
-class Clean(NamedTuple):
-    """The output of a filter over a view."""
+class CleanCurve(NamedTuple):
+    """The part of a picture that is the output of the filter."""
 
     signal: Envelope
     band: Envelope  # signal -/+ WIDTH sigma
@@ -80,18 +80,18 @@ def view_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, span_s: tup
     return View(first, max(last, first) + 1, width)
 
 
-def raw_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, view: View) -> Raw:
+def raw_of(rows: ChannelRows, times_s: Callable[[], Floats] | None, view: View) -> RawCurve:
     """Return the readings of a view."""
     stretches = Stretches(view.stop - view.first, view.width)
     readings = Envelope(stretches.count)
     starts = view.first + np.arange(stretches.count) * stretches.rows_each
     for start in range(view.first, view.stop, _PIECE):
-        z = rows.possible(slice(start, min(start + _PIECE, view.stop)))
+        z = rows.plottable(slice(start, min(start + _PIECE, view.stop)))
         readings.add(*stretches.next(len(z)), z, z)
-    return Raw(np.asarray(starts * rows.step_s) if times_s is None else times_s()[starts], readings)
+    return RawCurve(np.asarray(starts * rows.step_s) if times_s is None else times_s()[starts], readings)
 
 
-def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: View, pool: Executor) -> Clean:
+def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: View, pool: Executor) -> CleanCurve:
     """Run a filter over a view, in two halves in parallel if that is faster.
 
     Raises
@@ -104,25 +104,25 @@ def clean_of(rows: ChannelRows, recipe: ChannelRecipe, lag: int | None, view: Vi
     run, each = ChannelRun(rows, recipe, lag), view.rows_each
     halves = [view]
     count = view.stop - view.first
-    if count >= LONG and _WORTH * run.reach <= count:
+    if count >= LONG and _WORTH * run.run_up_rows <= count:
         middle = view.first + count // 2 // each * each
         halves = [view._replace(stop=middle), view._replace(first=middle)]
-    return _joined(list(pool.map(lambda half: _enclosed(run, half, each), halves)))
+    return _joined(list(pool.map(lambda half: _filter_part(run, half, each), halves)))
 
 
-class _Enclosing:
+class _EnvelopeBuilder:
     """Computes the envelopes of a view from estimates that arrive in blocks."""
 
     def __init__(self, view: View, each: int) -> None:
         rows = view.stop - view.first
         self._stretches = Stretches(rows, -(-rows // each))
         self.signal, self.band = Envelope(self._stretches.count), Envelope(self._stretches.count)
-        self.kinds = VerdictsByStretch(self._stretches.count)
+        self.verdicts = VerdictsByStretch(self._stretches.count)
         self._row, self._spikes = view.first, [np.empty(0, np.int64)]
 
-    def clean(self) -> Clean:
+    def clean(self) -> CleanCurve:
         """Return the envelopes, verdicts and spikes of all rows so far."""
-        return Clean(self.signal, self.band, self.kinds.met, np.concatenate(self._spikes))
+        return CleanCurve(self.signal, self.band, self.verdicts.bits, np.concatenate(self._spikes))
 
     def add(self, estimates: EstimatedRows) -> None:
         """Add the estimates of the next rows."""
@@ -130,7 +130,7 @@ class _Enclosing:
             part = estimates.rows(slice(start, start + _PIECE))
             touched, begins = self._stretches.next(len(part.signal))
             self._enclose(part, touched, begins)
-            self.kinds.add(touched, begins, part.verdicts)
+            self.verdicts.add(touched, begins, part.verdicts)
             if part.verdicts.any():
                 self._spikes.append(self._row + np.flatnonzero(part.verdicts == Verdict.SPIKE))
             self._row += len(part.signal)
@@ -148,31 +148,31 @@ class _Enclosing:
         self.band.add(touched, begins, signal - half, signal + half)
 
 
-def _enclosed(run: ChannelRun, view: View, each: int) -> Clean:
-    enclosing = _Enclosing(view, each)
+def _filter_part(run: ChannelRun, view: View, each: int) -> CleanCurve:
+    builder = _EnvelopeBuilder(view, each)
     for estimates in run.estimates_of(view.first, view.stop):
-        enclosing.add(estimates)
-    return enclosing.clean()
+        builder.add(estimates)
+    return builder.clean()
 
 
-def _unchanged(rows: ChannelRows, recipe: ChannelRecipe, view: View) -> Clean:
+def _unchanged(rows: ChannelRows, recipe: ChannelRecipe, view: View) -> CleanCurve:
     """Return the usable readings as the output, without sigma."""
-    healthy, enclosing = rows.healthy(recipe.limits), _Enclosing(view, view.rows_each)
+    healthy, builder = rows.healthy(recipe.limits), _EnvelopeBuilder(view, view.rows_each)
     part = slice(view.first, view.stop)
     unknown = np.full(view.stop - view.first, np.nan)
-    enclosing.add(EstimatedRows(healthy.readings[part], unknown, unknown[np.newaxis], healthy.verdicts[part]))
-    return enclosing.clean()
+    builder.add(EstimatedRows(healthy.readings[part], unknown, unknown[np.newaxis], healthy.verdicts[part]))
+    return builder.clean()
 
 
-def _joined(parts: list[Clean]) -> Clean:
+def _joined(parts: list[CleanCurve]) -> CleanCurve:
     if len(parts) == 1:
         return parts[0]
-    signal, band = _end_to_end([part.signal for part in parts]), _end_to_end([part.band for part in parts])
+    signal, band = _concatenated([part.signal for part in parts]), _concatenated([part.band for part in parts])
     verdicts, spikes = ([getattr(part, name) for part in parts] for name in ("verdicts", "spikes"))
-    return Clean(signal, band, np.concatenate(verdicts), np.concatenate(spikes))
+    return CleanCurve(signal, band, np.concatenate(verdicts), np.concatenate(spikes))
 
 
-def _end_to_end(parts: list[Envelope]) -> Envelope:
+def _concatenated(parts: list[Envelope]) -> Envelope:
     whole = Envelope(0)
     whole.low = np.concatenate([part.low for part in parts])
     whole.high = np.concatenate([part.high for part in parts])

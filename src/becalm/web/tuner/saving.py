@@ -1,4 +1,4 @@
-"""Save cleaned files and reports by the command line in a subprocess: everyone gets the same files from the recipe."""
+"""Save cleaned files and reports with the command line in a subprocess, so that the command gives the same files."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class TemporaryOutput:
         self._folder.cleanup()
 
 
-async def cleaned(job: CleaningJob, ending: str) -> TemporaryOutput:
+async def clean_file(job: CleaningJob, ending: str) -> TemporaryOutput:
     """Clean a file as `becalm clean` does.
 
     Parameters
@@ -63,10 +63,10 @@ async def cleaned(job: CleaningJob, ending: str) -> TemporaryOutput:
     """
     if f".{ending}" not in ENDINGS:
         raise OutputError(f"There is no format {ending!r} to save in; choose {', '.join(sorted(ENDINGS))}.")
-    return await _made(job, f"{stem_of(job.file)}-clean.{ending}", None)
+    return await _save(job, f"{stem_of(job.file)}-clean.{ending}", None)
 
 
-async def reported(job: CleaningJob) -> TemporaryOutput:
+async def write_report(job: CleaningJob) -> TemporaryOutput:
     """Write the report on a file as `becalm clean --report` does.
 
     Raises
@@ -74,19 +74,19 @@ async def reported(job: CleaningJob) -> TemporaryOutput:
     OutputError
         If the report cannot be written.
     """
-    return await _made(job, f"{stem_of(job.file)}-clean.npz", f"{stem_of(job.file)}-report.html")
+    return await _save(job, f"{stem_of(job.file)}-clean.npz", f"{stem_of(job.file)}-report.html")
 
 
-async def _made(job: CleaningJob, output: str, page: str | None) -> TemporaryOutput:
+async def _save(job: CleaningJob, output: str, page: str | None) -> TemporaryOutput:
     try:
         folder = tempfile.TemporaryDirectory(prefix="becalm-", ignore_cleanup_errors=True)
-        return await _made_in(folder, job, output, page)
+        return await _save_in(folder, job, output, page)
     except OSError as cause:
         says = f"{page or output} cannot be made ({cause.strerror}); free space for temporary files, or set TMPDIR."
         raise OutputError(says) from cause
 
 
-async def _made_in(
+async def _save_in(
     folder: tempfile.TemporaryDirectory[str], job: CleaningJob, output: str, page: str | None
 ) -> TemporaryOutput:
     try:

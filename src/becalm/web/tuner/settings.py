@@ -10,18 +10,18 @@ from becalm.cleaning.steps import in_seconds, in_steps
 from becalm.cleaning.tuning import ChannelTuning
 from becalm.errors import UsageError
 from becalm.identification.trust.tuning_spread import tuning_spread
-from becalm.identification.wishes.dial import may_judge
-from becalm.web.tuner.evidence import compared_with_best, described
-from becalm.web.tuner.messages import Turned
+from becalm.identification.wishes.dial import may_gate
+from becalm.web.tuner.evidence import compared_with_best, describe_model
+from becalm.web.tuner.messages import SettingChanges
 
 FOUND, GIVEN = "found", "given"
-"""Keys of two choices: the model that becalm chose, and that of a recipe that the person loaded."""
+"""Keys of two choices: the model that becalm chose, and the model of a recipe that the person loaded."""
 
 _ORDER, _TONE = "order-", "tone-"
 
 
 class Setting(NamedTuple):
-    """The settings of a channel; None is the identified value."""
+    """The settings of a channel; None means the identified value."""
 
     choice: str = FOUND  # key of the model
     noise_std: float | None = None  # in unit
@@ -39,9 +39,9 @@ class Options:
     found : ChannelTuning
         Result of the identification, with the models that were compared.
     channel : ChannelRecipe
-        Recipe of the chosen model, with the calibration and the like.
+        Recipe of the chosen model, with the calibration of the sensor.
     step_s : float
-        Length of one step, in seconds.
+        Sampling interval, in seconds.
     causal : bool
         Whether the channel was tuned as a filter, not as a smoother.
     """
@@ -54,7 +54,7 @@ class Options:
     @cached_property
     def choices(self) -> list[dict[str, object]]:
         """Return the models to choose from, each with a sentence on how well it predicts readings."""
-        chosen = {"key": FOUND, "name": f"becalm's choice: {described(self.channel)}", "order": self.channel.order}
+        chosen = {"key": FOUND, "name": f"becalm's choice: {describe_model(self.channel)}", "order": self.channel.order}
         evidence = compared_with_best(self._found.choice.rivals)
         return [
             {**chosen, "evidence": "" if self._rivals else "nothing else was tried"},
@@ -64,7 +64,7 @@ class Options:
             ),
         ]
 
-    def changed(self, setting: Setting, turned: Turned) -> Setting:
+    def changed(self, setting: Setting, changes: SettingChanges) -> Setting:
         """Return a setting with changes applied.
 
         Raises
@@ -72,14 +72,14 @@ class Options:
         UsageError
             If there is no such choice or component, or the channel has no filter to set.
         """
-        if turned.choice is not None:  # choosing the same model again restores its identified numbers
-            self._refuse_unknown(turned.choice, setting)
-            setting = setting._replace(choice=turned.choice, noise_std=None, process_noise_density=None)
-        if turned.unchanged is not None:
-            setting = setting._replace(unchanged=turned.unchanged)
-        for key, on in (turned.on or {}).items():
+        if changes.choice is not None:  # choosing the same model again restores its identified numbers
+            self._refuse_unknown(changes.choice, setting)
+            setting = setting._replace(choice=changes.choice, noise_std=None, process_noise_density=None)
+        if changes.unchanged is not None:
+            setting = setting._replace(unchanged=changes.unchanged)
+        for key, on in (changes.on or {}).items():
             setting = self._switched(setting, key, on)
-        return self._dialled(setting, turned)
+        return self._dialled(setting, changes)
 
     def recipe(self, setting: Setting) -> ChannelRecipe:
         """Return the channel's recipe for a setting; a channel that passes unchanged keeps only its sensor limits."""
@@ -121,7 +121,7 @@ class Options:
         }
 
     def as_given(self, given: ChannelRecipe) -> Setting:
-        """Return the simplest setting that makes a given recipe of the channel."""
+        """Return the simplest setting whose recipe is a given recipe of the channel."""
         for choice in (FOUND, *self._rivals):
             base = self._base(Setting(choice))
             off = frozenset(key for key in components(base) if not _has(given, key, base))
@@ -139,13 +139,13 @@ class Options:
             return setting.given
         if setting.choice not in self._tuned:
             rival = self._rivals.get(setting.choice)
-            if rival is None:  # an order of the other mode that was not tried in this one
+            if rival is None:  # the order was tried in the other mode only
                 return self.channel
-            spread = tuning_spread(rival, self._found.believed, self._causal)
-            alone = in_seconds(self.channel.name, self.channel.unit, rival, self._step_s, spread)
+            spread = tuning_spread(rival, self._found.evidence, self._causal)
+            rival_recipe = in_seconds(self.channel.name, self.channel.unit, rival, self._step_s, spread)
             shared = ("tone", "coloured_noise", "gate", "calibration", "limits", "timing")
             update = {key: getattr(self.channel, key) for key in shared}
-            self._tuned[setting.choice] = _without_alarms(alone.model_copy(update=update))
+            self._tuned[setting.choice] = _without_alarms(rival_recipe.model_copy(update=update))
         return self._tuned[setting.choice]
 
     def _refuse_unknown(self, choice: str, setting: Setting) -> None:
@@ -156,21 +156,21 @@ class Options:
         if key not in components(self._base(setting)):
             if key not in components(self.channel):
                 raise UsageError(f"{self.channel.name!r} has no component {key!r} to switch; reload the page.")
-            if not on:  # a model of one order has no modes to switch off, for example
+            if not on:  # for example, a model of one order has no modes to switch off
                 return setting
             setting = setting._replace(choice=FOUND, noise_std=None, process_noise_density=None)
-        if key in ("switching", "gate") and on:  # both belong to the identified numbers only
+        if key in ("switching", "gate") and on:  # both are valid for the identified numbers only
             setting = setting._replace(noise_std=None, process_noise_density=None)
         return setting._replace(off=setting.off - {key} if on else setting.off | {key})
 
-    def _dialled(self, setting: Setting, turned: Turned) -> Setting:
-        if turned.noise_std is None and turned.process_noise_density is None:
+    def _dialled(self, setting: Setting, changes: SettingChanges) -> Setting:
+        if changes.noise_std is None and changes.process_noise_density is None:
             return setting
         motion = self.recipe(setting._replace(unchanged=False)).motion
         if motion is None:
             raise UsageError(f"{self.channel.name!r} passes unchanged: it has no filter to set.")
-        noise_std = motion.noise_std if turned.noise_std is None else turned.noise_std
-        density = turned.process_noise_density
+        noise_std = motion.noise_std if changes.noise_std is None else changes.noise_std
+        density = changes.process_noise_density
         density = motion.process_noise_density if density is None else density
         if (noise_std, density) == (motion.noise_std, motion.process_noise_density):
             return setting  # a page may send back the present values
@@ -214,7 +214,7 @@ def _with_fair_gate(dialled: ChannelRecipe, base: ChannelRecipe, step_s: float) 
     """Return a recipe without its gate if the filter is slower, or its noise smaller, than in `base`."""
     if dialled.gate is None or dialled.motion is None or base.motion is None:
         return dialled
-    if may_judge(in_steps(dialled.motion, step_s), in_steps(base.motion, step_s)):
+    if may_gate(in_steps(dialled.motion, step_s), in_steps(base.motion, step_s)):
         return dialled
     return dialled.model_copy(update={"gate": None})
 

@@ -14,7 +14,7 @@ from becalm.files.read_options import ReadOptions
 from becalm.files.registry import writable_endings
 from becalm.installation import load_scipy, version
 from becalm.web.tuner.folder import READ_ENDINGS, Folder
-from becalm.web.tuner.opened import AS_IT_IS, Opened
+from becalm.web.tuner.opened import AS_IT_IS, OpenRecording
 from becalm.web.tuner.view_model import ViewModel
 from becalm.web.uploads import Uploads
 
@@ -22,14 +22,14 @@ _HALVES, _WORKERS = 2, 6  # threads for the two halves of a long picture, and fo
 
 T = TypeVar("T")
 Sender = Callable[[Any], Coroutine[Any, Any, None]]
-"""A function that sends something to the page that it gets."""
+"""A function that sends something to the page that is its argument."""
 
 
 class OpenPage(Protocol):
     """The interface of an open page."""
 
     def start_sending(self, what: Sender) -> None:
-        """Send the page something, without waiting for it."""
+        """Start to send the page something, and return at once."""
         ...
 
 
@@ -56,7 +56,7 @@ class Shared:
         self.halves = ThreadPoolExecutor(_HALVES, thread_name_prefix="becalm-half")
         self.workers = ThreadPoolExecutor(_WORKERS, thread_name_prefix="becalm-tuner")
         self.pages: set[OpenPage] = set()
-        self.desk: ViewModel | None = None
+        self.view_model: ViewModel | None = None
         self._opening = asyncio.Lock()
         self._openings: set[asyncio.Task[None]] = set()
         self._run = secrets.token_hex(8)
@@ -73,7 +73,7 @@ class Shared:
             "version": version(),
             "run": self._run,
             **self.files(),
-            "file": self.first if self.desk is None else self.desk.opened.id,
+            "file": self.first if self.view_model is None else self.view_model.opened.id,
             "saves": writable_endings(),
         }
 
@@ -81,25 +81,29 @@ class Shared:
         """Return the part of a message that lists the files to open."""
         return {
             "folder": self.folder.name,
-            "files": [one.as_dict() for one in self.folder.known()],
+            "files": [one.as_dict() for one in self.folder.openable_files()],
             "upload_limit": self.uploads.limit_bytes,
             "formats": list(READ_ENDINGS),
         }
 
     def is_open(self, file: str, group: str | None, rate_hz: float | None) -> bool:
         """Return whether a file is open with these options, and unchanged (or deleted) since it was read."""
-        if self.desk is None or self.desk.opened.id != file or group not in (None, self.desk.opened.group):
+        if (
+            self.view_model is None
+            or self.view_model.opened.id != file
+            or group not in (None, self.view_model.opened.group)
+        ):
             return False
-        if rate_hz not in (None, self.desk.opened.said.rate_hz):
+        if rate_hz not in (None, self.view_model.opened.read_options.rate_hz):
             return False
         try:
             path = self.folder.path_of(file)
-        except InputError:  # deleted, but it is in memory
+        except InputError:  # the file was deleted, but the recording is in memory
             return True
-        return self.desk.opened.is_unchanged(path)
+        return self.view_model.opened.is_unchanged(path)
 
     async def open(self, file: str, group: str | None, rate_hz: float | None = None) -> None:
-        """Open a file in place of the open one, which stays open after an error.
+        """Open a file instead of the open file, which stays open after an error.
 
         Raises
         ------
@@ -107,14 +111,14 @@ class Shared:
             If the file cannot be read, or its filters cannot be identified.
         """
         opening = asyncio.create_task(self._open(file, group, rate_hz))
-        self._openings.add(opening)  # goes on if the page is reloaded, because the page then requests the file again
-        opening.add_done_callback(self._opened)
+        self._openings.add(opening)  # continues if the page is reloaded, because the page then requests the file again
+        opening.add_done_callback(self._finish_opening)
         await asyncio.shield(opening)
 
-    def _opened(self, opening: asyncio.Task[None]) -> None:
+    def _finish_opening(self, opening: asyncio.Task[None]) -> None:
         self._openings.discard(opening)
         if not opening.cancelled():
-            opening.exception()  # marks the exception as seen, or asyncio would log it; the next request gets its own
+            opening.exception()  # marks the exception as seen, so that asyncio does not log it
 
     async def _open(self, file: str, group: str | None, rate_hz: float | None) -> None:
         async with self._opening:
@@ -126,24 +130,24 @@ class Shared:
             path, loop = self.folder.path_of(file), asyncio.get_running_loop()
 
             def report(says: str) -> None:
-                asyncio.run_coroutine_threadsafe(self.working(says), loop)
+                asyncio.run_coroutine_threadsafe(self.send_progress(says), loop)
 
             def begin() -> ViewModel:
                 try:
-                    desk = ViewModel(Opened(file, path, group, report, options))
-                    desk.begin()
+                    view_model = ViewModel(OpenRecording(file, path, group, report, options))
+                    view_model.begin()
                 except BecalmError as cause:  # a page shows names without paths, and has a field for the rate
                     message = str(cause).replace(str(path), path.name).replace("--rate HZ", "the rate (Hz) below")
                     raise type(cause)(message) from cause
-                return desk
+                return view_model
 
             try:
-                self.desk = await loop.run_in_executor(self.workers, begin)
+                self.view_model = await loop.run_in_executor(self.workers, begin)
             except BaseException:
-                await self.working("")
+                await self.send_progress("")
                 raise
 
-    async def estimate_all(self, what: Sender, asker: OpenPage | None) -> None:
+    async def broadcast(self, what: Sender, asker: OpenPage | None) -> None:
         """Send something to every page; wait only for the page `asker`, which requested it."""
         for page in tuple(self.pages):
             if page is not asker:
@@ -156,7 +160,7 @@ class Shared:
         return await asyncio.get_running_loop().run_in_executor(self.workers, work)
 
     @property
-    def open_desk(self) -> ViewModel:
+    def current_view_model(self) -> ViewModel:
         """Return the view model of the open recording.
 
         Raises
@@ -164,9 +168,9 @@ class Shared:
         UsageError
             If nothing is open.
         """
-        if self.desk is None:
+        if self.view_model is None:
             raise UsageError("Nothing is open yet; choose a file, or drop one here.")
-        return self.desk
+        return self.view_model
 
     def close(self) -> None:
         """Stop the threads, and remove uploaded files."""
@@ -174,6 +178,6 @@ class Shared:
             pool.shutdown(wait=False, cancel_futures=True)
         self.uploads.close()
 
-    async def working(self, says: str) -> None:
+    async def send_progress(self, says: str) -> None:
         """Send every page a sentence on the work in progress; "" if it is finished."""
-        await self.estimate_all(lambda page: page.working(says), None)
+        await self.broadcast(lambda page: page.send_progress(says), None)

@@ -32,22 +32,22 @@ class TunerSession:
     def __init__(self, shared: Shared, websocket: WebSocket) -> None:
         self._shared, self._websocket = shared, websocket
         self._wire = Wire(websocket)
-        self._showing = PictureSender(shared, self._wire)
+        self._pictures = PictureSender(shared, self._wire)
         self._tasks: set[asyncio.Task[None]] = set()
         self._mapping: asyncio.Task[None] | None = None
-        self._turned = 0  # number of the last message that changed a setting
+        self._last_change = 0  # number of the last message that changed a setting
 
     async def run(self) -> None:
         """Exchange messages with the page until it is closed."""
         await self._websocket.accept()
         await self._wire.send_message(await self._shared.in_thread(self._shared.welcome))
         self._shared.pages.add(self)
-        self._start(self._showing.run)
+        self._start(self._pictures.run)
         try:
-            if self._shared.desk is not None:
+            if self._shared.view_model is not None:
                 await self.send_all()
             elif (first := self._shared.first) is not None:
-                self._start(lambda: self._wire.guarded(lambda: self._open(first, None, None), None))
+                self._start(lambda: self._wire.report_errors(lambda: self._open(first, None, None), None))
             while True:
                 frame = await self._websocket.receive()
                 if frame["type"] == "websocket.disconnect":
@@ -64,26 +64,26 @@ class TunerSession:
 
     async def send_all(self) -> None:
         """Send the page the open recording and all settings."""
-        desk = self._shared.open_desk
-        self._showing.begin()
-        await self._wire.send_message(await self._shared.in_thread(desk.recording_message))
+        view_model = self._shared.current_view_model
+        self._pictures.reset()
+        await self._wire.send_message(await self._shared.in_thread(view_model.recording_message))
         await self.send_state()
 
-    async def send_state(self, but: TunerSession | None = None) -> None:
-        """Send the page all settings and a new picture; `but` is a page whose picture is already requested."""
-        if but is not self:
-            self._showing.ask()
-        turned = self._turned
+    async def send_state(self, requester: TunerSession | None = None) -> None:
+        """Send the page all settings, and a new picture unless `requester`, which has requested one, is this page."""
+        if requester is not self:
+            self._pictures.request_picture()
+        last_change = self._last_change
         await self._wire.send_message(
-            {**await self._shared.in_thread(self._shared.open_desk.state_message), "turned": turned}
+            {**await self._shared.in_thread(self._shared.current_view_model.state_message), "turned": last_change}
         )
 
     def start_sending(self, what: Sender) -> None:
-        """Send the page something in a task of its own, so that other pages do not wait for this one."""
+        """Start a task that sends the page something; other pages do not wait for this page."""
         if not self._wire.gone:
-            self._start(lambda: self._wire.guarded(lambda: what(self), None))
+            self._start(lambda: self._wire.report_errors(lambda: what(self), None))
 
-    async def working(self, says: str) -> None:
+    async def send_progress(self, says: str) -> None:
         """Send the page a sentence on the work in progress; "" if it is finished."""
         await self._wire.send_message({"kind": "working", "says": says})
 
@@ -94,9 +94,9 @@ class TunerSession:
             number = number_of(content)
             message = parse_message(content)
         except BecalmError as cause:
-            await self._wire.trouble(str(cause), number)
+            await self._wire.send_error(str(cause), number)
             return
-        await self._wire.guarded(lambda: self._do(message), message.number)
+        await self._wire.report_errors(lambda: self._do(message), message.number)
 
     async def _do(self, message: messages.Message) -> None:
         match message:
@@ -105,17 +105,17 @@ class TunerSession:
             case messages.ListFiles():
                 await self._wire.send_message({"kind": "files", **await self._shared.in_thread(self._shared.files)})
             case messages.Look():
-                self._showing.look(message)
+                self._pictures.look(message)
             case messages.Turn():
                 await self._turn(message)
             case messages.Map():
                 if self._mapping is not None:
                     self._mapping.cancel()
                 self._mapping = self._start(
-                    lambda: self._wire.guarded(lambda: self._showing.map(message), message.number)
+                    lambda: self._wire.report_errors(lambda: self._pictures.map(message), message.number)
                 )
             case messages.Compare():
-                self._showing.compare(message)
+                self._pictures.compare(message)
             case _:
                 await self._change(message)
 
@@ -123,46 +123,46 @@ class TunerSession:
         if self._shared.is_open(file, group, rate_hz):
             await self.send_all()
             return
-        self._showing.wait()
+        self._pictures.drop_request()
         await self._shared.open(file, group, rate_hz)
-        await self._shared.estimate_all(TunerSession.send_all, self)
+        await self._shared.broadcast(TunerSession.send_all, self)
 
     async def _turn(self, message: messages.Turn) -> None:
-        desk = self._shared.open_desk
+        view_model = self._shared.current_view_model
 
         def turn() -> None:
-            desk.turn(message.channel, message.settings, final=message.final)
+            view_model.turn(message.channel, message.settings, final=message.final)
 
         if message.settings.choice is None and message.settings.on is None:
             turn()
         else:
             await self._shared.in_thread(turn)  # a model of another order may have to be computed first
-        self._turned = message.number
-        self._showing.dragging = not message.final
-        self._showing.turned(message.channel, message.number)
+        self._last_change = message.number
+        self._pictures.dragging = not message.final
+        self._pictures.show_channel(message.channel, message.number)
         if message.final:
-            await self._shared.estimate_all(lambda page: page.send_state(but=self), self)
+            await self._shared.broadcast(lambda page: page.send_state(requester=self), self)
 
     async def _change(self, message: messages.Message) -> None:
-        desk, in_thread = self._shared.open_desk, self._shared.in_thread
-        before = desk.options
+        view_model, in_thread = self._shared.current_view_model, self._shared.in_thread
+        before = view_model.options
         try:
             match message:
-                case messages.InMode():
-                    await in_thread(lambda: desk.put_in_mode(message.mode, message.lag_s))
+                case messages.SetMode():
+                    await in_thread(lambda: view_model.set_mode(message.mode, message.lag_s))
                 case messages.Undo():
-                    desk.undo()
+                    view_model.undo()
                 case messages.Redo():
-                    desk.redo()
+                    view_model.redo()
                 case messages.Restore():
-                    await in_thread(lambda: desk.restore(message.recipe))
+                    await in_thread(lambda: view_model.restore(message.recipe))
         except BaseException:
-            await self._shared.working("")
+            await self._shared.send_progress("")
             raise
-        self._showing.dragging = False
-        self._showing.answers = message.number
-        anew = isinstance(message, messages.Restore) or desk.options is not before  # the other mode has other options
-        await self._shared.estimate_all(TunerSession.send_all if anew else TunerSession.send_state, self)
+        self._pictures.dragging = False
+        self._pictures.answers = message.number
+        has_new_options = isinstance(message, messages.Restore) or view_model.options is not before
+        await self._shared.broadcast(TunerSession.send_all if has_new_options else TunerSession.send_state, self)
 
     def _start(self, doing: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
         """Start a task, which is cancelled when the page is closed."""

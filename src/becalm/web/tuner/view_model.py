@@ -8,12 +8,12 @@ from becalm.classic.register import CAUSAL, ZERO_PHASE
 from becalm.cleaning.recipe import ChannelRecipe, Mode, Recipe
 from becalm.cleaning.steps import lag_in_rows
 from becalm.errors import RecipeError, UsageError
-from becalm.web.tuner.messages import Turned
+from becalm.web.tuner.messages import SettingChanges
 from becalm.web.tuner.naming import command
-from becalm.web.tuner.opened import Opened
+from becalm.web.tuner.opened import OpenRecording
 from becalm.web.tuner.settings import GIVEN, Options, Setting, components
 
-_MOST_STEPS = 1000  # most changes that can be undone
+_MOST_STEPS = 1000  # limit of the changes that can be undone
 _MOST_WAITED = 10_000_000_000  # largest product of rows and lag in rows, for which a picture takes about ten seconds
 
 
@@ -30,20 +30,20 @@ class ViewModel:
 
     Parameters
     ----------
-    opened : Opened
+    opened : OpenRecording
         Open recording.
     mode : {"causal", "smoothed", "lagged"}
         Mode at the start.
     """
 
-    def __init__(self, opened: Opened, mode: Mode = "smoothed") -> None:
+    def __init__(self, opened: OpenRecording, mode: Mode = "smoothed") -> None:
         self.opened = opened
         first = TunerSettings(mode, None, (Setting(),) * len(opened.recording.names))
         self._steps, self._at, self._dragged = [first], 0, first
 
     @property
     def now(self) -> TunerSettings:
-        """Return the present settings, which may be those during a drag."""
+        """Return the present settings, including changes of a drag that is not finished."""
         return self._dragged
 
     @property
@@ -78,16 +78,16 @@ class ViewModel:
         """Identify the filters, which takes a while."""
         self.opened.options(self.opened.as_filter(self.now.mode, self.now.lag_s))
 
-    def turn(self, channel: int, turned: Turned, *, final: bool) -> None:
-        """Change the settings of a channel; a change that is not final is no step of its own for undo."""
+    def turn(self, channel: int, changes: SettingChanges, *, final: bool) -> None:
+        """Change the settings of a channel; a change that is not final is not a step for undo."""
         options = self._options_of(channel)
-        setting = options.changed(self.now.settings[channel], turned)
+        setting = options.changed(self.now.settings[channel], changes)
         settings = list(self.now.settings)
         settings[channel] = setting
-        self._do(self.now._replace(settings=tuple(settings)), final=final)
+        self._set(self.now._replace(settings=tuple(settings)), final=final)
 
-    def put_in_mode(self, mode: Mode, lag_s: float | None) -> None:
-        """Set the mode: smoother, causal filter, or fixed lag. The first call may take a while.
+    def set_mode(self, mode: Mode, lag_s: float | None) -> None:
+        """Set the mode: smoother, causal filter, or fixed lag. The first call takes a while: it identifies filters.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class ViewModel:
         """
         self._refuse_endless(mode, lag_s)
         self.opened.options(self.opened.as_filter(mode, lag_s))
-        self._do(self.now._replace(mode=mode, lag_s=lag_s))
+        self._set(self.now._replace(mode=mode, lag_s=lag_s))
 
     def undo(self) -> None:
         """Undo the last change."""
@@ -116,14 +116,14 @@ class ViewModel:
         RecipeError
             If the text is not a recipe, or the recipe does not fit this recording.
         UsageError
-            If the lag of the recipe is not possible, as in `put_in_mode`.
+            If the lag of the recipe is too short or too long, as in `set_mode`.
         """
         recipe = Recipe.from_toml(text)
         self._refuse_endless(recipe.mode, recipe.lag_s)
         given = {channel.name: channel for channel in recipe.channel}
         names = self.opened.recording.names
-        if strangers := [name for name in given if name not in names]:
-            raise RecipeError(f"The recipe cleans {strangers[0]!r}, which this recording does not have.")
+        if unknown := [name for name in given if name not in names]:
+            raise RecipeError(f"The recipe cleans {unknown[0]!r}, which this recording does not have.")
         options = self.opened.options(self.opened.as_filter(recipe.mode, recipe.lag_s))
         for channel, option in given.items():
             unit = self.opened.recording.units[names.index(channel)]
@@ -133,7 +133,7 @@ class ViewModel:
             option.as_given(given[name]) if name in given else Setting(unchanged=True)
             for name, option in zip(names, options, strict=True)
         )
-        self._do(TunerSettings(recipe.mode, recipe.lag_s, settings))
+        self._set(TunerSettings(recipe.mode, recipe.lag_s, settings))
 
     def channel(self, channel: int) -> ChannelRecipe:
         """Return the present recipe of a channel."""
@@ -177,14 +177,14 @@ class ViewModel:
             "groups": opened.groups,
             "rows": len(opened.recording),
             "rate_hz": opened.recording.rate_hz,
-            "rate_said_hz": opened.said.rate_hz,
+            "rate_said_hz": opened.read_options.rate_hz,
             "lasts_s": opened.lasts_s,
             "mode": mode,
             "lag_s": lag_s,
             "channels": [_description(name, unit, option, setting) for name, unit, option, setting in names],
             "classics": self.classics,
             "remarks": opened.remarks,
-            "command": command(opened.path, opened.group if opened.several else None),
+            "command": command(opened.path, opened.group if opened.has_several_groups else None),
         }
 
     def state_message(self) -> dict[str, object]:
@@ -223,7 +223,7 @@ class ViewModel:
         pairs = zip(self._options_in(now), settings, strict=True)
         channels = tuple(option.recipe(setting) for option, setting in pairs)
         origin = self.opened.origin(self.opened.as_filter(mode, lag_s))
-        time, rate_hz = self.opened.said.time, self.opened.said.rate_hz
+        time, rate_hz = self.opened.read_options.time, self.opened.read_options.rate_hz
         return Recipe(mode=mode, lag_s=lag_s, time=time, rate_hz=rate_hz, tuned_on=origin, channel=channels)
 
     def _options_in(self, now: TunerSettings) -> tuple[Options, ...]:
@@ -233,10 +233,10 @@ class ViewModel:
         self.opened.check_channel(channel)
         return self.options[channel]
 
-    def _do(self, doing: TunerSettings, *, final: bool = True) -> None:
-        self._dragged = doing
-        if final and doing != self._steps[self._at]:
-            self._steps = [*self._steps[max(0, self._at + 1 - _MOST_STEPS) : self._at + 1], doing]
+    def _set(self, settings: TunerSettings, *, final: bool = True) -> None:
+        self._dragged = settings
+        if final and settings != self._steps[self._at]:
+            self._steps = [*self._steps[max(0, self._at + 1 - _MOST_STEPS) : self._at + 1], settings]
             self._at = len(self._steps) - 1
 
 

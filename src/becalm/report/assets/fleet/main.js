@@ -1,4 +1,4 @@
-// The page of a fleet: a table of its sensors, which the reader filters and sorts, and strips of their noise.
+// The page of a fleet: a table of its sensors, which the user can filter and sort, and strips of their noise.
 
 import { onTheme, readColours } from "../colours.js";
 import { COLUMNS, amount, haystack, matching, ordered, share, spaced, traitsOf, unpack } from "./rows.js";
@@ -13,7 +13,7 @@ const HINT = "Point at a dot to see its sensor; click it to find its row.";
 /** @param {string} id */
 const find = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
 
-/** Return the style of the first of some traits that a row has. @param {Fleet} fleet @param {number} row @param {string[]} names */
+/** Return the CSS class of the row's first trait whose name is in `names`; "" if there is none. @param {Fleet} fleet @param {number} row @param {string[]} names */
 const toneOf = (fleet, row, names) => traitsOf(fleet, row).find(({ name }) => names.includes(name))?.tone ?? "";
 
 /** Make the cells of a row. @param {Fleet} fleet @param {typeof COLUMNS} columns @param {number} row */
@@ -26,7 +26,7 @@ function cellsOf(fleet, columns, row) {
   });
 }
 
-/** Return the sentences on a row as paragraphs. @param {Fleet} fleet @param {number} row */
+/** Return the row's reason, judgement and remark as paragraphs. @param {Fleet} fleet @param {number} row */
 function sentences(fleet, row) {
   const { reason, says, outlying } = fleet.columns;
   const texts = [
@@ -55,7 +55,7 @@ function all(fleet, row) {
   return [make("h3", "", columns.sensor[row]), ...sentences(fleet, row), list];
 }
 
-/** Return the rows with known noise for each channel and unit, the channel with most rows first. @param {Fleet} fleet */
+/** Return, for each channel and unit, the rows with known noise; the channel with most rows comes first. @param {Fleet} fleet */
 function channelsOf({ columns }) {
   /** @type {Map<string, number[]>} */
   const found = new Map();
@@ -71,7 +71,7 @@ function channelsOf({ columns }) {
 }
 
 /**
- * Draw the noise of one channel.
+ * Draw the strip of one channel.
  * @param {Fleet} fleet @param {string} title @param {number[]} rows
  * @param {(row: number) => void} pressed
  */
@@ -131,7 +131,7 @@ function start(fleet) {
     show();
   }
 
-  /** Find a row in the table and open it; a filter that hides it is removed. @param {number} row */
+  /** Scroll to a row of the table and open it; first remove search and filter if they hide the row. @param {number} row */
   function reveal(row) {
     if (!table.rows.includes(row)) {
       search.value = "";

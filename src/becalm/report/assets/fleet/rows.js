@@ -1,10 +1,10 @@
-// Unpacks, formats, searches and sorts the rows of a fleet. The page contains them worst first.
+// Unpacks, formats, searches and sorts the rows of a fleet. The page contains the rows sorted, the worst first.
 
 import { short } from "../numbers.js";
 
 /** @typedef {(number | null)[]} Numbers */
 /**
- * @typedef {object} Columns the data packed by `fleet_page`, one value for each row
+ * @typedef {object} Columns the data that `fleet_page` packed, one value for each row
  * @property {string[]} sensor
  * @property {string[]} channel
  * @property {string[]} unit
@@ -25,9 +25,9 @@ import { short } from "../numbers.js";
  * @typedef {object} Column of the table
  * @property {string} name
  * @property {string} kind its CSS class
- * @property {string} [says] what it means
+ * @property {string} [says] explanation of the column
  * @property {boolean} [down] whether the first sort is in descending order
- * @property {(fleet: Fleet, row: number) => string} text what a cell shows
+ * @property {(fleet: Fleet, row: number) => string} text the text of a cell
  * @property {(fleet: Fleet, row: number) => number | string | null} key sort key
  */
 
@@ -40,15 +40,15 @@ export async function unpack(base64) {
   return new Response(stream).json();
 }
 
-/** Write a number with three digits and its unit; a dash for null. @param {number | null} value @param {string} [unit] */
+/** Format a number with three digits and its unit; null as a dash. @param {number | null} value @param {string} [unit] */
 export function amount(value, unit = "") {
   return value === null ? "–" : `${short(Number(value.toPrecision(3)))} ${unit}`.trim();
 }
 
-/** Write a count with its thousands separated. @param {number} count */
+/** Format a count with spaces between thousands. @param {number} count */
 export const spaced = (count) => String(count).replace(/\B(?=(\d{3})+$)/g, "\u202f");
 
-/** @param {number | null} percent */
+/** Format a percentage; null as a dash. @param {number | null} percent */
 export const share = (percent) => (percent === null ? "–" : `${percent} %`);
 
 /** Return a sort key for a name, in which digits count as numbers. @param {string} name */
@@ -73,7 +73,7 @@ export const COLUMNS = [
   { name: "rows", kind: "rows", down: true, text: ({ columns }, i) => spaced(columns.rows[i]), key: ({ columns }, i) => columns.rows[i] },
 ];
 
-/** Return the text that a search looks at, for each row. @param {Fleet} fleet */
+/** Return, for each row, the text to search in, in lower case. @param {Fleet} fleet */
 export function haystack({ columns }) {
   const { sensor, channel, recipe, faults, outlying, reason, says } = columns;
   const texts = [channel, recipe, faults, outlying, reason, says];
@@ -81,10 +81,10 @@ export function haystack({ columns }) {
 }
 
 /**
- * Find the rows that have a trait and contain every word.
+ * Return the rows that have a trait and contain all words of a query.
  * @param {Fleet} fleet
  * @param {string[]} texts from `haystack`
- * @param {number} bit number of the trait; negative for any
+ * @param {number} bit number of the trait; negative for all rows
  * @param {string} query words to search for
  */
 export function matching({ columns }, texts, bit, query) {
@@ -94,7 +94,7 @@ export function matching({ columns }, texts, bit, query) {
 }
 
 /**
- * Sort rows by a column; equal rows stay worst first, rows without a value come last.
+ * Sort rows by a column; equal rows keep their order, and rows without a value come last.
  * @param {Fleet} fleet
  * @param {number[]} rows worst first
  * @param {Column} column

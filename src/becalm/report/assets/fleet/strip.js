@@ -1,12 +1,12 @@
-// Draws the noise of every sensor as a dot on a logarithmic axis, one strip for each channel; equal dots are stacked.
+// Draws a strip for each channel: the noise of each sensor is a dot on a logarithmic axis; equal dots are stacked.
 
 import { colour } from "../colours.js";
 import { decade, logarithmic } from "../numbers.js";
 
 const [STACK, AXIS] = [72, 22]; // pixels of height
-const [PLACE, DOT, MARK] = [4, 3, 7]; // pixels: between places on the axis; size of a dot; size of a marked dot
+const [PLACE, DOT, MARK] = [4, 3, 7]; // pixels: distance of neighbouring positions; size of a dot; size of a marked dot
 const EDGE = 12; // pixels left and right of the outermost dots
-const NEAR = 12; // pixels, the largest distance at which the pointer selects a dot
+const NEAR = 12; // pixels, the largest distance from which the pointer selects a dot
 
 /** @typedef {{ row: number, value: number, marked: boolean }} Dot */
 
@@ -23,7 +23,7 @@ export class Strip {
     this.y = new Float32Array(dots.length);
     const values = dots.map(({ value }) => Math.log(value)).sort((a, b) => a - b);
     const [least, most] = [values[0], values[values.length - 1]];
-    const room = most > least ? 0 : Math.LN2; // equal values need an axis of some length
+    const room = most > least ? 0 : Math.LN2; // if all values are equal, the axis still needs a length
     this.range = [least - room, most + room];
     this.width = 0;
     /** @type {number | null} */
@@ -53,7 +53,7 @@ export class Strip {
     return EDGE + ((Math.log(value) - least) / (most - least)) * (this.width - 2 * EDGE);
   }
 
-  /** Place all dots; those at the same place are stacked, close enough that the highest stack fits. */
+  /** Place all dots; dots at the same position are stacked, so closely that the highest stack fits. */
   #lay() {
     const width = this.canvas.clientWidth;
     if (width === this.width || !width) return;
@@ -71,7 +71,7 @@ export class Strip {
     this.paint();
   }
 
-  /** Draw the dots of some rows in colour, the others faint. @param {(row: number) => boolean} shows */
+  /** Draw the dots of the selected rows in colour, all other dots faint. @param {(row: number) => boolean} shows */
   show(shows) {
     this.shows = shows;
     this.paint();

@@ -1,7 +1,8 @@
-// A table of any length, of which the page contains only the rows in sight; one row may be open. The style lays the
-// table out as boxes, so that it can drop columns on a narrow screen. Therefore each part needs an explicit role.
+// A table of any length; the page contains only the visible rows, and one row may be open, with details below it. The
+// CSS lays out the table as boxes, so that it can hide columns on a narrow screen. Therefore each part needs an
+// explicit role.
 
-const BEYOND = 12; // rows drawn beyond those in sight, so that fast scrolling shows no gap
+const BEYOND = 12; // rows drawn above and below the visible rows, so that fast scrolling shows no gap
 const MOST_PRINTED = 300;
 const PAGE = 10; // rows that Page Up and Page Down move
 
@@ -51,14 +52,14 @@ export class Table {
     this.body = place.tBodies[0];
     /** @type {number[]} the rows of the table, in order */
     this.rows = [];
-    this.current = 0; // place of the row that has the keyboard
-    this.open = Infinity; // place of the row that is open
+    this.current = 0; // index in `rows` of the row that has the keyboard focus
+    this.open = Infinity; // index in `rows` of the open row; Infinity if no row is open
     this.height = 0; // height of a row in pixels, from the style
     this.room = 0; // height of the details below the open row, in pixels
     this.panel = row("opened");
     this.above = make("tr", "space");
     this.below = make("tr", "space");
-    this.drawn = ""; // first and last place in the page
+    this.drawn = ""; // indices in `rows` of the first drawn row, and of the row after the last
     this.headings = shown.columns.map(({ name, kind, says }, i) => {
       const button = make("button", "", name);
       button.type = "button";
@@ -93,7 +94,7 @@ export class Table {
     this.#draw(true);
   }
 
-  /** Open a row, or close it if it is open. @param {number} at its place */
+  /** Open a row, or close it if it is open. @param {number} at its index in `rows` */
   toggle(at) {
     this.current = at;
     this.open = this.open === at ? Infinity : at;
@@ -101,28 +102,28 @@ export class Table {
     this.#draw(true);
   }
 
-  /** Make a row current, and scroll it into sight with its details. @param {number} at its place */
+  /** Make a row current, and scroll so that it and its details are visible. @param {number} at its index in `rows` */
   go(at) {
     this.current = Math.max(0, Math.min(this.rows.length - 1, at));
     const { top } = this.body.getBoundingClientRect();
     const [first, last] = [top + this.#top(this.current), top + this.#top(this.current + 1)];
-    const least = /** @type {HTMLElement} */ (this.place.tHead).offsetHeight; // the head stays in sight
+    const least = /** @type {HTMLElement} */ (this.place.tHead).offsetHeight; // the head stays visible
     if (first < least) scrollBy(0, first - least);
     else if (last > innerHeight) scrollBy(0, Math.min(last - innerHeight, first - least));
     this.#draw(true);
   }
 
-  /** Return the distance from the first row to the row at a place, in pixels. @param {number} at */
+  /** Return the distance from the first row to a row, in pixels. @param {number} at its index in `rows` */
   #top(at) {
     return at * this.height + (at > this.open ? this.room : 0);
   }
 
-  /** Return the place of the row at a distance from the first, in pixels. @param {number} y */
+  /** Return the index in `rows` of the row at a distance from the first row. @param {number} y in pixels */
   #at(y) {
     return y < (this.open + 1) * this.height ? Math.floor(y / this.height) : Math.max(this.open, Math.floor((y - this.room) / this.height));
   }
 
-  /** Put the rows in sight into the page. @param {boolean} [anew] also if the same rows are in sight as before */
+  /** Put the visible rows into the page. @param {boolean} [anew] whether to do so if the same rows are visible as before */
   #draw(anew = false) {
     this.height = parseFloat(getComputedStyle(this.place).getPropertyValue("--row"));
     const hidden = Math.max(0, -this.body.getBoundingClientRect().top);
@@ -140,7 +141,7 @@ export class Table {
     else this.place.removeAttribute("aria-activedescendant");
   }
 
-  /** Make a row. @param {number} number of the row @param {number} at its place */
+  /** Make the element of a row. @param {number} number of the row @param {number} at its index in `rows` */
   #line(number, at) {
     const line = row(at === this.current ? "current" : "", this.shown.cells(number));
     line.id = `row-${at}`;

@@ -1,18 +1,18 @@
-// Finds and formats the times on the axis of the live page.
+// Chooses, formats and draws the times on the axis of the live page.
 
 import { colour } from "../colours.js";
 import { HELD } from "./store.js";
 
 const STEPS_S = [1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 43200, 86400];
-const APART = 95; // CSS pixels, at least
-const EPOCH_S = 1e8; // stamps beyond are seconds since 1970
+const APART = 95; // smallest distance of two labels in CSS pixels
+const EPOCH_S = 1e8; // larger stamps are seconds since 1970
 
-const LATE = 1.5; // a bin that begins later than this many durations after the one before follows a gap
+const LATE = 1.5; // two bins have a gap between them if their stamps differ by more than this many durations of a bin
 
 /** @typedef {import("./store.js").Store} Store */
 
 /**
- * Return the stamp of a row from that of the last stored bin before it; null if there is none near.
+ * Compute the stamp of a row from the stamp of the last stored bin before it; null if no such bin is near.
  * @param {Store} store @param {number} each @param {number} row @param {number} rate
  */
 export function timeOf(store, each, row, rate) {
@@ -22,8 +22,8 @@ export function timeOf(store, each, row, rate) {
 }
 
 /**
- * Return round times in view, as device pixels from the left and text. They follow the stamps of bins, because time may
- * jump between bins.
+ * Return the round times in view: for each its device pixels from the left, and its text. Times are interpolated between
+ * the stamps of neighbouring bins, because time may jump between bins.
  * @param {Store} store @param {number} each @param {number} rate
  * @param {number} left row @param {number} right row @param {number} width device pixels
  * @returns {[number, string][]}
@@ -48,7 +48,7 @@ export function ticksOf(store, each, rate, left, right, width) {
   return ticks;
 }
 
-/** Write a time with as many digits as a step needs. @param {number} t seconds @param {number} step */
+/** Format a time with as many digits as a step needs. @param {number} t seconds @param {number} step seconds */
 export function clock(t, step) {
   const digits = Math.max(0, Math.min(6, Math.ceil(-Math.log10(step) - 1e-9)));
   if (t < EPOCH_S) return `${Number(t.toFixed(digits)).toFixed(digits).replace("-", "−")} s`;

@@ -3,15 +3,15 @@
 import { onTheme, readColours } from "../colours.js";
 import { amount, find, say, fillTerms } from "../dom.js";
 import { save, whyNot } from "../tuner/files.js";
-import { hearKeys } from "../tuner/keys.js";
+import { handleKeys } from "../tuner/keys.js";
 import { connect } from "../wire.js";
 import { clock, drawAxis, ticksOf, timeOf } from "./axis.js";
 import { HELD, Store } from "./store.js";
 import { GUTTER, Strip } from "./strip.js";
 import { View } from "./view.js";
 
-const MOST_ASKED = 4000; // bins in one request
-const SAID_MS = 250; // time between two updates of numbers, so that they can be read
+const MOST_REQUESTED = 4000; // largest number of bins in one request
+const NUMBERS_MS = 250; // time between two updates of the numbers, long enough to read them
 const QUIET_S = 5; // becalm sends a status every second; after this time without one it counts as silent
 /** @type {Record<string, string>} */
 const OVER = { ended: "The stream has ended, and becalm with it;", stopping: "becalm was stopped;", failed: "becalm has ended;" };
@@ -29,61 +29,61 @@ let strips = [];
 /** @type {Store} the newest bins */
 let live;
 /** @type {Store | null} the bins in view while the view is paused */
-let held = null;
+let pausedStore = null;
 let level = -1; // level of the newest bins
 let next = 0; // number of the next new bin
 let state = "";
 let chosen = 0; // channel whose dial the keys turn
 let requested = ""; // last request for past bins
-let saidMs = 0;
+let numbersMs = 0;
 const counts = { bytes: 0, frames: 0, updates: 0, drawn: 0, bins: 0, gaps: 0 };
-let fresh = false; // whether bins arrived since the last frame
-let holds = false; // whether the connection is open
-let begun = false; // whether becalm has described the stream, and so answers requests
+let hasNewBins = false; // whether bins arrived since the last frame
+let connected = false; // whether the connection is open
+let described = false; // whether becalm has described the stream since it connected; only then it answers requests
 let quiet_s = 0; // time since the last message
 
 const send = connect({
   text: (message) => {
-    listen();
-    heard[message.kind]?.(message);
+    noteMessage();
+    handlers[message.kind]?.(message);
   },
   frame: (frame) => {
-    listen();
-    take(frame);
+    noteMessage();
+    receiveFrame(frame);
   },
   link: ({ up, again_s, reason, hint }) => {
-    holds = up;
-    begun = false;
+    connected = up;
+    described = false;
     quiet_s = 0;
-    for (const strip of strips) strip.forsake(); // open requests get no answer
+    for (const strip of strips) strip.dropChange(); // requests without an answer will not get one
     if (up) say(links.trouble, "");
     else if (state in OVER && state !== "failed") say(links.working, "");
-    tied(up ? "" : `${OVER[state] ?? (reason || "becalm does not answer;")} earlier data stay visible. Trying again in ${Math.ceil(again_s)} s.${hint}`);
+    showLink(up ? "" : `${OVER[state] ?? (reason || "becalm does not answer;")} earlier data stay visible. Trying again in ${Math.ceil(again_s)} s.${hint}`);
   },
 });
 
-/** Show whether becalm answers. @param {string} says why it does not; empty if it does */
-function tied(says) {
+/** Show whether becalm answers. @param {string} says why becalm does not answer; "" if it does */
+function showLink(says) {
   document.body.dataset.state = says ? "disconnected" : "live";
   say(links.link, says);
 }
 
-/** Note a message from becalm. */
-function listen() {
-  if (quiet_s >= QUIET_S) tied("");
+/** Note that a message has arrived from becalm. */
+function noteMessage() {
+  if (quiet_s >= QUIET_S) showLink("");
   quiet_s = 0;
 }
 
 // The connection may stay open without messages, if becalm hangs or a cable is unplugged.
 setInterval(() => {
   quiet_s += 1;
-  if (holds && quiet_s >= QUIET_S) tied(`becalm has sent nothing for more than ${QUIET_S - 1} s; earlier data stay visible.`);
+  if (connected && quiet_s >= QUIET_S) showLink(`becalm has sent nothing for more than ${QUIET_S - 1} s; earlier data stay visible.`);
 }, 1000);
 
 /** @type {Record<string, (message: any) => void>} */
-const heard = {
+const handlers = {
   welcome: begin,
-  health: fare,
+  health: showHealth,
   tuned: tune,
   taken: ({ answers }) => answered(answers, ""),
   "passed over": ({ answers }) => answered(answers, ""),
@@ -101,7 +101,7 @@ function begin(message) {
   const again = welcome?.run === message.run;
   const before = welcome;
   welcome = message;
-  begun = true;
+  described = true;
   say(links.working, "");
   if (!again) {
     if (before) say(links.link, "becalm was restarted; earlier data are gone.");
@@ -114,24 +114,24 @@ function begin(message) {
     const list = find("strips", HTMLElement);
     list.style.setProperty("--strips", String(strips.length));
     list.replaceChildren(...strips.map((strip) => strip.element));
-    strips.forEach(hearStrip);
+    strips.forEach(handlePointer);
     Object.assign(globalThis, { becalmLive: { view, strips, counts, store: shown } });
-    held = null;
+    pausedStore = null;
     level = -1;
     showButtons();
   }
-  requested = ""; // an open request for past bins gets no answer
+  requested = ""; // a request for past bins from before gets no answer
   const was = view.level;
   view.fit();
-  if (held && view.level !== was) held = new Store(strips.length, modesOf());
+  if (pausedStore && view.level !== was) pausedStore = new Store(strips.length, modesOf());
   find("stream", HTMLElement).hidden = find("actions", HTMLElement).hidden = false;
-  follow(again);
-  lookBack();
+  requestNewBins(again);
+  requestMissingBins();
 }
 
-/** Request the new bins of the level in view. @param {boolean} [goesOn] whether to continue after the last bin */
-function follow(goesOn = false) {
-  if (!goesOn || level !== view.level) {
+/** Request the new bins of the level in view. @param {boolean} [continues] whether to continue after the last bin, if the level is the same */
+function requestNewBins(continues = false) {
+  if (!continues || level !== view.level) {
     level = view.level;
     live = new Store(strips.length, modesOf());
     const each = welcome.rows_each[level];
@@ -142,17 +142,17 @@ function follow(goesOn = false) {
 
 const modesOf = () => strips.reduce((count, { modes }) => count + modes.length, 0);
 /** Return the store in view. */
-const shown = () => held ?? live;
+const shown = () => pausedStore ?? live;
 
 /** @param {import("../frames.js").Frame} frame */
-function take(frame) {
+function receiveFrame(frame) {
   const { header } = frame;
   const each = welcome.rows_each[header.level];
   if (header.answers !== undefined && header.answers !== null) {
-    if (held && header.level === view.level) {
-      held.put(frame);
+    if (pausedStore && header.level === view.level) {
+      pausedStore.put(frame);
       for (const { tape } of strips) tape.forget();
-      lookBack();
+      requestMissingBins();
     }
     return;
   }
@@ -163,38 +163,38 @@ function take(frame) {
   live.put(frame);
   counts.updates += 1;
   counts.bins += header.count;
-  fresh = true;
-  view.heard((header.first + header.count) * each, performance.now());
-  lookBack(); // the last bins of a paused view may have closed only now
+  hasNewBins = true;
+  view.noteRows((header.first + header.count) * each, performance.now());
+  requestMissingBins(); // the last bins of a paused view may have closed only now
 }
 
 /** Request the bins in view that are missing. */
-function lookBack() {
-  if (!held) return;
+function requestMissingBins() {
+  if (!pausedStore) return;
   const each = welcome.rows_each[view.level];
   const [begin, stop] = [Math.max(0, Math.floor((view.right - view.rows) / each) - 1), Math.min(Math.floor(view.newest / each), Math.ceil(view.right / each) + 1)];
-  const first = held.missing(begin, stop);
+  const first = pausedStore.missing(begin, stop);
   if (first === null) return;
   const wanted = `${view.level} ${first} ${stop}`;
-  if (wanted === requested) return; // requested before: the bins do not exist
-  if (send({ do: "past", level: view.level, first, count: Math.min(MOST_ASKED, HELD, stop - first) }) !== null) requested = wanted;
+  if (wanted === requested) return; // becalm has no such bins, or has not answered yet
+  if (send({ do: "past", level: view.level, first, count: Math.min(MOST_REQUESTED, HELD, stop - first) }) !== null) requested = wanted;
 }
 
-/** Change the view by a person's action. @param {() => void} change */
+/** Change the view for a person. @param {() => void} change */
 function change(change) {
   if (!welcome) return;
   const [before, paused] = [view.level, view.paused];
   change();
-  if (!begun) view.level = view.paused ? before : level; // without a connection no other level can be loaded
+  if (!described) view.level = view.paused ? before : level; // without a connection no other level can be loaded
   if (view.paused) {
-    if (!paused && view.level === level) held = new Store(strips.length, modesOf(), live);
-    else if (!held || before !== view.level) held = new Store(strips.length, modesOf());
-    lookBack();
+    if (!paused && view.level === level) pausedStore = new Store(strips.length, modesOf(), live);
+    else if (!pausedStore || before !== view.level) pausedStore = new Store(strips.length, modesOf());
+    requestMissingBins();
   } else {
-    held = null;
-    if (view.level !== level) follow();
+    pausedStore = null;
+    if (view.level !== level) requestNewBins();
   }
-  saidMs = 0;
+  numbersMs = 0;
   for (const strip of strips) strip.scale = null;
   showButtons();
 }
@@ -211,11 +211,11 @@ const zoom = (by, share) => change(() => view.zoom(by, share));
 const pan = (windows) => change(() => view.pan(windows));
 
 /** Handle pointer and wheel on a strip. @param {Strip} strip */
-function hearStrip(strip) {
+function handlePointer(strip) {
   const { canvas } = strip;
   /** @type {number | null} */
   let from = null;
-  let turned = 0;
+  let scrolled = 0;
   const width = () => canvas.clientWidth - GUTTER;
   canvas.addEventListener("focus", () => (chosen = strip.number));
   canvas.addEventListener("pointerdown", (event) => {
@@ -226,7 +226,7 @@ function hearStrip(strip) {
   canvas.addEventListener("pointercancel", () => (from = null));
   canvas.addEventListener("pointermove", (event) => {
     for (const each of strips) each.pointed = event.offsetX > GUTTER ? event.offsetX : null;
-    saidMs = 0;
+    numbersMs = 0;
     if (from === null || Math.abs(event.clientX - from) < 3) return;
     pan((from - event.clientX) / width());
     from = event.clientX;
@@ -237,16 +237,16 @@ function hearStrip(strip) {
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
     if (Math.abs(event.deltaX) > Math.abs(event.deltaY)) return pan(event.deltaX / width());
-    turned += event.deltaY;
-    if (Math.abs(turned) < 60) return undefined;
-    zoom(Math.sign(turned), Math.max(0, Math.min(1, (event.offsetX - GUTTER) / width())));
-    turned = 0;
+    scrolled += event.deltaY;
+    if (Math.abs(scrolled) < 60) return undefined;
+    zoom(Math.sign(scrolled), Math.max(0, Math.min(1, (event.offsetX - GUTTER) / width())));
+    scrolled = 0;
     return undefined;
   }, { passive: false });
 }
 
 /** Show the status of the stream. @param {any} health */
-function fare(health) {
+function showHealth(health) {
   state = health.state;
   const source = health.source.replace(/^(\w+:)\S*\//, "$1"); // only the last part of a path
   const says = state === "silent" ? ` since ${clock(Date.parse(health.since) / 1000, 1)}` : health.says ? `: ${health.says}` : "";
@@ -258,9 +258,9 @@ function fare(health) {
   else say(links.working, { away: `The source is away${says}. becalm tries again.`, silent: `The source is silent${says}.`, full: `Storage is full${says}`, ended: "The stream has ended.", stopping: "The stream was stopped.", failed: `The stream failed${says}` }[state] ?? "");
   for (const strip of strips) {
     const channel = health.channels[welcome.names[strip.number]];
-    if (channel) strip.fare(channel);
+    if (channel) strip.showHealth(channel);
   }
-  saidMs = 0;
+  numbersMs = 0;
   const losses = Object.entries(health.losses).filter(([, { events }]) => events);
   const latency = (/** @type {number | null} */ ms) => amount(ms === null ? null : ms / 1e3, "s");
   const { p50, p99 } = health.latency_ms;
@@ -296,25 +296,25 @@ function frame(now) {
   const perRow = width / view.rows;
   const ticks = ticksOf(store, each, view.rate, view.right - view.rows, view.right, width);
   const scene = { store, each, perRow, right: view.right, newest: view.paused ? Infinity : next, ticks };
-  const speaks = now - saidMs > SAID_MS;
+  const showsNumbers = now - numbersMs > NUMBERS_MS;
   for (const strip of strips) {
-    if (speaks || !strip.scale) strip.rescale(scene);
+    if (showsNumbers || !strip.scale) strip.rescale(scene);
     strip.draw(scene);
   }
   drawAxis(axis, ticks, axis.width - width);
   counts.frames += 1;
-  if (fresh) counts.drawn += 1;
-  fresh = false;
-  if (speaks) speak(now, each, perRow);
+  if (hasNewBins) counts.drawn += 1;
+  hasNewBins = false;
+  if (showsNumbers) showNumbers(now, each, perRow);
 }
 
 /** Show the numbers at the right edge, or at the pointer. @param {number} nowMs @param {number} each @param {number} perRow */
-function speak(nowMs, each, perRow) {
-  saidMs = nowMs;
+function showNumbers(nowMs, each, perRow) {
+  numbersMs = nowMs;
   const pointed = strips[0]?.pointed;
   const left = view.right - view.rows;
   const row = pointed === null || pointed === undefined ? view.right - each : left + ((pointed - GUTTER) * devicePixelRatio) / perRow;
-  for (const strip of strips) strip.say(shown(), Math.floor(row / each));
+  for (const strip of strips) strip.showNumbers(shown(), Math.floor(row / each));
   const window_s = view.window_s;
   find("window", HTMLOutputElement).value = window_s < 120 ? `${window_s} s` : window_s < 7200 ? `${window_s / 60} min` : `${window_s / 3600} h`;
   const t = timeOf(shown(), each, row, view.rate);
@@ -337,7 +337,7 @@ find("save", HTMLButtonElement).addEventListener("click", async () => {
     say(links.trouble, whyNot(error));
   }
 });
-hearKeys(
+handleKeys(
   {
     n: () => change(() => view.pause(false)),
     ArrowLeft: () => pan(-0.25),

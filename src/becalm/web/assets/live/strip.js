@@ -11,7 +11,7 @@ import { Tape } from "./tape.js";
 export const GUTTER = 54; // CSS pixels left of a tape, for numbers
 
 /**
- * Write a number with the digits that its uncertainty allows, and the uncertainty with two.
+ * Format a number with the digits that its uncertainty allows, and the uncertainty with two digits.
  * @param {number} value @param {number} spread
  */
 export function about(value, spread) {
@@ -33,9 +33,9 @@ export class Strip {
   /**
    * @param {number} number @param {string} name @param {string} unit
    * @param {[string, number][]} modes names of the modes, and the places of their probabilities
-   * @param {(density: number) => number | null} turned requests a density; returns the number of the request
+   * @param {(density: number) => number | null} requestDensity requests a density; returns the number of the request
    */
-  constructor(number, name, unit, modes, turned) {
+  constructor(number, name, unit, modes, requestDensity) {
     this.number = number;
     this.unit = unit;
     this.name = unit && name.endsWith(` (${unit})`) ? name.slice(0, -unit.length - 3) : name;
@@ -48,14 +48,14 @@ export class Strip {
     this.figures = make("dl");
     this.met = make("p", { id: met, class: "met" });
     const range = make("input", { type: "range", min: 0, step: "any", "aria-label": `${this.name}: from faster to smoother`, disabled: true });
-    /** Number of the last change until it is answered; messages before the answer are older. @type {number | null} */
+    /** Number of the last change while it has no answer; messages before the answer describe older settings. @type {number | null} */
     this.pending = null;
     /** @type {[any, any]} */
     this.known = [null, null];
     const turn = (/** @type {number} */ density, /** @type {boolean} */ final) => {
       if (!final) return;
-      this.pending = turned(density);
-      if (this.pending === null) this.forsake();
+      this.pending = requestDensity(density);
+      if (this.pending === null) this.dropChange();
     };
     this.dial = new Dial(turn, range, this.figures);
     this.ends = make("div", { class: "ends" }, make("span", {}, "faster"), make("span", {}, "smoother"));
@@ -74,7 +74,7 @@ export class Strip {
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
   }
 
-  /** Choose the limits of the y axis: widen them at once, narrow them only if much is empty. @param {Scene} scene */
+  /** Set the limits of the y axis: widen them at once, narrow them only if the signal fills less than half. @param {Scene} scene */
   rescale({ store, each, perRow, right, newest }) {
     const rows = (this.canvas.width - GUTTER * devicePixelRatio) / perRow;
     const found = store.range(this.number, Math.floor((right - rows) / each), Math.min(newest, Math.ceil(right / each)));
@@ -124,7 +124,7 @@ export class Strip {
   }
 
   /** Show the numbers of a bin. @param {Store} store @param {number} bin */
-  say(store, bin) {
+  showNumbers(store, bin) {
     if (!store.has(bin)) {
       if (this.pointed !== null) this.value.textContent = "–";
       return;
@@ -138,7 +138,7 @@ export class Strip {
   }
 
   /** Show the status of the channel. @param {{ verdicts: Record<string, number>, nis: number | null, alarms: string[] }} health */
-  fare({ verdicts, nis, alarms }) {
+  showHealth({ verdicts, nis, alarms }) {
     /** @param {string} role @param {string} words @param {boolean} [mode] */
     const swatch = (role, words, mode = false) => {
       const mark = make("i");
@@ -155,17 +155,17 @@ export class Strip {
     this.met.replaceChildren(...parts);
   }
 
-  /** Drop the last change, which gets no answer, and show the last known filter. */
-  forsake() {
+  /** Drop the last change, and show the last known filter. */
+  dropChange() {
     this.pending = null;
     this.tune(...this.known);
   }
 
-  /** Handle the answer to a change. @param {number | null} number @param {boolean} taken false if it was refused */
+  /** Handle the answer to a change. @param {number | null} number @param {boolean} taken whether the change was accepted */
   answered(number, taken) {
     if (this.pending === null || number === null || number < this.pending) return;
     if (taken) this.pending = null;
-    else this.forsake();
+    else this.dropChange();
   }
 
   /** Show the filter and its dial. @param {any} filter @param {any} dial */

@@ -1,23 +1,23 @@
-// The plot of a strip: a ring of pixel columns, each drawn once, of which every frame shows a window.
+// The plot of a strip: each pixel column is drawn once, into a ring buffer; every frame shows a window of this buffer.
 
 import { colour, other, translucent } from "../colours.js";
 import { HELD } from "./store.js";
 
 /** @typedef {import("./store.js").Store} Store */
 /**
- * @typedef {object} Look everything that decides the pixels; after a change all is drawn again
+ * @typedef {object} Look the data and scales of the plot; after a change of one of them the whole plot is drawn again
  * @property {Store} store
  * @property {number} each rows of a bin
- * @property {number} perRow device pixels
- * @property {number} low
- * @property {number} high
+ * @property {number} perRow device pixels of a row
+ * @property {number} low value at the bottom
+ * @property {number} high value at the top
  */
 
 const LANE = 9; // CSS pixels of the lanes of modes and verdicts
 const NARROW = 1.6; // device pixels; wider bins are joined by lines
 
 export class Tape {
-  /** @param {number} channel @param {number[]} modes places of the probabilities of its modes */
+  /** @param {number} channel @param {number[]} modes indices of the probabilities of its modes */
   constructor(channel, modes) {
     this.channel = channel;
     this.modes = modes;
@@ -34,7 +34,7 @@ export class Tape {
   }
 
   /**
-   * Draw new bins, and copy the columns up to `right` (absolute device pixels) onto a canvas.
+   * Draw new bins, and copy the columns left of `right` (device pixels since row 0) onto a canvas.
    * @param {CanvasRenderingContext2D} onto @param {{ left: number, width: number, height: number }} box device pixels
    * @param {Look} look @param {number} right @param {number} newest end of the bins that may be drawn
    */
@@ -70,14 +70,14 @@ export class Tape {
     this.first = this.stop = first;
   }
 
-  /** Draw a bin, joined to the one before; bins may share a column. @param {number} bin @param {number} span */
+  /** Draw a bin, joined to the bin before it; bins may share a column. @param {number} bin @param {number} span device pixels of a bin */
   #draw(bin, span) {
     const { store } = /** @type {Look} */ (this.look);
     const begin = Math.floor(bin * span);
     const end = Math.max(begin + 1, Math.floor((bin + 1) * span));
     const shared = bin > this.first && Math.floor((bin - 1) * span) === begin ? 1 : 0;
     const x = mod(begin, this.paper.width);
-    const places = x + end - begin > this.paper.width ? [x, x - this.paper.width] : [x]; // at the seam of the ring
+    const places = x + end - begin > this.paper.width ? [x, x - this.paper.width] : [x]; // a bin at the end of the ring also begins it
     for (const place of places) this.pen.clearRect(place + shared, 0, end - begin - shared, this.paper.height);
     if (!store.has(bin)) return;
     const [now, before] = [bin % HELD, store.has(bin - 1) ? (bin - 1) % HELD : -1];
@@ -98,7 +98,7 @@ export class Tape {
     return this.plain(this.paper.height) * (1 - (value - low) / (high - low));
   }
 
-  /** Return the part of a height above the lanes. @param {number} height device pixels */
+  /** Return the height without the lanes. @param {number} height device pixels */
   plain(height) {
     return height - LANE * devicePixelRatio * (this.modes.length ? 2 : 1);
   }

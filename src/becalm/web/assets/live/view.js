@@ -1,9 +1,9 @@
-// The part of a stream that is in view: it moves smoothly with the newest rows, or is paused.
+// The part of a stream that is in view; it moves smoothly with the newest rows, or stands still while paused.
 
 const WINDOWS_S = [0.5, 1, 2, 5, 10, 20, 60, 120, 300, 600, 1800, 3600, 4 * 3600, 12 * 3600, 48 * 3600];
 const USUAL_S = 10;
-const BEHIND_S = 0.1; // delay of the screen behind the newest bin, so that it moves without stops
-const FEWEST_ROWS = 100; // in the usual window
+const BEHIND_S = 0.1; // delay of the view behind the newest bin, so that the view moves without stops
+const FEWEST_ROWS = 100; // smallest number of rows in the initial window
 const MOST_BINS = 2500; // with more bins in view, a coarser level is shown
 
 export class View {
@@ -14,7 +14,7 @@ export class View {
     this.kept = kept;
     const usual = WINDOWS_S.findIndex((window_s) => window_s >= Math.max(USUAL_S, FEWEST_ROWS / rate_hz));
     this.place = usual < 0 ? WINDOWS_S.length - 1 : usual;
-    /** The row after the newest known one; `came` is the time of its arrival in ms. */
+    /** Number of the row after the newest one that has arrived; `came` is the time of its arrival in ms. */
     this.newest = newest[0] * rows_each[0];
     this.right = this.newest; // the row at the right edge
     this.speed = rate_hz; // rows per second that arrive
@@ -32,13 +32,13 @@ export class View {
     return Math.max(1, this.window_s * this.rate);
   }
 
-  /** Choose the level again. */
+  /** Choose the level for the present view. */
   fit() {
     this.level = this.#fitting();
   }
 
   /** Note that rows up to `row` have arrived. @param {number} row @param {number} now ms */
-  heard(row, now) {
+  noteRows(row, now) {
     const [passed_s, rows] = [(now - this.came) / 1000, row - this.newest];
     if (this.came && passed_s > 0 && passed_s < 1) this.speed += (rows / passed_s - this.speed) * Math.min(1, passed_s);
     this.newest = Math.max(this.newest, row);
@@ -69,7 +69,7 @@ export class View {
     this.fit();
   }
 
-  /** Show more time (1) or less (-1); the point at a share of the view's width stays in place. @param {number} by @param {number} [share] */
+  /** Show more time (1) or less (-1). In a paused view, the point at a share of the width stays in place. @param {number} by @param {number} [share] 0 is left, 1 is right */
   zoom(by, share = 1) {
     const before = this.rows;
     this.place = Math.max(0, Math.min(WINDOWS_S.length - 1, this.place + by));

@@ -1,4 +1,4 @@
-// The controls for the model of a filter, its parts, and the readings that each estimate uses.
+// The controls for the model of a filter, its components, and the mode (smoother, causal filter or fixed lag).
 
 import { find, make } from "../dom.js";
 
@@ -12,22 +12,22 @@ import { find, make } from "../dom.js";
 
 export class Choices {
   /**
-   * @param {(settings: Partial<Settings>) => void} turned
-   * @param {(mode: string, lag_s: number | null) => void} moded
+   * @param {(settings: Partial<Settings>) => void} change called with the settings that a person changed
+   * @param {(mode: string, lag_s: number | null) => void} setMode called with the mode that a person chose
    */
-  constructor(turned, moded) {
-    this.turned = turned;
+  constructor(change, setMode) {
+    this.change = change;
     this.models = find("choice-list", HTMLElement);
     this.parts = find("part-list", HTMLElement);
     this.cleaned = find("cleaned", HTMLInputElement);
-    this.cleaned.addEventListener("change", () => turned({ unchanged: !this.cleaned.checked }));
+    this.cleaned.addEventListener("change", () => change({ unchanged: !this.cleaned.checked }));
     this.mode = find("mode", HTMLSelectElement);
     this.lag = find("lag", HTMLInputElement);
-    this.lagAsked = find("lag-asked", HTMLElement);
-    this.likely = 1; // proposed lag in seconds
-    const send = () => moded(this.mode.value, this.mode.value === "lagged" ? Number(this.lag.value) : null);
+    this.lagField = find("lag-asked", HTMLElement);
+    this.proposed_s = 1; // proposed lag in seconds
+    const send = () => setMode(this.mode.value, this.mode.value === "lagged" ? Number(this.lag.value) : null);
     this.mode.addEventListener("change", () => {
-      if (this.mode.value === "lagged" && !(Number(this.lag.value) > 0)) this.lag.value = String(Number(this.likely.toPrecision(2)));
+      if (this.mode.value === "lagged" && !(Number(this.lag.value) > 0)) this.lag.value = String(Number(this.proposed_s.toPrecision(2)));
       send();
     });
     this.inForce = ""; // the lag in force
@@ -41,12 +41,12 @@ export class Choices {
   open({ choices, components }) {
     this.models.replaceChildren(...choices.map(({ key, name, evidence }) => {
       const input = make("input", { type: "radio", name: "choice", value: key });
-      input.addEventListener("change", () => this.turned({ choice: key }));
+      input.addEventListener("change", () => this.change({ choice: key }));
       return make("label", { class: "choice" }, input, make("span", {}, name, " ", make("small", {}, evidence)));
     }));
     this.parts.replaceChildren(...components.map(({ key, name }) => {
       const input = make("input", { type: "checkbox", role: "switch", value: key });
-      input.addEventListener("change", () => this.turned({ on: this.#on() }));
+      input.addEventListener("change", () => this.change({ on: this.#on() }));
       return make("label", { class: "choice" }, input, make("span", {}, name));
     }));
     this.cleaned.disabled = !choices.some(({ order }) => order); // a constant or nearly empty channel has no filter
@@ -62,13 +62,13 @@ export class Choices {
   /** @param {string} mode @param {number | null} lag_s */
   pointMode(mode, lag_s) {
     this.mode.value = mode;
-    this.lagAsked.hidden = mode !== "lagged";
+    this.lagField.hidden = mode !== "lagged";
     if (lag_s) this.lag.value = this.inForce = String(lag_s);
   }
 
-  /** Propose a lag again: the last one may be impossible for this recording. */
+  /** Forget a lag that is not in force, so that one is proposed again: it may be impossible for this recording. */
   forgetLag() {
-    if (this.lagAsked.hidden) this.lag.value = "";
+    if (this.lagField.hidden) this.lag.value = "";
   }
 
   #on() {

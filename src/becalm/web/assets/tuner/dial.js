@@ -18,11 +18,11 @@ export class Dial {
     this.turned = turned;
     this.unit = "";
     this.held = false;
-    this.otherNoise = 0; // noise variance that passes through tones and other parts, which the positions do not include
-    this.noise = 0; // standard deviation of a reading
+    this.otherNoise = 0; // noise variance that passes through tones and other components; the positions do not include it
+    this.noise = 0; // standard deviation of the noise of a reading
     /** @type {Positions | null} */
     this.positions = null;
-    let repeats = false; // whether a key is held down, which repeats the change
+    let repeats = false; // whether a key is held down, so that the browser repeats its event
     this.release = (/** @type {Event} */ event) => {
       if (event instanceof KeyboardEvent && event.repeat) return;
       repeats = false;
@@ -62,7 +62,7 @@ export class Dial {
     this.#sayHere();
   }
 
-  /** Turn by some positions, for a key; while the key is held, this is a drag. @param {number} by */
+  /** Turn by some positions for a pressed key; the change is final when the key is released. @param {number} by */
   step(by) {
     if (this.input.matches(":disabled")) return;
     this.input.value = String(Number(this.input.value) + by);
@@ -76,7 +76,7 @@ export class Dial {
   }
 
   /**
-   * Show the figures of the filter in the picture; the bandwidth is that of the dial's position.
+   * Show the figures of the filter in the picture, with the bandwidth at the dial's position.
    * @param {Filter} filter
    */
   show(filter) {
@@ -111,7 +111,7 @@ export class Dial {
     this.say({ bandwidth_hz: this.#at(bandwidth_hz), lag_s: this.#at(lag_s), noise_left: Math.hypot(this.#at(noise_left), Math.sqrt(this.otherNoise)) });
   }
 
-  /** Interpolate between positions, in the logarithm. @param {ArrayLike<number>} values */
+  /** Interpolate the values at the positions, in logarithms where they are positive. @param {ArrayLike<number>} values */
   #at(values) {
     const place = Math.max(0, Math.min(values.length - 1, Number(this.input.value)));
     const before = Math.min(Math.floor(place), Math.max(0, values.length - 2));

@@ -7,14 +7,14 @@ import { amount, find, make } from "../dom.js";
 export class Files {
   /**
    * @param {(file: string) => void} opened called with the id of the file to open
-   * @param {(file: File) => void} brought called with a file that a person dropped or chose
-   * @param {() => void} wanted called when the list is shown, because it may be old
+   * @param {(file: File) => void} dropped called with a file that a person dropped or chose
+   * @param {() => void} wanted called when the list is shown, to request a new list
    */
-  constructor(opened, brought, wanted) {
+  constructor(opened, dropped, wanted) {
     this.opened = opened;
     this.wanted = wanted;
     this.listed = ""; // the listed files, as JSON
-    this.held = false; // whether a person has opened the list
+    this.held = false; // whether a person opened the list, so that only a person closes it
     this.place = find("files", HTMLElement);
     this.button = find("show-files", HTMLButtonElement);
     this.chosen = find("chosen", HTMLInputElement);
@@ -23,7 +23,7 @@ export class Files {
     this.chosen.addEventListener("change", () => {
       const [file] = this.chosen.files ?? [];
       this.chosen.value = "";
-      if (file) brought(file);
+      if (file) dropped(file);
     });
     const over = (/** @type {DragEvent} */ event, /** @type {boolean} */ on) => {
       if (!event.dataTransfer?.types.includes("Files")) return;
@@ -35,7 +35,7 @@ export class Files {
     addEventListener("drop", (event) => {
       over(event, false);
       const [file] = event.dataTransfer?.files ?? [];
-      if (file) brought(file);
+      if (file) dropped(file);
     });
   }
 
@@ -44,7 +44,7 @@ export class Files {
     return Number(this.rate.value) || null;
   }
 
-  /** Open or close the list, unless a person has opened it. @param {boolean} on */
+  /** Open or close the list, unless a person opened it. @param {boolean} on */
   suggest(on) {
     if (!this.held) this.show(on);
   }
@@ -67,7 +67,7 @@ export class Files {
       : `Drop a file anywhere on this page, or choose one; ${folder} has no file that becalm can read.`;
     this.chosen.accept = formats.join(",");
     const listed = JSON.stringify(files);
-    if (listed === this.listed) return; // keeps the focus on a name
+    if (listed === this.listed) return; // the focus stays on a name
     this.listed = listed;
     find("folder", HTMLElement).replaceChildren(...files.map(({ id, name, bytes }) => {
       const button = make("button", { type: "button", class: "plain" }, name);
@@ -77,7 +77,7 @@ export class Files {
   }
 }
 
-/** Return a sentence on why a request failed. @param {unknown} error */
+/** Return a sentence that says why a request failed. @param {unknown} error */
 export const whyNot = (error) => (error instanceof TypeError ? "becalm does not answer; is it still running?" : /** @type {Error} */ (error).message);
 
 /** Send a file to becalm; returns its id. @param {File} file */

@@ -9,7 +9,7 @@ import { decode, draw } from "../figures.js";
  * @property {string} says
  * @property {[string, string][]} numbers
  * @property {import("../figures.js").Payload} payload
- * @property {Record<string, string>} captions by the figure's name
+ * @property {Record<string, string>} captions by name of the figure
  */
 
 /** @type {Record<string, string>} */
@@ -24,7 +24,7 @@ export class Verdict {
     this.tone = this.says = "";
   }
 
-  /** Show whether the verdict is still being computed; the old figures stay, but faint. @param {boolean} waiting */
+  /** Show whether the verdict is still being computed; meanwhile the old figures are faint. @param {boolean} waiting */
   wait(waiting) {
     this.figures.classList.toggle("stale", waiting);
     this.place.className = `verdict ${waiting ? "" : this.tone}`;
@@ -43,7 +43,7 @@ export class Verdict {
     const arrays = payload.arrays.map(decode);
     const map = find("map", HTMLElement);
     for (const figure of payload.figures) {
-      if (figure.layers.some(({ kind }) => kind === "lane")) continue; // the strip below the signal shows them
+      if (figure.layers.some(({ kind }) => kind === "lane")) continue; // the lanes below the signal show the verdicts
       const place = frameOf(figure.title, `${figure.title}, ${figure.y.label} over ${figure.x.label}`, captions[figure.name]);
       map.before(place);
       this.plots.push(draw(figure, arrays, place));

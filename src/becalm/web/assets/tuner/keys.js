@@ -1,14 +1,14 @@
-// Handles the keys of a page, unless the focused element uses them itself.
+// Handles the keys of a page that the focused element does not use.
 
 const OWN = "input[type=number], select, [contenteditable]"; // elements that use all keys
 const ARROWED = "input, [role=tab], [role=application]"; // elements that use the arrow keys
 
 /**
  * Handle the keys of a page.
- * @param {Record<string, () => void>} actions by key; with Shift, the name begins with "Shift+"
+ * @param {Record<string, () => void>} actions by the name of the key, after "Shift+" for a letter with Shift
  * @param {(number: number) => void} channel called with the number of a channel, from 0
  */
-export function hearKeys(actions, channel) {
+export function handleKeys(actions, channel) {
   addEventListener("keydown", (event) => {
     const target = /** @type {Element} */ (event.target);
     if (event.ctrlKey || event.metaKey || event.altKey || target.closest?.(OWN)) return;

@@ -1,8 +1,8 @@
-// Draws the verdicts below the signal: a lane with a name and a colour for each one that occurs.
+// Draws the verdicts below the signal: a lane with a name and a colour for each verdict that occurs.
 
 import { colour, other } from "../colours.js";
 
-/** Names in the order of `becalm.core.reading_verdicts.Verdict`; the first one is not drawn. */
+/** Names in the order of `becalm.core.reading_verdicts.Verdict`; "used" is not drawn. */
 export const VERDICTS = ["used", "missing", "nonfinite", "overrange", "spike", "step", "clipped", "stuck", "dead", "drift", "late", "repeated", "gap", "outlier", "hole", "runaway"];
 const ROW = 18;
 
@@ -50,7 +50,7 @@ function some(verdicts, mask) {
   return false;
 }
 
-/** Return the runs of a verdict: the first stretch of each, and the one after its last. @param {ArrayLike<number>} verdicts @param {number} mask */
+/** Return the runs of a verdict: for each the number of its first stretch, and of the stretch after its last. @param {ArrayLike<number>} verdicts @param {number} mask */
 function runsOf(verdicts, mask) {
   /** @type {[number, number][]} */
   const runs = [];
@@ -63,7 +63,7 @@ function runsOf(verdicts, mask) {
   return runs;
 }
 
-/** Return the position of a stretch's begin on the canvas. @param {uPlot} u @param {number} stretch */
+/** Return the horizontal position at which a stretch begins, in pixels of the canvas. @param {uPlot} u @param {number} stretch */
 function placeOf(u, stretch) {
   const t = u.data[0];
   const last = t.length - 1;

@@ -3,12 +3,12 @@
 import { onTheme, readColours } from "../colours.js";
 import { amount, find, make, say } from "../dom.js";
 import { connect } from "../wire.js";
-import { Asking } from "./asking.js";
+import { RequestQueue } from "./asking.js";
 import { Choices } from "./choices.js";
 import { Dial } from "./dial.js";
 import { Files, save, upload, whyNot } from "./files.js";
 import { Verdict } from "./judged.js";
-import { hearKeys } from "./keys.js";
+import { handleKeys } from "./keys.js";
 import { drawLanes } from "./lanes.js";
 import { CostMap } from "./map.js";
 import { SignalPlot } from "./plot.js";
@@ -23,7 +23,7 @@ import { Tabs } from "./tabs.js";
  *   classics?: string[] }} State
  */
 
-/** The open recording and its settings; after a restart of becalm the page restores them from here. */
+/** The open recording and its settings; the page restores both after a restart of becalm. */
 const desk = {
   /** @type {Recording | null} */ recording: null,
   /** @type {State | null} */ state: null,
@@ -34,10 +34,10 @@ const desk = {
   channel: 0,
   opening: false, // whether a file that the person chose is being opened
   saving: false,
-  /** @type {number | null} */ turned: null, // number of the last change until it is answered; until then states are older
-  mapped: "", // the setting that the map was requested for
-  /** @type {number | null} */ mapAsked: null, // number of that request
-  run: "", // identifier of this run of becalm
+  /** @type {number | null} */ turned: null, // number of the last change while it has no answer; states before the answer are older
+  mapped: "", // the setting for which the map was requested last
+  /** @type {number | null} */ mapAsked: null, // number of the last request for a map
+  run: "", // identifier of the run of becalm that the page is connected to
   /** @type {import("./dial.js").Filter} */ filter: {}, // the filter of the last picture
   pictures: 0, // number of pictures received
 };
@@ -46,26 +46,26 @@ const words = { link: find("link", HTMLElement), trouble: find("trouble", HTMLEl
 
 /** @param {import("./choices.js").Settings | Partial<Settings>} settings @param {boolean} [final] */
 function turn(settings, final = true) {
-  const question = { do: "turn", channel: desk.channel, settings, final };
+  const message = { do: "turn", channel: desk.channel, settings, final };
   if (final) {
     say(words.trouble, "");
-    desk.turned = asking.sendNow(question);
-  } else asking.ask(question);
+    desk.turned = asking.sendNow(message);
+  } else asking.ask(message);
 }
 
-const send = connect({ text: hear, frame: draw, link: tied });
-const asking = new Asking(send);
+const send = connect({ text: receive, frame: draw, link: showLink });
+const asking = new RequestQueue(send);
 const plot = new SignalPlot(find("plot", HTMLElement), ({ from, to }) => look(from, to));
 const dial = new Dial((process_noise_density, final) => turn({ process_noise_density }, final));
 const map = new CostMap(turn);
-const choices = new Choices((settings) => turn(settings), (mode, lag_s) => want({ do: "mode", mode, lag_s }));
+const choices = new Choices((settings) => turn(settings), (mode, lag_s) => request({ do: "mode", mode, lag_s }));
 const verdict = new Verdict();
 const tabs = new Tabs((channel, focus) => choose(channel, focus));
-const files = new Files(open, (file) => bring(file), () => send({ do: "files" }));
+const files = new Files(open, (file) => uploadAndOpen(file), () => send({ do: "files" }));
 const [classic, group, format] = ["classic", "group", "format"].map((id) => find(id, HTMLSelectElement));
 
-/** Send a person's request, and clear an older error. @param {object} message */
-function want(message) {
+/** Send a request for a person, and clear an older error. @param {object} message */
+function request(message) {
   say(words.trouble, "");
   send(message);
 }
@@ -80,12 +80,12 @@ function look(from, to) {
 function open(file) {
   desk.brought = null;
   desk.opening = true;
-  want({ do: "open", file, rate_hz: files.rate_hz });
+  request({ do: "open", file, rate_hz: files.rate_hz });
 }
 
 /** Send a file that was dropped or chosen, and open it. @param {File} file @param {string} [group] @param {number | null} [rate_hz] */
-async function bring(file, group, rate_hz = files.rate_hz) {
-  await during(`Sending ${file.name} …`, async () => {
+async function uploadAndOpen(file, group, rate_hz = files.rate_hz) {
+  await showProgress(`Sending ${file.name} …`, async () => {
     const id = await upload(file);
     desk.brought = file;
     desk.opening = true;
@@ -93,8 +93,8 @@ async function bring(file, group, rate_hz = files.rate_hz) {
   });
 }
 
-/** Show a sentence during some work, and an error after it. @param {string} says @param {() => Promise<unknown>} does */
-async function during(says, does) {
+/** Show a sentence during some work, and afterwards the error if the work failed. @param {string} says @param {() => Promise<unknown>} does */
+async function showProgress(says, does) {
   say(words.trouble, "");
   say(words.working, says);
   try {
@@ -107,7 +107,7 @@ async function during(says, does) {
 }
 
 /** @param {import("../wire.js").Link} link */
-function tied({ up, again_s, reason, hint }) {
+function showLink({ up, again_s, reason, hint }) {
   document.body.dataset.state = up ? "open" : "disconnected";
   for (const one of document.querySelectorAll("fieldset")) one.disabled = !up;
   asking.forget();
@@ -118,22 +118,22 @@ function tied({ up, again_s, reason, hint }) {
 }
 
 /** @param {any} message */
-function hear(message) {
-  if (message.kind === "welcome") welcomed(message);
+function receive(message) {
+  if (message.kind === "welcome") receiveWelcome(message);
   else if (message.kind === "files") files.list(message);
   else if (message.kind === "working") say(words.working, message.says);
   else if (message.kind === "trouble") {
     say(words.working, "");
     if (message.answers !== null && message.answers === desk.mapAsked) map.refuse(message.says); // the person did not request the map
     else say(words.trouble, message.says);
-    if (!desk.recording) files.suggest(true); // the person may choose another file, or give a rate
+    if (!desk.recording) files.suggest(true); // so that the person can choose another file, or give a rate
     desk.opening = false;
     choices.forgetLag();
-    asking.heard(message.answers);
-    turned(message.answers ?? 0);
-    settle();
-  } else if (message.kind === "recording") opened(message);
-  else if (message.kind === "state") settled(message);
+    asking.handleAnswer(message.answers);
+    finishChange(message.answers ?? 0);
+    showSettings();
+  } else if (message.kind === "recording") receiveRecording(message);
+  else if (message.kind === "state") receiveState(message);
   else if (message.kind === "figures") {
     desk.judged.set(message.channel, { ...message, of: JSON.stringify(message.of) });
     if (message.channel === desk.channel) verdict.show(message);
@@ -141,7 +141,7 @@ function hear(message) {
 }
 
 /** @param {any} welcome */
-function welcomed(welcome) {
+function receiveWelcome(welcome) {
   say(words.working, "");
   files.list(welcome);
   fill(format, welcome.saves.map((/** @type {string} */ ending) => ending.slice(1)), format.value);
@@ -150,14 +150,14 @@ function welcomed(welcome) {
   desk.run = welcome.run;
   desk.restoring = again && !here ? desk.state?.recipe ?? null : null;
   if (!open) files.suggest(!welcome.file);
-  else if (here) return; // only the connection failed: becalm sends the open recording
+  else if (here) return; // only the connection failed: becalm sends the open recording by itself
   else if (welcome.file === open && desk.recording?.groups.length === 1 && !desk.recording.rate_said_hz) return;
-  else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) bring(desk.brought, desk.recording?.group, desk.recording?.rate_said_hz);
+  else if (desk.brought && !welcome.files.some((/** @type {{ id: string }} */ one) => one.id === open)) uploadAndOpen(desk.brought, desk.recording?.group, desk.recording?.rate_said_hz);
   else send({ do: "open", file: open, group: desk.recording?.group, rate_hz: desk.recording?.rate_said_hz });
 }
 
 /** @param {Recording} recording */
-function opened(recording) {
+function receiveRecording(recording) {
   const again = desk.recording?.file === recording.file && desk.recording.group === recording.group;
   desk.recording = recording;
   if (!again) desk.state = null;
@@ -178,10 +178,10 @@ function opened(recording) {
   desk.opening = false;
   fill(group, recording.groups, recording.group);
   group.hidden = recording.groups.length < 2;
-  choices.likely = 10 / recording.rate_hz;
+  choices.proposed_s = 10 / recording.rate_hz;
   choices.pointMode(recording.mode, recording.lag_s);
   if (!again) choices.forgetLag();
-  offer(recording.classics);
+  offerClassics(recording.classics);
   tabs.open(recording.channels.map(({ name }) => name));
   choose(again ? desk.channel : 0, false, again);
 }
@@ -193,7 +193,7 @@ function fill(place, names, chosen) {
 }
 
 /** Offer classic filters to compare with. @param {string[]} names */
-function offer(names) {
+function offerClassics(names) {
   fill(classic, ["", ...names], classic.value);
   classic.options[0].text = names.length ? "no classic filter" : "no classic filter has a delay";
 }
@@ -217,37 +217,37 @@ function choose(channel, focus = false, stay = true) {
   verdict.clear();
   const judged = desk.judged.get(channel);
   if (judged) verdict.show(judged);
-  settle();
+  showSettings();
   if (seen) plot.look(from, to);
   else plot.whole();
   if (classic.value) send({ do: "compare", channel, classic: classic.value });
 }
 
-/** Handle new settings; after a restart of becalm, first restore those of before. @param {State} state */
-function settled(state) {
+/** Handle new settings; after a restart of becalm, send the settings from before the restart. @param {State} state */
+function receiveState(state) {
   const { restoring } = desk;
   desk.restoring = null;
   desk.state = state;
-  turned(state.turned);
+  finishChange(state.turned);
   if (!desk.saving) say(words.working, "");
   if (restoring && restoring !== state.recipe) send({ do: "restore", recipe: restoring });
-  else settle();
+  else showSettings();
 }
 
 /** Handle the answer to a change. @param {number} number */
-function turned(number) {
+function finishChange(number) {
   if (desk.turned !== null && number >= desk.turned) desk.turned = null;
 }
 
 /** Show the settings. */
-function settle() {
+function showSettings() {
   const { state } = desk;
   const settings = state?.channels[desk.channel];
   if (!state || !settings) return;
   find("undo", HTMLButtonElement).disabled = !state.can_undo;
   find("redo", HTMLButtonElement).disabled = !state.can_redo;
   choices.pointMode(state.mode, state.lag_s);
-  if (state.classics) offer(state.classics);
+  if (state.classics) offerClassics(state.classics);
   choices.point(settings);
   if (desk.turned === null) dial.point(settings.process_noise_density);
   verdict.wait(desk.judged.get(desk.channel)?.of !== settingOf(desk.channel));
@@ -274,8 +274,8 @@ function askMap({ choice, on, noise_std, process_noise_density }) {
 function draw(frame) {
   const { header, arrays } = frame;
   if (header.kind === "dial" && arrays.process_noise_density?.length) desk.dials.set(header.channel, /** @type {any} */ (arrays));
-  else if (header.kind === "dial") desk.dials.delete(header.channel); // it passes unchanged
-  if (header.kind === "picture") asking.heard(header.answers);
+  else if (header.kind === "dial") desk.dials.delete(header.channel); // the channel passes unchanged
+  if (header.kind === "picture") asking.handleAnswer(header.answers);
   if (header.channel !== desk.channel || !desk.recording) return;
   const { unit } = desk.recording.channels[desk.channel];
   if (header.kind === "dial") {
@@ -298,19 +298,19 @@ function draw(frame) {
 }
 
 /** @param {string} what */
-function saving(what) {
+function saveResult(what) {
   if (!desk.state || desk.saving) return;
   desk.saving = true;
-  during("Saving …", () => save(`/save/${what}`)).finally(() => { desk.saving = false; });
+  showProgress("Saving …", () => save(`/save/${what}`)).finally(() => { desk.saving = false; });
 }
 
 /** @type {Record<string, () => void>} */
 const ACTIONS = {
-  undo: () => want({ do: "undo" }),
-  redo: () => want({ do: "redo" }),
-  "save-recipe": () => saving("recipe"),
-  "save-clean": () => saving(`clean?format=${format.value}`),
-  "save-report": () => saving("report"),
+  undo: () => request({ do: "undo" }),
+  redo: () => request({ do: "redo" }),
+  "save-recipe": () => saveResult("recipe"),
+  "save-clean": () => saveResult(`clean?format=${format.value}`),
+  "save-report": () => saveResult("report"),
   nearer: () => plot.zoom(0.5),
   farther: () => plot.zoom(2),
   whole: () => plot.whole(),
@@ -319,9 +319,9 @@ const ACTIONS = {
 };
 for (const [id, action] of Object.entries(ACTIONS)) find(id, HTMLButtonElement).addEventListener("click", action);
 find("copy", HTMLElement).hidden = !navigator.clipboard;
-group.addEventListener("change", () => want({ do: "open", file: desk.recording?.file, group: group.value, rate_hz: desk.recording?.rate_said_hz }));
-classic.addEventListener("change", () => want({ do: "compare", channel: desk.channel, classic: classic.value || null }));
-hearKeys({
+group.addEventListener("change", () => request({ do: "open", file: desk.recording?.file, group: group.value, rate_hz: desk.recording?.rate_said_hz }));
+classic.addEventListener("change", () => request({ do: "compare", channel: desk.channel, classic: classic.value || null }));
+handleKeys({
   ArrowLeft: () => plot.pan(-0.2), ArrowRight: () => plot.pan(0.2),
   "+": ACTIONS.nearer, "=": ACTIONS.nearer, "-": ACTIONS.farther, 0: ACTIONS.whole,
   "[": () => dial.step(-1), "]": () => dial.step(1),

@@ -90,7 +90,7 @@ export class CostMap {
     this.canvas.setAttribute("aria-label", `Cost of every noise and density; arrow keys tune. ${this.caption.textContent}`);
   }
 
-  /** Paint one pixel for each cell: the darker, the better it predicts. */
+  /** Paint one pixel for each cell; cells that predict better get a stronger colour. */
   #paint() {
     if (!this.map) return;
     const { grid: { noise_std, process_noise_density }, cost, image } = this.map;
@@ -100,7 +100,7 @@ export class CostMap {
     for (let i = 0; i < image.width; i += 1)
       for (let j = 0; j < image.height; j += 1) {
         const level = LEVELS.findIndex((one) => cost[i * image.height + j] < one);
-        pen.globalAlpha = SHADES.at(level) ?? 0; // beyond the last: -1, the faintest
+        pen.globalAlpha = SHADES.at(level) ?? 0; // level -1, a cost above all levels, gets the last and faintest shade
         pen.fillRect(i, image.height - 1 - j, 1, 1);
       }
   }
@@ -178,7 +178,7 @@ export class CostMap {
 /** Return the ratio of neighbouring values of a grid. @param {number[]} values */
 const ratioOf = (values) => (values.length > 1 ? (values[values.length - 1] / values[0]) ** (1 / (values.length - 1)) : 2);
 
-/** Return the outer edges of cells from their middles. @param {number[]} values @returns {[number, number]} */
+/** Return the outer edges of a row of cells from the middles of the cells. @param {number[]} values @returns {[number, number]} */
 const edgesOf = (values) => [values[0] / Math.sqrt(ratioOf(values)), values[values.length - 1] * Math.sqrt(ratioOf(values))];
 
 /** @param {number[]} values @param {number} from @param {number} by */

@@ -10,14 +10,14 @@ import { gapped } from "../frames.js";
  * @typedef {import("../frames.js").Frame} Frame
  */
 
-const FEW = 150; // up to this number, values are drawn as points too
+const FEW = 150; // up to this number of values, points are drawn in addition to lines
 const NEAREST = 3; // minimum number of rows in view
 const COLUMNS = ["raw_low", "raw_high", "band_low", "band_high", "clean_low", "clean_high", "classic_low", "classic_high"];
 
 export class SignalPlot {
   /**
    * @param {HTMLElement} place a figure with a .canvas and a .legend
-   * @param {(view: View) => void} looked called after each change of the view
+   * @param {(view: View) => void} looked called after each change of the view or its size
    */
   constructor(place, looked) {
     this.canvas = /** @type {HTMLElement} */ (place.querySelector(".canvas"));
@@ -76,7 +76,7 @@ export class SignalPlot {
     });
   }
 
-  /** Show a part of the record, limited to the record. @param {number} from @param {number} to */
+  /** Show a time span, moved into the record. @param {number} from seconds @param {number} to seconds */
   look(from, to) {
     const span = Math.min(this.all.to - this.all.from, Math.max(to - from, NEAREST * this.step));
     const middle = (from + to) / 2;
