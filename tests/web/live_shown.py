@@ -21,7 +21,7 @@ from becalm.cleaning import recipe as recipes
 from becalm.cleaning.recipe import ChannelRecipe, Recipe
 from becalm.cleaning.recipe_parts import ModeRecipe, SwitchingRecipe
 from becalm.live.block import Head, Output
-from becalm.live.retuning import Heard
+from becalm.live.retuning import RetuneCallback
 from becalm.live.watching.meter import Meter
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import unframed
@@ -65,10 +65,10 @@ class Asked:
     """A runner that makes and takes a recipe when it is told to: the newest, and those who asked before hear so."""
 
     meter: Meter
-    waiting: list[tuple[Callable[[], Recipe], Heard]] = field(default_factory=list)
-    making: tuple[Recipe, Heard] | None = None
+    waiting: list[tuple[Callable[[], Recipe], RetuneCallback]] = field(default_factory=list)
+    making: tuple[Recipe, RetuneCallback] | None = None
 
-    def retune(self, recipe: Callable[[], Recipe], heard: Heard) -> None:
+    def retune(self, recipe: Callable[[], Recipe], heard: RetuneCallback) -> None:
         self.waiting.append((recipe, heard))
 
     def begin(self) -> None:
@@ -86,7 +86,7 @@ class Asked:
         assert self.making is not None
         (recipe, heard), self.making = self.making, None
         if not why:
-            self.meter.tuned(recipe.to_toml())
+            self.meter.set_recipe(recipe.to_toml())
         heard(why)
         return recipe
 
@@ -121,8 +121,15 @@ class Shown:
         base = f"http://{LOOPBACK}:{self.access.port}"
         cookie = [("Cookie", f"{self.access.cookie}={TOKEN}")]
         url = f"ws://{LOOPBACK}:{self.access.port}/wire"
-        told = Origin(base)
-        with connect(url, sock=link, origin=told, additional_headers=cookie, proxy=None, max_queue=1) as connected:
+        with connect(
+            url,
+            sock=link,
+            origin=Origin(base),
+            additional_headers=cookie,
+            proxy=None,
+            max_queue=1,
+            close_timeout=0.1,  # what is unread at the end stays unread
+        ) as connected:
             yield Wire(connected)
 
 
