@@ -38,9 +38,9 @@ INLINE int smooth_row(const int n, const coefficients_t *model, const filter_t *
     real smoothed[NN_MAX], Pr[N_MAX];
     if (row->phase != DETERMINED) return smooth_gathering(n, model, row, Q, future, signal, sigma);
     const real share = smooth_covariance(n, row->P, future->M, smoothed);
-    const int lost = share < MUCH, known = future->later != NOTHING_LATER;
+    const int lost = share < ACCURATE_SHARE, known = future->later != NOTHING_LATER;
     const int recomputed = lost && known && covariance_from_later(n, row->P, future);
-    if (!recomputed) copy(n * n, share > HARDLY ? smoothed : row->P, future->P);
+    if (!recomputed) copy(n * n, share > LEAST_SHARE ? smoothed : row->P, future->P);
     const real variance = smoothed_variance(n, model->c, row->P, future->M, recomputed ? future->P : NULL);
     times(n, row->P, future->r, Pr);
     for (int i = 0; i < n; i++) future->x[i] = row->x[i] + Pr[i]; /* (9) */
@@ -57,7 +57,7 @@ INLINE void step_back(const int n, const real *h, const real S, const real *K, c
     const int used = !isnan(innovation);
     const real nu = used ? innovation : 0;
     multiply_HF(n, 1, h, F, g);
-    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* S = 0: an exact prediction, no information */
+    for (int i = 0; i < n; i++) G[i] = used && S > 0 ? g[i] * (1 / S) : 0; /* S = 0: an exact prediction */
     if (used)
         close_loop(n, 1, F, K, g, A);
     else

@@ -1,5 +1,5 @@
-/* The clock of a stream: count the steps before each row, and detect impossible stamps. It works row by row, so that the
-   boundaries between blocks have no influence. */
+/* The clock of a stream: count the steps before each row, and detect impossible stamps. It works row by row, so that
+   the boundaries between blocks have no influence. */
 #include "kernel.h"
 
 #define PULL ((real)0.75)     /* correction of the even grid, over the distance of a stamp from the grid */

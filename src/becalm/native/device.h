@@ -19,7 +19,7 @@ typedef struct {
     real sigma; /* in unit; inf while the signal is undetermined */
 } device_state_t;
 
-enum { STARTING = 32 }; /* another verdict: the measurement was used, and returned, because the signal is undetermined */
+enum { STARTING = 32 }; /* verdict: used, and returned as the signal, because the signal is undetermined */
 
 void device_start(const device_t *device, device_state_t *state);
 /* Start at a signal that has been constant for a long time; if it is no possible measurement, start without it. */

@@ -1,4 +1,4 @@
-/* The filter of one channel, for rows whose measurements and restarts are already checked.
+/* The filter of one channel, for rows whose measurements and gaps are already checked.
 
    Equations are numbered as in core/reference/kalman.py. */
 #include "filter.h"
@@ -71,13 +71,13 @@ INLINE int filter_row(const int n, const settings_t *settings, const coefficient
     if (arrived && loses_digits(n, model->R, Q, variance)) return NO_DIGITS;
     state->sigma = variance > 0 ? sqrt(variance) : 0;
     check_settling(n, h, F, state, verdict == STEP ? -2 : elapsed, complete);
-    if (verdict == STEP) state->last_step = -1; /* no other row has this covariance */
+    if (verdict == STEP) state->last_step = -1; /* the covariance after a jump is not that of other rows */
     return verdict;
 }
 
-/* Filter rows with the steady-state gain, until one is missing, rejected, or has another step; return how many. The
-   recursion is that of the predicted state, F s + L nu (14), in closed-loop form: s = A s + L z, A = F - L h. This is
-   the shortest dependency from row to row. */
+/* Filter rows with the steady-state gain, up to a row that is missing, rejected, or has another step; return the number
+   of filtered rows. The recursion is that of the predicted state, F s + L nu (14), in closed-loop form:
+   s = A s + L z, A = F - L h. In this form a row depends on the previous row by the fewest operations. */
 INLINE int64_t filter_settled(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                               const real *F, const block_t *block, int64_t row, const pass_t *pass,
                               const estimate_t *estimate) {
@@ -140,7 +140,7 @@ void filter_begin_after(const settings_t *settings, const coefficients_t *model,
     limits->now = limits->last = steps, limits->measurements = rows;
 }
 
-/* Filter one row while measurements do not determine the state: add its information. */
+/* Filter one row while measurements do not determine the state: add the information of the row. */
 static void open_row(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                      const real *F, const real *Q, const real elapsed, const real z, real *signal, real *sigma) {
     *signal = NOT_A_NUMBER, *sigma = INFINITE;
@@ -151,7 +151,7 @@ static void open_row(const int n, const settings_t *settings, const coefficients
         if (!state->has_level) state->level = filter_level(settings, model, z), state->has_level = 1;
         begin_information(n, model->prior, state->P, state->x);
     } else if (elapsed > 0)
-        carry_information(n, F, Q, model->prior, state->P, state->x);
+        predict_information(n, F, Q, model->prior, state->P, state->x);
     if (arrived) add_information(n, model->h, model->R, z - state->level, state->P, state->x);
     if (!model->disturbed) estimate_from_information(n, model->h, state->P, state->x, signal, sigma);
     if (try_to_determine(n, model, F, Q, state->P, state->x)) {
@@ -173,10 +173,10 @@ INLINE void filter_rows(const int n, const settings_t *settings, const coefficie
         const real *F = block->F + at, *Q = block->Q + at;
         if (pass->starts[row] == RESTARTS) filter_forget(state);
         if (state->settled && state->phase == DETERMINED) {
-            const int64_t taken = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
-            row += taken;
-            if (taken) continue;
-            unsettle(state); /* so that later rows do not depend on when the gain settled */
+            const int64_t filtered_rows = filter_settled(n, settings, model, state, F, block, row, pass, estimate);
+            row += filtered_rows;
+            if (filtered_rows) continue;
+            unsettle(state); /* later rows must not depend on the row at which the gain settled */
         }
         if (state->phase == DETERMINED) {
             const real z = pass->usable[row] - state->level;

@@ -1,8 +1,8 @@
 /* Fixed-lag smoother of one channel: smooth each row with the rows up to a lag after it.
 
    When later rows come, the waiting rows are filtered again from the state before them, so that only this state is
-   kept. While the gain is constant, the information of later rows is a weighted sum of their innovations. Equations are
-   numbered as in core/reference/kalman.py. */
+   stored between calls. While the gain is constant, the information of later rows is a weighted sum of their
+   innovations. Equations are numbered as in core/reference/kalman.py. */
 #include "backward.h"
 #include "gap.h"
 
@@ -13,17 +13,17 @@ typedef struct {
     const block_t *block;
     const estimate_t *estimate;
     int8_t *starts;
-    real *states;    /* packed, one per place */
-    int64_t *place;  /* for each row, the row whose gain and covariance it has */
-    int64_t *alike;  /* for each row, how many rows up to it share one steady-state gain */
+    real *states;    /* packed states, with space for one per row */
+    int64_t *place;  /* for each row, the index of a stored state with its gain and covariance */
+    int64_t *alike;  /* for each row, the number of rows up to this row with the same steady-state gain */
 } rows_t;
 
-/* The weights of later rows for a row in the same stretch of constant gain. */
+/* The constants of a stretch of rows with one steady-state gain. */
 typedef struct {
-    int64_t stretch; /* number of rows before the stretch; -1: none */
-    real sigma;
+    int64_t stretch; /* first row of the stretch; -1: none */
+    real sigma;      /* smoothed standard uncertainty of the signal, in unit */
     real Pc[N_MAX], P[NN_MAX];
-    real *weights;   /* of the innovations of later rows, n each: r is the sum of weight times innovation */
+    real *weights;   /* (lag, n) weights of the innovations of later rows: r is the sum of weight times innovation */
 } steady_t;
 
 int64_t lag_room(const int64_t states, const int64_t rows, const int64_t lag) {
@@ -34,7 +34,7 @@ INLINE const real *steps_of(const int n, const block_t *block, const real *matri
     return matrices + (int64_t)block->step[row] * n * n;
 }
 
-/* Filter one row, and keep its state. */
+/* Filter one row, and store the state after it. */
 static void filter_one(const int n, const rows_t *rows, filter_t *state, const int64_t row) {
     const block_t one = rows_from(rows->block, row, 1);
     const estimate_t out = estimate_from(rows->estimate, row, n);
@@ -58,7 +58,7 @@ static void filter_until(const int n, const rows_t *rows, filter_t *state, int64
             pack(n, state, before);
             filter_part(rows->settings, rows->model, state, &part, &out, rows->starts + row);
         }
-        if (count > 1 && state->settled && state->steady == steady) { /* one gain for all rows */
+        if (count > 1 && state->settled && state->steady == steady) { /* all rows have the same gain */
             for (int64_t k = row; k < row + count; k++)
                 rows->place[k] = row, rows->alike[k] = 1 + (k ? rows->alike[k - 1] : 0);
         } else {
@@ -81,8 +81,8 @@ INLINE int smooth_at(const int n, const rows_t *rows, const int64_t row, future_
     return kept;
 }
 
-/* Smooth row `from` with the rows up to `last`; the rows between are smoothed, too, which keeps digits. With `every`
-   their estimates are written, too. */
+/* Smooth row `from` with the rows up to `last`. All rows between are also smoothed, which preserves digits; with
+   `every` their estimates are also written. */
 static void smooth_all(const int n, const rows_t *rows, const int64_t from, const int64_t last, const int every,
                        real *signal, real *sigma, real *x) {
     const estimate_t *out = rows->estimate;
@@ -123,8 +123,8 @@ INLINE void smooth_by(const int n, const rows_t *rows, const int64_t row, const 
     smooth_all(n, rows, row, last, 0, signal, sigma, x);
 }
 
-/* Compute the constants of a stretch: sigma, and the weights of later innovations in a smoothed state. */
-static void note_stretch(const int n, const rows_t *rows, const int64_t row, const int64_t lag, steady_t *steady) {
+/* Compute the constants of the stretch of a row. */
+static void describe_stretch(const int n, const rows_t *rows, const int64_t row, const int64_t lag, steady_t *steady) {
     const real *packed = rows->states + rows->place[row] * packed_size(n);
     const real *F = steps_of(n, rows->block, rows->block->F, row);
     real A[NN_MAX], g[N_MAX], signal = 0; /* A = (I - K h) F, g = F' h' */
@@ -145,7 +145,7 @@ static void note_stretch(const int n, const rows_t *rows, const int64_t row, con
 
 INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, const int64_t ready, steady_t *steady) {
     const estimate_t *out = rows->estimate;
-    const int64_t whole = rows->block->rows > lag ? rows->block->rows - lag : 0; /* rows with a full lag after them */
+    const int64_t whole = rows->block->rows > lag ? rows->block->rows - lag : 0; /* rows with `lag` rows after */
     if (ready > whole) smooth_all(n, rows, whole, rows->block->rows - 1, 1, NULL, NULL, NULL);
     for (int64_t row = 0; row < ready && row < whole; row++) {
         const int64_t last = row + lag;
@@ -155,7 +155,7 @@ INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, cons
             continue;
         }
         real r[N_MAX];
-        if (steady->stretch != last + 1 - rows->alike[last]) note_stretch(n, rows, row, lag, steady);
+        if (steady->stretch != last + 1 - rows->alike[last]) describe_stretch(n, rows, row, lag, steady);
         for (int i = 0; i < n; i++) r[i] = 0;
         for (int64_t k = 0; k < lag; k++)
             for (int i = 0; i < n; i++) r[i] += steady->weights[k * n + i] * out->innovation[row + 1 + k];
@@ -167,8 +167,9 @@ INLINE void smooth_rows(const int n, const rows_t *rows, const int64_t lag, cons
 }
 
 #define OF_SIZE(n)                                                                                             \
-    NOINLINE static void smooth_rows_##n(const rows_t *rows, const int64_t lag, const int64_t ready, steady_t *steady) { \
-        smooth_rows(n, rows, lag, ready, steady);                                                               \
+    NOINLINE static void smooth_rows_##n(const rows_t *rows, const int64_t lag, const int64_t ready,           \
+                                         steady_t *steady) {                                                   \
+        smooth_rows(n, rows, lag, ready, steady);                                                              \
     }
 OF_SIZE(1)
 OF_SIZE(2)
@@ -194,7 +195,7 @@ static void lag_rows(const int n, rows_t *rows, filter_t *state, const int64_t l
     memcpy(&newest, state, sizeof newest);
     filter_until(n, rows, &newest, ready, rows->block->rows);
     *settled_row = newest.settled_row;
-    switch (n) { /* each size has its own stack frame: together they would need megabytes of stack */
+    switch (n) { /* each size has its own stack frame; all in one function would need megabytes of stack */
     case 1: smooth_rows_1(rows, lag, ready, &steady); break;
     case 2: smooth_rows_2(rows, lag, ready, &steady); break;
     case 3: smooth_rows_3(rows, lag, ready, &steady); break;

@@ -1,19 +1,20 @@
-/* The information of later rows on a state (Bryson and Frazier 1963, Bierman 1973), and tests whether it keeps its
-   digits; for one channel or several. Equations are numbered as in core/reference/kalman.py. */
+/* The information of later rows on a state (Bryson and Frazier 1963, Bierman 1973), for one channel or several, and
+   tests whether the smoothed state is accurate. Equations are numbered as in core/reference/kalman.py. */
 #ifndef BECALM_FUTURE_H
 #define BECALM_FUTURE_H
 
 #include "filter.h"
 #include "information.h"
 
-#define MUCH ((real)2e-3)    /* share of a variance: if later rows leave less, P - P M P loses digits */
-#define HARDLY ((real)1e-10) /* share of a variance: if they leave less than this, all digits are lost */
-#define BLOWN_UP ((real)1e4) /* standard deviation of F^-1 x' over that of x: above, F^-1 is not used */
+#define ACCURATE_SHARE ((real)2e-3) /* smoothed over filtered variance: below this, P - P M P loses digits */
+#define LEAST_SHARE ((real)1e-10)   /* smoothed over filtered variance: below this, all digits are lost */
+#define BLOWN_UP ((real)1e4)        /* standard deviation of F^-1 x' over that of x: above this, F^-1 is not used */
 
-enum { NOTHING_LATER = 0, COVARIANCE_ONLY = 1, STATE_TOO = 2 }; /* values of `later`: what is known of the row after */
+/* Values of `later`: which smoothed results of the next row are known. */
+enum { NOTHING_LATER = 0, COVARIANCE_ONLY = 1, STATE_TOO = 2 };
 
-/* A gain that is lost within a block cannot settle again by its end. So if the gain is settled, with the same `steady`
-   as before the block, it was used for all its rows. */
+/* Check at compile time: if the gain changes within a block, it cannot settle again before the end of the block. So if
+   the gain is settled before and after a block, with the same `steady`, it was used for all rows of the block. */
 typedef char settles_late[2 * FIRST_CHECK >= SMOOTHED ? 1 : -1];
 
 static inline void unsettle_future(future_t *future) {
@@ -29,7 +30,7 @@ static inline void forget_future(const int n, future_t *future) {
     unsettle_future(future);
 }
 
-/* r = A' r + G nu (11): through a row of m channels, G = (H F)' S^-1 (n, m) */
+/* Pass back over a row of m channels: r = A' r + G nu (11), G = (H F)' S^-1 (n, m) */
 INLINE void pull_back_state(const int n, const int m, const real *A, const real *G, const real *nu, real *r) {
     real before[N_MAX];
     for (int j = 0; j < n; j++) {
@@ -40,7 +41,7 @@ INLINE void pull_back_state(const int n, const int m, const real *A, const real 
     copy(n, before, r);
 }
 
-/* M = A' M A + G g (12), g = H F (m, n): through the same row */
+/* Pass back over a row: M = A' M A + G g (12), g = H F (m, n) */
 INLINE void pull_back(const int n, const int m, const real *A, const real *G, const real *g, real *M) {
     real MA[NN_MAX];
     multiply(n, M, A, MA);
@@ -53,8 +54,8 @@ INLINE void pull_back(const int n, const int m, const real *A, const real *G, co
         }
 }
 
-/* Check whether M is the same as at the last check; the next one is after another eighth of the rows. */
-static inline void notice_future(const int n, future_t *future, const int64_t rows) {
+/* Check whether M is the same as at the last check; the next check follows after another eighth of the rows. */
+static inline void check_future(const int n, future_t *future, const int64_t rows) {
     future->steady += rows;
     if (future->steady < future->next_check) return;
     future->next_check = future->steady + (future->steady / 8 > FIRST_CHECK ? future->steady / 8 : FIRST_CHECK);
@@ -67,8 +68,8 @@ static inline void notice_future(const int n, future_t *future, const int64_t ro
     copy(n * n, future->M, future->M_then);
 }
 
-/* Write P - P M P (10); return the smallest share that it leaves of a variance. It is computed as L (I - L' M L) L'
-   with P = L L', because P M P has no digits if only the sum of states is known. */
+/* Write P - P M P (10); return the smallest ratio of a smoothed variance to its filtered variance. The product is
+   computed as L (I - L' M L) L' with P = L L', because P M P has no digits if only a sum of states is determined. */
 INLINE real smooth_covariance(const int n, const real *P, const real *M, real *smoothed) {
     real L[NN_MAX], ML[NN_MAX], left[NN_MAX], least = 1;
     covariance_root(n, P, L);
@@ -88,7 +89,7 @@ INLINE real smooth_covariance(const int n, const real *P, const real *M, real *s
     return least;
 }
 
-/* Solve joint equations (R S; 0 ..) for u = R^-1 (d - S x') given x', the state of the row after: write A and g of
+/* Solve joint equations (R S; 0 ..) for u = R^-1 (d - S x'), given the state x' of the next row: write A and g of
    u = A x' + g, and Z = R^-1; Z Z' is the covariance of u given x'. */
 static inline void solve_joint(const int n, const real *joint, const real *right, real *A, real *g, real *Z) {
     for (int j = 0; j < n; j++)
@@ -108,8 +109,8 @@ static inline void solve_joint(const int n, const real *joint, const real *right
 }
 
 /* Join the information on a state, U x = b + e, with the step to the next one, L^-1 (x' - F x) = e, in the unknowns
-   (x, x'). This is for steps after which F^-1 is of no use, because a part of the state has decayed. Return whether
-   they can be solved. */
+   (x, x'). This is for steps for which F^-1 is inaccurate, because a part of the state has decayed. Return whether
+   the equations can be solved. */
 static inline int join_next(const int n, const real *F, const real *L, const real *U, const real *b, real *joint,
                      real *right) {
     real back[NN_MAX];
@@ -129,8 +130,9 @@ static inline int join_next(const int n, const real *F, const real *L, const rea
     return 1;
 }
 
-/* Write the smoothed state and covariance of a row while information is gathered, U x = b + e, from those of the row
-   after. Given x', either the noise w of the step is determined, and x = F^-1 (x' - L w); or x itself is. */
+/* Write the smoothed state and covariance of a row with the information U x = b + e, from those of the next row; this
+   information need not determine the state. Given x', the equations determine the noise w of the step, and then
+   x = F^-1 (x' - L w), or they determine x itself. */
 static inline int from_later(const int n, const real *U, const real *b, future_t *future) {
     real L[NN_MAX], back[NN_MAX], joint[4 * NN_MAX], right[2 * N_MAX];
     real A[NN_MAX], Z[NN_MAX], g[N_MAX], J[NN_MAX], V[NN_MAX], LZ[NN_MAX], x[N_MAX];
@@ -156,9 +158,9 @@ static inline int from_later(const int n, const real *U, const real *b, future_t
     return 1;
 }
 
-/* Write F^-1; return whether it keeps the digits of a row: it amplifies states that have decayed, with their rounding
+/* Write F^-1; return whether it is accurate for a row. It amplifies states that have decayed, and their rounding
    errors. */
-static inline int goes_back(const int n, const real *F, const real *P, const real *M, real *back) {
+static inline int invert_accurately(const int n, const real *F, const real *P, const real *M, real *back) {
     if (!invert(n, F, back)) return 0;
     for (int i = 0; i < n; i++) {
         real blown_up = 0;
@@ -168,15 +170,16 @@ static inline int goes_back(const int n, const real *F, const real *P, const rea
     return 1;
 }
 
-/* The same for a row with a covariance, if P - P M P would lose its digits. With M = F P F' + Q and
-   C = F^-1 (I - Q M^-1), it is C P' C' + C Q F'^-1 (Anderson and Moore 1979, chapter 10). If F^-1 is of no use, it is
-   (I - K F) P (I - K F)' + K (Q + P') K' with K = P F' M^-1, the same in Joseph's form. */
+/* Write the smoothed covariance of a row with covariance P from that of the next row, P', if P - P M P would lose its
+   digits. With M = F P F' + Q and C = F^-1 (I - Q M^-1) the result is C P' C' + C Q F'^-1 (Anderson and Moore 1979,
+   chapter 10). If F^-1 is inaccurate, use the equal expression in Joseph's form, with K = P F' M^-1:
+   (I - K F) P (I - K F)' + K (Q + P') K'. Return whether M has an inverse. */
 static inline int covariance_from_later(const int n, const real *P, future_t *future) {
     const real *F = future->F, *Q = future->Q;
     real A[NN_MAX], M[NN_MAX], C[NN_MAX], D[NN_MAX], back[NN_MAX], V[NN_MAX];
     copy(n * n, P, M);
     propagate(n, F, Q, M);
-    const int by_inverse = goes_back(n, F, P, M, back);
+    const int by_inverse = invert_accurately(n, F, P, M, back);
     if (by_inverse)
         copy(n * n, Q, D);
     else
@@ -205,19 +208,19 @@ static inline int covariance_from_later(const int n, const real *P, future_t *fu
     return 1;
 }
 
-/* Return the smoothed variance of c x, never 0: if its digits are lost, return that of the forward pass. */
+/* Return the smoothed variance of c x; if its digits are lost, return the filtered variance instead. */
 INLINE real smoothed_variance(const int n, const real *c, const real *P, const real *M, const real *recomputed) {
     real Pc[N_MAX];
     times(n, P, c, Pc);
     const real variance = dot(n, c, Pc);
     real left = variance;
     for (int i = 0; i < n; i++) left -= Pc[i] * dot(n, M + i * n, Pc);
-    if (recomputed && left < MUCH * variance) {
+    if (recomputed && left < ACCURATE_SHARE * variance) {
         times(n, recomputed, c, Pc);
         const real recomputed_variance = dot(n, c, Pc);
         return recomputed_variance > 0 ? recomputed_variance : variance;
     }
-    return left > HARDLY * variance && left > 0 ? left : variance > 0 ? variance : 0;
+    return left > LEAST_SHARE * variance && left > 0 ? left : variance > 0 ? variance : 0;
 }
 
 #endif

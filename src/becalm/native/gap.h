@@ -1,12 +1,11 @@
-/* Detect gaps that the filter cannot bridge, because float64 would lose the measurements before. */
+/* Detect gaps that the filter cannot bridge, because float64 would lose the information from before the gap. */
 #ifndef BECALM_GAP_H
 #define BECALM_GAP_H
 
 #include "filter.h"
 #include "linear.h"
 
-/* Add a row to the time since the last measurement; return whether the gap before this measurement is too long for the
-   filter. */
+/* Count a row and its time; return whether the gap before its measurement is too long for the filter. */
 INLINE int check_gap(const settings_t *settings, limits_t *state, const real elapsed, const int usable) {
     if (state->measurements) state->now += elapsed;
     if (!usable) return 0;
@@ -22,7 +21,7 @@ INLINE int check_gap(const settings_t *settings, limits_t *state, const real ela
     return restarts;
 }
 
-/* Mark, among the first `rows` rows of a block, those at which the filter restarts. */
+/* Mark the rows at which the filter restarts, among the first `rows` rows of a block. */
 static inline void find_starts(const settings_t *settings, limits_t *limits, const block_t *block, const int64_t rows,
                                int8_t *starts) {
     limits_t own = *limits; /* a local copy can stay in registers */

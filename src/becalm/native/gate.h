@@ -1,12 +1,12 @@
-/* The innovation gate: it rejects implausible measurements, and detects jumps of the signal. Gross outliers do not
-   reach it: `limits.h` or `outliers.c` leaves them out. */
+/* The innovation gate: it rejects implausible measurements, and detects jumps of the signal. Gross outliers are already
+   removed, by `limits.h` or `outliers.c`. */
 #ifndef BECALM_GATE_H
 #define BECALM_GATE_H
 
 #include "filter.h"
 #include "linear.h"
 
-#define GROWS ((real)4) /* an innovation this many times larger than those of a jump is not part of it */
+#define GROWS ((real)4) /* an innovation more than this many times larger than those of a jump is not part of it */
 
 /* Return the standard deviation of the change of a prediction's error over a step. */
 static inline real error_change_std(const int n, const real *h, const real *F, const real *Q, const real *P) {
@@ -18,7 +18,8 @@ static inline real error_change_std(const int n, const real *h, const real *F, c
     return s > 0 ? sqrt(s) : 0;
 }
 
-/* Return the next power of four, 0 if the variance is not above 0; the last digits of a variance seldom change it. */
+/* Return the power of four at or above a variance, or 0 if the variance is not above 0. The result does not depend on
+   the last digits of the variance, except near a power of four. */
 static inline real round_up(real variance) {
     real power = 1;
     if (!(variance > 0)) return 0;
@@ -28,9 +29,9 @@ static inline real round_up(real variance) {
     return power;
 }
 
-/* Add to a predicted covariance so that the innovation becomes likely: to the level alone, or to all states in
-   proportion. No addition may move the next measurement farther than the innovation; otherwise jumps soon after each
-   other would multiply the last addition until no digit is left. */
+/* Increase a predicted covariance so that the innovation becomes likely: only for the level or, without a level or soon
+   after another jump, for all states in proportion. Then the increase is limited so that it moves the next prediction
+   no farther than the innovation: otherwise repeated jumps would multiply the covariance until no digit is left. */
 static inline void jump(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                         const real *F, const real nu, const real hPh) {
     const int64_t level = state->since_jump >= settings->gate_most ? settings->gate_level : -1;
@@ -49,8 +50,8 @@ static inline void jump(const int n, const settings_t *settings, const coefficie
     state->jumped = 1, state->burst = fabs(nu);
 }
 
-/* Count a rejected measurement; return whether it is accepted after all. Several in a row are motion, and so is one
-   soon after a jump whose innovation is not much larger than those of the jump. */
+/* Count a rejected measurement; return whether it is accepted after all. Several rejected measurements in a row are
+   motion. One soon after a jump is also motion, if its innovation is not much larger than those of the jump. */
 static inline int reject(const settings_t *settings, const coefficients_t *model, filter_t *state, const real nu) {
     const real noise = sqrt(2 * model->R + state->wandered * state->wandered);
     const int agrees = state->agreeing > 0 && fabs(nu - state->last_rejected) <= settings->gate_threshold * noise;

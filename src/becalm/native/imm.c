@@ -1,6 +1,6 @@
-/* The IMM filter. Before each row the states of the modes are mixed with the transition probabilities; then each mode
-   predicts and updates, and the likelihoods of the measurement update the mode probabilities. Source: Blom and
-   Bar-Shalom, IEEE TAC-33 (1988) 780. */
+/* The IMM filter. Before each row the states of the modes are mixed with the transition probabilities. Then each mode
+   predicts and updates its state, and the likelihoods of the measurement update the mode probabilities. Source: Blom
+   and Bar-Shalom, IEEE TAC-33 (1988) 780. */
 #include "imm.h"
 
 #include <string.h>
@@ -11,11 +11,13 @@
 #include "pair.h"
 #include "product.h"
 
-#define SELDOM ((real)1e-8)  /* least share in a mixture: one Gaussian cannot represent parts as rare as this */
-#define FARTHEST ((real)1e300) /* half a square: a larger innovation has no information on the modes */
+#define SELDOM ((real)1e-8)  /* least weight of a part in a mixture; one Gaussian cannot represent rarer parts */
+#define FARTHEST ((real)1e300) /* half of nu^2 / S; with a larger value, nu has no information on the modes */
 
 int64_t imm_beliefs_size(const int64_t states, const int64_t modes) { return modes * (1 + states + states * states); }
-int64_t imm_note_size(const int64_t states, const int64_t modes) { return imm_beliefs_size(states, modes) + NOTED * modes; }
+int64_t imm_note_size(const int64_t states, const int64_t modes) {
+    return imm_beliefs_size(states, modes) + NOTED * modes;
+}
 int64_t imm_filter_room(const int64_t states, const int64_t modes) {
     const int64_t n = states, pairs = (modes + 1) / 2;
     return 2 * (pairs * (4 * n * n + 3 * n) + n * n);
@@ -29,8 +31,8 @@ INLINE pair_t within(const pair_t value) {
                                                      : value;
 }
 
-/* The states of all modes at a row, two modes side by side. If their number is odd, the last one has no partner: there,
-   F and Q hold 0 and R holds 1; other numbers are ignored. */
+/* The states of all modes at a row, in pairs of modes. If the number of modes is odd, the last pair has no second mode:
+   in its place F and Q hold 0 and R holds 1; other numbers there are ignored. */
 typedef struct {
     real mu[MODES_MAX];
     pair_t *x, *P; /* (pairs, n), (pairs, n, n) */
@@ -38,14 +40,14 @@ typedef struct {
 
 /* The likelihood of a measurement for each mode. */
 typedef struct {
-    real prior[MODES_MAX];           /* probability of the mode before it */
+    real prior[MODES_MAX];           /* probability of the mode before the measurement */
     real y[MODES_MAX], S[MODES_MAX]; /* prediction of the measurement, and innovation variance */
-    real weight[MODES_MAX];          /* density, without a common factor */
-    real wild[MODES_MAX];            /* share of outliers in it */
+    real weight[MODES_MAX];          /* density of the measurement, without a common factor */
+    real wild[MODES_MAX];            /* share of outliers in this density */
     real square;                     /* the common factor is exp(-square / 2) over the root of 2 pi */
 } mode_likelihoods_t;
 
-/* The modes over one step, and their measurement noise. */
+/* The matrices of the modes for one step, and their measurement noise. */
 typedef struct {
     pair_t T[PAIRS * MODES_MAX], R[PAIRS], tail[PAIRS], *F, *Q; /* (pairs, M), (pairs), (pairs), (pairs, n, n) */
     int tails;                                                  /* whether any tail is above 0 */
@@ -53,28 +55,28 @@ typedef struct {
 
 INLINE void load(const int n, const int m, const real *beliefs, pairs_t *now) {
     for (int j = 0; j < m; j++) now->mu[j] = beliefs[j];
-    put(n, m, beliefs + m, now->x);
-    put(n * n, m, beliefs + m + m * n, now->P);
+    pack_modes(n, m, beliefs + m, now->x);
+    pack_modes(n * n, m, beliefs + m + m * n, now->P);
 }
 
 INLINE void save(const int n, const int m, const pairs_t *now, real *beliefs) {
     for (int j = 0; j < m; j++) beliefs[j] = now->mu[j];
-    get(n, m, now->x, beliefs + m);
-    get(n * n, m, now->P, beliefs + m + m * n);
+    unpack_modes(n, m, now->x, beliefs + m);
+    unpack_modes(n * n, m, now->P, beliefs + m + m * n);
 }
 
-/* Write the probability of each mode before the step, given each of two modes after it, without rare ones; return the
+/* Write the probability of each mode before the step, given each of two modes after it; rare modes get 0. Return the
    probabilities of the two modes (1). */
 INLINE pair_t mixing_weights(const int m, const real *mu, const pair_t *T, pair_t *w) {
     pair_t c = both(0), kept = both(0);
     for (int i = 0; i < m; i++) w[i] = mu[i] * T[i], c += w[i];
-    const mask_t reached = c > both(UNLIKELY); /* otherwise no transition leads to it: mix all modes */
+    const mask_t reached = c > both(UNLIKELY); /* otherwise no transition leads to the mode: mix all modes */
     if (!(reached[0] & reached[1]))
         for (int i = 0; i < m; i++) w[i] = choose(reached, w[i], both(mu[i]));
     for (int i = 0; i < m; i++) w[i] = choose(w[i] > SELDOM * c, w[i], both(0)), kept += w[i];
     kept = 1 / kept;
     for (int i = 0; i < m; i++) w[i] *= kept;
-    w[m] = both(0); /* with an odd number of modes the last one has no partner */
+    w[m] = both(0); /* with an odd number of modes, the last pair has no second mode */
     return choose(reached, c, both(UNLIKELY));
 }
 
@@ -143,8 +145,9 @@ INLINE void expect(const int n, const real *h, const pair_t R, const pair_t *x, 
 }
 
 /* Write the likelihood of a measurement for each mode, without a common factor (6). */
-INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z, mode_likelihoods_t *likelihood) {
-    real half[MODES_MAX], half_wild[MODES_MAX], least = FARTHEST; /* half of squares over variances */
+INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const real z,
+                        mode_likelihoods_t *likelihood) {
+    real half[MODES_MAX], half_wild[MODES_MAX], least = FARTHEST; /* half of nu^2 over variance */
     for (int j = 0; j < m; j += 2) {
         const pair_t nu = z - *at(likelihood->y + j), square = (real)0.5 * nu * nu;
         *at(half + j) = square / *at(likelihood->S + j);
@@ -167,7 +170,7 @@ INLINE void judge_modes(const int m, const imm_t *imm, const step_t *step, const
 }
 
 /* Update two modes (7), in Joseph's form, B - (B h) K' + K R K' with B = P - K (P h)'. If the measurement may be an
-   outlier, the result is the mixture of both cases; `tame` is the probability that it is none. */
+   outlier, the result is the mixture of both cases; `tame` is the probability that it is no outlier. */
 INLINE void correct_pair(const int n, const real *h, const int rejects, const pair_t R, const pair_t S, const pair_t nu,
                          const pair_t tame, const pair_t *Ph, pair_t *x, pair_t *P) {
     pair_t K[N_MAX], B[N_MAX];
@@ -193,7 +196,7 @@ INLINE void correct_pair(const int n, const real *h, const int rejects, const pa
 INLINE real weigh(const int m, const mode_likelihoods_t *likelihood, real *mu) {
     real total = 0;
     for (int j = 0; j < m; j++) mu[j] = likelihood->prior[j] * likelihood->weight[j], total += mu[j];
-    const int possible = total > 1 / FARTHEST; /* a measurement that no mode explains has no information on them */
+    const int possible = total > 1 / FARTHEST; /* if no mode explains the measurement, the probabilities stay */
     const real share = possible ? 1 / total : 1;
     for (int j = 0; j < m; j++) {
         const real own = possible ? mu[j] * share : likelihood->prior[j];
@@ -240,12 +243,12 @@ INLINE void write_pairs(const int n, const int m, const real *c, const real leve
         }
 }
 
-/* Write the innovation of the mixture. Its distribution is not Gaussian, but the probability of a smaller measurement
-   is uniform, and the normal quantile of this probability, the score, is standard normal and white. Source: Rosenblatt,
-   Annals of Mathematical Statistics 23 (1952) 470. */
-static void write_innovation(const int m, const imm_t *imm, const real z, const mode_likelihoods_t *likelihood, const int64_t row,
-                             const imm_estimate_t *estimate) {
-    real y = 0, v = 0, sides[2] = {0, 0}; /* probability of smaller measurements, of larger ones */
+/* Write the innovation of the mixture. The mixture is not Gaussian, but the probability of a smaller measurement under
+   the mixture is uniformly distributed. The normal quantile of this probability, the score, is standard normal and
+   white. Source: Rosenblatt, Annals of Mathematical Statistics 23 (1952) 470. */
+static void write_innovation(const int m, const imm_t *imm, const real z, const mode_likelihoods_t *likelihood,
+                             const int64_t row, const imm_estimate_t *estimate) {
+    real y = 0, v = 0, sides[2] = {0, 0}; /* probability of smaller and of larger measurements */
     for (int j = 0; j < m; j++) y += likelihood->prior[j] * likelihood->y[j];
     for (int j = 0; j < m; j++) {
         const real t = imm->tail[j], nu = z - likelihood->y[j];
@@ -259,28 +262,29 @@ static void write_innovation(const int m, const imm_t *imm, const real z, const 
     estimate->innovation[row] = sigma * normal_score(sides[0], sides[1]), estimate->innovation_sigma[row] = sigma;
 }
 
-/* Note the likelihood of a measurement for each mode: p, W and g of exp(g + p h d - W (h d)^2 / 2), where d is the
-   distance of the state from its mean x after the measurement. W is w / R, and p is W (z - h x). w is 1 or, if outliers
-   are rejected, the probability that the measurement is none. g makes the mean of the whole over the mode's prediction
-   equal to the likelihood in the filter (9). */
-INLINE void note(const int n, const int m, const imm_t *imm, const real z, const mode_likelihoods_t *likelihood, const pairs_t *now,
-                 real *noted) {
+/* Store the likelihood of a measurement for each mode: p, W and g of exp(g + p h d - W (h d)^2 / 2), where d is the
+   difference between the state and its posterior mean x. W is w / R, and p is W (z - h x). w is 1 or, if outliers are
+   rejected, the probability that the measurement is no outlier. g is chosen so that the mean of this function over the
+   mode's prediction equals the likelihood in the filter (9). */
+INLINE void store_likelihoods(const int n, const int m, const imm_t *imm, const real z,
+                              const mode_likelihoods_t *likelihood, const pairs_t *now, real *noted) {
     for (int j = 0; j < m; j++, noted += NOTED) {
         const real t = imm->tail[j], R = imm->R[j], s = likelihood->S[j] - R, nu = z - likelihood->y[j];
         const real W = (imm->rejects ? 1 - likelihood->wild[j] : 1) / R;
         real y = z;
         for (int a = 0; a < n; a++) y -= imm->h[a] * numbers_of(now->x, n, j)[2 * a];
-        const real weight = likelihood->weight[j] > 1 / FARTHEST /* otherwise it has lost its digits */
-                                ? logarithm(likelihood->weight[j])
-                                : (real)0.5 * (likelihood->square - nu * nu / likelihood->S[j]) + logarithm((1 - t) / sqrt(likelihood->S[j]));
+        const real S = likelihood->S[j], own = likelihood->weight[j];
+        const real weight = own > 1 / FARTHEST /* otherwise the weight has lost its digits */
+                                ? logarithm(own)
+                                : (real)0.5 * (likelihood->square - nu * nu / S) + logarithm((1 - t) / sqrt(S));
         noted[0] = W * y, noted[1] = W;
         noted[2] = weight + (real)0.5 * (logarithm(1 + W * s) + W * nu * nu / (1 + W * s) - W * y * y);
     }
 }
 
 /* Update all modes with a measurement; return its density without the common factor. */
-INLINE real update(const int n, const int m, const imm_t *imm, const step_t *step, const real z, pairs_t *now, pair_t *Ph,
-                   mode_likelihoods_t *likelihood) {
+INLINE real update(const int n, const int m, const imm_t *imm, const step_t *step, const real z, pairs_t *now,
+                   pair_t *Ph, mode_likelihoods_t *likelihood) {
     for (int q = 0; 2 * q < m; q++)
         expect(n, imm->h, step->R[q], now->x + q * n, now->P + q * n * n, Ph + q * n, at(likelihood->y + 2 * q),
                at(likelihood->S + 2 * q));
@@ -298,8 +302,8 @@ INLINE real update(const int n, const int m, const imm_t *imm, const step_t *ste
 
 /* Arrange the matrices of a step in pairs of modes. */
 INLINE void lay_out(const int n, const int m, const imm_t *imm, const int64_t number, step_t *step) {
-    put(n * n, m, imm->F + number * m * n * n, step->F);
-    put(n * n, m, imm->Q + number * m * n * n, step->Q);
+    pack_modes(n * n, m, imm->F + number * m * n * n, step->F);
+    pack_modes(n * n, m, imm->Q + number * m * n * n, step->Q);
     for (int q = 0; 2 * q < m; q++) {
         step->R[q] = both(1), step->tail[q] = both(0);
         for (int i = 0; i < m; i++) step->T[q * m + i] = both(0);
@@ -355,7 +359,7 @@ INLINE void filter_rows(const int n, const imm_t *imm, real *beliefs, const real
             real *noted_row = passed->notes + row * noted;
             save(n, m, &now, noted_row);
             if (judged)
-                note(n, m, imm, z, &likelihood, &now, noted_row + size);
+                store_likelihoods(n, m, imm, z, &likelihood, &now, noted_row + size);
             else
                 memset(noted_row + size, 0, sizeof(real) * (size_t)(noted - size));
         }
@@ -387,5 +391,5 @@ int imm_is_sound(const imm_t *imm, const imm_state_t *state) {
         if (!(fabs(mu[i]) < INFINITE)) return 0;
     for (int64_t j = 0; j < m; j++)
         if (mu[0] > 0 ? !(mu[j] > 0 && mu[j] <= 2) : mu[j] != 0) return 0;
-    return 1; /* a variance may be below 0: after a measurement of 1e12 sigma it has no digits */
+    return 1; /* a variance may be negative: after a measurement of 1e12 sigma it has no digits */
 }

@@ -1,15 +1,16 @@
-/* The IMM smoother: its backward pass carries, for each mode, the likelihood of the later measurements.
+/* The IMM smoother: its backward pass computes, for each mode, the likelihood of the later measurements.
 
-   This is a likelihood of the mode's state, exp(g + r' (x - c) - (x - c)' Y (x - c) / 2), about a centre c. It keeps
-   this form over a step for any Q: Y >= 0, and only sums of I and a positive matrix are inverted. So states without
-   noise, inactive states and unobservable states do no harm. Source: the two-filter form of Fraser and Potter, IEEE
-   TAC-14 (1969) 387.
+   As a function of the mode's state x, this likelihood is exp(g + r' (x - c) - (x - c)' Y (x - c) / 2), with a centre
+   c. A step does not change this form for any Q: Y >= 0, and only sums of I and a positive matrix are inverted. So
+   states without noise, inactive states and unobservable states are allowed. Source: the two-filter form of Fraser and
+   Potter, IEEE TAC-14 (1969) 387.
 
-   For every pair of a mode before a step and a mode after it, the filtered state of the first is combined with the
-   likelihood of the later measurements for the second. The probability of the pair is its forward probability times
-   their agreement. So the smoother finds a jump that only later measurements show. The likelihoods over all modes after
-   one mode are pooled into one likelihood, by the mean of their logarithms weighted with their probabilities. This
-   keeps every covariance positive and below the filtered one; the moments of the mixture would not. */
+   For every pair of a mode before a step and a mode after it, the filtered state of the first mode is combined with the
+   likelihood of the later measurements for the second mode. The probability of the pair is its forward probability
+   times the evidence, the mean of this likelihood over the filtered state. So the smoother finds a jump that only later
+   measurements show. For each mode before the step, the likelihoods for all modes after it are pooled into one, by the
+   mean of their logarithms weighted with the probabilities of the pairs. So every covariance stays positive and below
+   the filtered covariance, which the moments of the mixture would not guarantee. */
 #include "imm.h"
 
 #include <string.h>
@@ -19,19 +20,19 @@
 #include "normal.h"
 #include "product.h"
 
-#define NEGLIGIBLE ((real)1e-16) /* pairs with a smaller share are ignored */
-#define LEAST ((real)-1e300)     /* less than any logarithm */
+#define NEGLIGIBLE ((real)1e-16) /* pairs with a smaller probability are ignored */
+#define LEAST ((real)-1e300)     /* a number below any logarithm */
 #define LN_2 ((real)0.69314718055994530942)
 
 /* The likelihood of later rows for each mode, and the step to the first of them. */
 typedef struct {
-    int known;            /* whether there are any */
+    int known;            /* whether there are later rows */
     real *g, *c, *r, *Y;  /* (M,), (M, n), (M, n), (M, n, n) */
-    const real *F, *Q, *T;
+    const real *F, *Q, *T; /* matrices of the step */
 } later_t;
 
-/* Memory for one row. Modes before a step are stored two side by side. An array of modes before and after it has those
-   before as its first axis. "Twice": both numbers of each pair are equal. */
+/* Working memory for one row. Modes before the step are stored in pairs, side by side; they are the first axis of
+   arrays that also have an axis of modes after the step. "Twice" means that both numbers of each pair are equal. */
 typedef struct {
     real *beliefs;  /* smoothed states */
     real *roots;    /* (M, n, n) memory for roots of covariances */
@@ -42,10 +43,10 @@ typedef struct {
     pair_t *Y;      /* (M, n, n) information of each mode after on the state before the step, twice */
     pair_t *r;      /* (pairs, M, n) its gradient */
     pair_t *L, *D;  /* (pairs, M, n, n), (pairs, M, n) factors of I + G' Y G */
-    pair_t *v;      /* (pairs, M, n) G v is the change of the mean */
-    pair_t *merged; /* (M, n + n n) state and covariance of two modes before with each mode after */
-    pair_t *step;   /* (9, n, n) for a step back into one mode */
-    real *rest;
+    pair_t *v;      /* (pairs, M, n) G v is the change of the mean by smoothing */
+    pair_t *merged; /* (M, n + n n) state and covariance of two modes before, for each mode after */
+    pair_t *step;   /* (9, n, n) for the backward step of one mode after */
+    real *rest;     /* the unused memory */
 } rooms_t;
 
 int64_t imm_later_size(const int64_t states, const int64_t modes) {
@@ -91,7 +92,7 @@ static later_t later_in(const int64_t n, const int64_t m, real *memory) {
     return later;
 }
 
-/* Store whether there are later rows, and the matrices of the step to them, in the caller's memory. */
+/* Store in the caller's memory whether there are later rows, and the matrices of the step to the first of them. */
 static void keep_later(const int64_t n, const int64_t m, const later_t *later, real *memory) {
     const later_t kept = later_in(n, m, memory);
     real *F = later->Y + m * n * n, *Q = F + m * n * n, *T = Q + m * n * n;
@@ -102,8 +103,8 @@ static void keep_later(const int64_t n, const int64_t m, const later_t *later, r
     memcpy(T, later->T, sizeof(real) * (size_t)(m * m));
 }
 
-/* Return the square roots of two determinants, given their pivots, which are all 1 or more; write the powers of 2 that
-   are left out. */
+/* Return the square roots of two determinants from their pivots, which are all 1 or more, each without a power of 2;
+   write the exponents of these powers. */
 INLINE pair_t determinant_roots(const int n, const pair_t *D, pair_t *powers) {
     pair_t product = both(1);
     *powers = both(0);
@@ -188,19 +189,21 @@ INLINE void times_transposed(const int n, const pair_t *A, const pair_t *x, pair
     }
 }
 
-/* The backward pass over a step into one mode; both numbers of each pair are equal. */
+/* The backward pass over the step into one mode; both numbers of each pair are equal. */
 typedef struct {
     const pair_t *B;
-    pair_t *F, *Y, *YB, *L; /* the step; information after it; Y B; factors of I + B' Y B */
+    pair_t *F, *Y, *YB, *L; /* matrix of the step; information after the step; Y B; factor of I + B' Y B */
     pair_t D[N_MAX], c[N_MAX], r[N_MAX];
     pair_t g; /* without half the logarithm of the determinant */
 } backward_step_t;
 
-/* Start the backward pass over a step, and write the information on the state before it (10): F' (A' Y A + W' W) F with
-   W = (I + B' Y B)^-1 B' Y, A = I - B W. */
-INLINE void begin_backward_step(const int n, const int i, const later_t *later, const rooms_t *rooms, backward_step_t *step, pair_t *before) {
+/* Prepare the backward pass over the step into mode i, and write the information on the state before the step (10):
+   F' (A' Y A + W' W) F with W = (I + B' Y B)^-1 B' Y, A = I - B W. */
+INLINE void begin_backward_step(const int n, const int i, const later_t *later, const rooms_t *rooms,
+                                backward_step_t *step, pair_t *before) {
     const int nn = n * n;
-    pair_t powers, *room = rooms->step, *W = room + 4 * nn, *A = room + 5 * nn, *AF = room + 6 * nn, *WF = room + 7 * nn;
+    pair_t powers, *room = rooms->step, *W = room + 4 * nn, *A = room + 5 * nn;
+    pair_t *AF = room + 6 * nn, *WF = room + 7 * nn;
     step->B = rooms->B + i * nn;
     step->F = room, step->Y = room + nn, step->YB = room + 2 * nn, step->L = room + 3 * nn;
     for (int k = 0; k < nn; k++) step->F[k] = both(later->F[i * nn + k]), step->Y[k] = both(later->Y[i * nn + k]);
@@ -237,7 +240,7 @@ INLINE void begin_backward_step(const int n, const int i, const later_t *later, 
     }
 }
 
-/* Write r for the states before the step, about their means x; return g (11). */
+/* Write r of the likelihood for the states before the step, with their means x as centres; return g (11). */
 INLINE pair_t likelihood_before_step(const int n, const backward_step_t *step, const pair_t *x, pair_t *r) {
     pair_t d[N_MAX], q[N_MAX], u[N_MAX], y[N_MAX], g = step->g;
     UNROLL
@@ -258,10 +261,11 @@ INLINE pair_t likelihood_before_step(const int n, const backward_step_t *step, c
     return g;
 }
 
-/* Return the log-likelihoods of states with covariance P = G G', given r and Y about their means, plus log shares (12).
-   Write the factors of I + G' Y G, and v = (I + G' Y G)^-1 G' r. */
-INLINE pair_t log_evidence(const int n, const pair_t *G, const pair_t *Y, const pair_t *r, const pair_t share, pair_t *YG,
-                    pair_t *L, pair_t *D, pair_t *v) {
+/* Return the logarithms of the evidence, without g, for states with covariance P = G G', plus log shares (12). r and Y
+   are those of the likelihood about the means of the states. Write the factors of I + G' Y G, and
+   v = (I + G' Y G)^-1 G' r. */
+INLINE pair_t log_evidence(const int n, const pair_t *G, const pair_t *Y, const pair_t *r, const pair_t share,
+                           pair_t *YG, pair_t *L, pair_t *D, pair_t *v) {
     pair_t powers, fit = both(0);
     product_of(n, Y, G, YG);
     factor_identity_plus(n, G, YG, L, D);
@@ -279,7 +283,8 @@ INLINE pair_t log_evidence(const int n, const pair_t *G, const pair_t *Y, const 
 
 /* Combine all modes before a step with all modes after it: write to `fit` (M, M) the logarithm of the probability of
    each pair, without a common factor (10) to (12). */
-INLINE void combine_modes(const int n, const int m, const mode_states_t now, const later_t *later, rooms_t *rooms, real *fit) {
+INLINE void combine_modes(const int n, const int m, const mode_states_t now, const later_t *later, rooms_t *rooms,
+                          real *fit) {
     const int nn = n * n;
     if (rooms->Q != later->Q)
         for (int i = 0; i < m; i++) {
@@ -288,8 +293,8 @@ INLINE void combine_modes(const int n, const int m, const mode_states_t now, con
         }
     rooms->Q = later->Q;
     for (int j = 0; j < m; j++) covariance_root(n, now.P + j * nn, rooms->roots + j * nn);
-    put(nn, m, rooms->roots, rooms->G);
-    put(n, m, now.x, rooms->x);
+    pack_modes(nn, m, rooms->roots, rooms->G);
+    pack_modes(n, m, now.x, rooms->x);
     for (int i = 0; i < m; i++) {
         pair_t *Y = rooms->Y + i * nn;
         backward_step_t step;
@@ -300,15 +305,16 @@ INLINE void combine_modes(const int n, const int m, const mode_states_t now, con
             const real other = now.mu[second] * later->T[second * m + i];
             const pair_t share = {one > least ? one : least, other > least ? other : least};
             const pair_t g = likelihood_before_step(n, &step, rooms->x + q * n, rooms->r + at * n);
-            const pair_t fitted = g + log_evidence(n, rooms->G + q * nn, Y, rooms->r + at * n, share, rooms->step + 8 * nn,
-                                            rooms->L + at * nn, rooms->D + at * n, rooms->v + at * n);
+            const pair_t fitted =
+                g + log_evidence(n, rooms->G + q * nn, Y, rooms->r + at * n, share, rooms->step + 8 * nn,
+                                 rooms->L + at * nn, rooms->D + at * n, rooms->v + at * n);
             if (second > first) fit[second * m + i] = fitted[1] > LEAST && fitted[1] < -LEAST ? fitted[1] : LEAST;
             fit[first * m + i] = fitted[0] > LEAST && fitted[0] < -LEAST ? fitted[0] : LEAST;
         }
     }
 }
 
-/* Write the smoothed states of two modes, mixed over all modes after them with the share of each (13). */
+/* Write the smoothed states of two modes: mixtures over all modes after the step, with the given shares (13). */
 INLINE void smooth_pair(const int n, const int m, const int q, const pair_t *share, const rooms_t *rooms, pair_t *x,
                         pair_t *P) {
     const int nn = n * n;
@@ -343,9 +349,10 @@ INLINE void smooth_pair(const int n, const int m, const int q, const pair_t *sha
         }
 }
 
-/* Pool, for each of two modes, the likelihoods over all modes after it into one, r and Y (14); return the logarithm of
-   its agreement with the mode's state, without g. */
-INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, const rooms_t *rooms, pair_t *r, pair_t *Y) {
+/* Pool, for each of two modes, the likelihoods for all modes after the step into one likelihood with r and Y (14);
+   return the logarithm of its evidence for the mode's state, without g. */
+INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, const rooms_t *rooms, pair_t *r,
+                   pair_t *Y) {
     const int nn = n * n;
     pair_t *L = rooms->step, *YG = L + nn, D[N_MAX], v[N_MAX];
     for (int a = 0; a < n; a++) {
@@ -359,9 +366,10 @@ INLINE pair_t pool(const int n, const int m, const int q, const pair_t *share, c
     return log_evidence(n, rooms->G + q * nn, Y, r, both(1), YG, L, D, v);
 }
 
-/* Pass back over the step after a row: write its smoothed states, if `wanted`, and the likelihood of the later rows as
-   a function of its state. */
-INLINE void smooth_row(const int n, const int m, const mode_states_t now, const int wanted, later_t *later, rooms_t *rooms) {
+/* Pass back over the step after a row: write the smoothed states of the row, if `wanted`, and the likelihood of the
+   later rows as a function of its state. */
+INLINE void smooth_row(const int n, const int m, const mode_states_t now, const int wanted, later_t *later,
+                       rooms_t *rooms) {
     const int nn = n * n;
     const mode_states_t own = beliefs_in(n, m, rooms->beliefs);
     real fit[MODES_MAX * MODES_MAX], highest[MODES_MAX], best = LEAST, every = 0;
@@ -373,7 +381,7 @@ INLINE void smooth_row(const int n, const int m, const mode_states_t now, const 
         best = highest[j] > best ? highest[j] : best;
     }
     for (int q = 0; 2 * q < m; q++) {
-        const int first = 2 * q, second = first + 1 < m ? first + 1 : first; /* an odd last mode: twice */
+        const int first = 2 * q, second = first + 1 < m ? first + 1 : first; /* an unpaired last mode counts twice */
         top[q] = (pair_t){highest[first], highest[second]}, sum[q] = both(0);
         for (int i = 0; i < m; i++) {
             share[q * m + i] = exponentials((pair_t){fit[first * m + i], fit[second * m + i]} - top[q]);
@@ -386,12 +394,12 @@ INLINE void smooth_row(const int n, const int m, const mode_states_t now, const 
     for (int q = 0; 2 * q < m; q++) {
         const int first = 2 * q, second = first + 1 < m ? first + 1 : first;
         const pair_t mu = (pair_t){own.mu[first], own.mu[second]} / every;
-        pair_t looked_at[MODES_MAX], *x = rooms->step + 2 * nn, *P = x + n, *r = rooms->step + 4 * nn, *Y = r + n;
+        pair_t used_share[MODES_MAX], *x = rooms->step + 2 * nn, *P = x + n, *r = rooms->step + 4 * nn, *Y = r + n;
         for (int i = 0; i < m; i++) {
             share[q * m + i] /= sum[q];
-            looked_at[i] = choose(share[q * m + i] * mu > both(NEGLIGIBLE), share[q * m + i], both(0));
+            used_share[i] = choose(share[q * m + i] * mu > both(NEGLIGIBLE), share[q * m + i], both(0));
         }
-        if (wanted) smooth_pair(n, m, q, looked_at, rooms, x, P);
+        if (wanted) smooth_pair(n, m, q, used_share, rooms, x, P);
         const pair_t pooled = pool(n, m, q, share + q * m, rooms, r, Y);
         const pair_t evidence = top[q] + logarithms(sum[q] / (pair_t){now.mu[first], now.mu[second]}) - pooled;
         for (int j = first; j <= second; j++) {
@@ -408,8 +416,9 @@ INLINE void smooth_row(const int n, const int m, const mode_states_t now, const 
     }
 }
 
-/* Add the likelihood of a row's measurement to that of later ones, all about the filtered mean (9). */
-INLINE void add_measurement(const int n, const int m, const real *h, const mode_states_t now, const real *noted, later_t *later) {
+/* Add the likelihood of a row's measurement to that of the later measurements; the centre is the filtered mean (9). */
+INLINE void add_measurement(const int n, const int m, const real *h, const mode_states_t now, const real *noted,
+                            later_t *later) {
     real best = LEAST;
     for (int j = 0; j < m; j++, noted += NOTED) {
         real *r = later->r + j * n, *Y = later->Y + j * n * n;
@@ -425,7 +434,7 @@ INLINE void add_measurement(const int n, const int m, const real *h, const mode_
     later->known = 1;
 }
 
-/* Smooth filtered rows from their notes, the last row first, and write them from a row of the estimate on. */
+/* Smooth filtered rows from their notes, from the last row to the first; row 0 is row `first` of the estimate. */
 INLINE void smooth_rows(const int n, const imm_t *imm, const real level, const int32_t *step, real *notes,
                         const int64_t rows, const int64_t first, later_t *later, rooms_t *rooms,
                         const imm_estimate_t *estimate) {
@@ -437,7 +446,7 @@ INLINE void smooth_rows(const int n, const imm_t *imm, const real level, const i
         if (!(now.mu[0] > 0)) break; /* before the first measurement */
         if (later->known)
             smooth_row(n, m, now, wanted, later, rooms);
-        else /* no row follows: the filtered estimate is the smoothed one */
+        else /* without later rows the smoothed estimate is the filtered one */
             for (int k = 0; k < m * nn; k++) later->g[k / nn] = later->r[k / n] = later->Y[k] = 0;
         write_estimate(n, m, imm->c, level, later->known ? beliefs_in(n, m, rooms->beliefs) : now, first + row, estimate);
         add_measurement(n, m, imm->h, now, now.mu + size, later);

@@ -1,4 +1,4 @@
-/* The information on a state as equations U x = b + e with e ~ N(0, I), U upper triangular, and its change over a
+/* The information on a state, as equations U x = b + e with e ~ N(0, I) and U upper triangular, and its change over a
    step. */
 #ifndef BECALM_INFORMATION_H
 #define BECALM_INFORMATION_H
@@ -7,10 +7,10 @@
 
 #include "linear.h"
 
-#define LOST_DIGITS ((real)1e10) /* noise of a step over the information; beyond, fewer than six digits are left */
-#define NOTHING ((real)1e-15)     /* share of a variance: less is rounding */
+#define LOST_DIGITS ((real)1e10) /* largest entry of the joint equations; above this, fewer than six digits remain */
+#define NOTHING ((real)1e-15)    /* a smaller share of a variance is a rounding error */
 
-/* Add an equation, a x = b, by rotations; `a` is overwritten. */
+/* Add an equation, a x = right + e, by rotations; `a` is overwritten. */
 static inline void add_equation(const int n, real *a, real right, real *U, real *b) {
     for (int i = 0; i < n; i++) {
         const real length = sqrt(U[i * n + i] * U[i * n + i] + a[i] * a[i]);
@@ -27,7 +27,7 @@ static inline void add_equation(const int n, real *a, real right, real *U, real 
     }
 }
 
-/* Write the root of a covariance, Q = L L' with L lower triangular; columns of states without noise are 0. */
+/* Write the root L of a covariance, Q = L L' with L lower triangular; columns of states without variance are 0. */
 static inline void covariance_root(const int n, const real *Q, real *L) {
     L[0] = 0;
     for (int j = 0; j < n; j++)
@@ -45,8 +45,8 @@ static inline void covariance_root(const int n, const real *Q, real *L) {
 
 /* Join the information on a state, U x = b + e, with the step after it, x' = F x + L w. With W = U F^-1 the equations
    for (w, x') are w = e and W x' - W L w = b + e. They are made triangular without a square of W L (Bierman 1977).
-   Write F^-1 to `back`, and the equations to `joint` (2n, 2n) and `right` (2n). Return whether they keep their digits;
-   they do not after a step so long that all states have decayed. */
+   Write F^-1 to `back`, and the equations to `joint` (2n, 2n) and `right` (2n). Return whether the equations are
+   accurate; they are not for a step so long that all states have decayed. */
 static inline int join_step(const int n, const real *F, const real *L, const real *U, const real *b, real *back,
                             real *joint, real *right) {
     real W[NN_MAX], a[2 * N_MAX];

@@ -236,8 +236,8 @@ void channel_start(const settings_t *settings, state_t *state);
 /* Set the history before the first row, as `smoother_begin_after`, with its least and its greatest measurement. */
 void channel_begin_after(const settings_t *settings, const coefficients_t *model, state_t *state, real first,
                          int64_t rows, real steps, real least, real most);
-/* Reduce a state to what later estimates depend on: states with equal bytes give equal estimates. The hops are left out
-   if the sensor is known to be alive. */
+/* Reduce a state to what later estimates depend on: states with equal bytes give equal estimates. If the sensor is
+   known to be `alive`, leave out the hops. */
 void channel_reduce(const settings_t *settings, state_t *state, int alive);
 /* Reset the counts of verdicts and faults, and the first row with the steady-state gain. */
 void channel_forget_counts(state_t *state);
@@ -269,10 +269,10 @@ void channel_call(const call_t *call);
 /* Return whether the state of a forward pass, which may come from a file, is possible. */
 int smoother_is_sound(const settings_t *settings, const forward_t *forward);
 
-/* A smoother passes forward, then back. `z` of its block is NaN where no measurement may enter the filter; `verdict` is
-   0. The passes share working memory: `smoother_room` reals in `room`, and one byte per row in `starts`, which marks the
-   rows at which the filter restarts or the signal jumps. If rejected measurements turn out to be a jump, the first of
-   them is marked, and all of them are used. So the last rows of a block may have to wait for the next block.
+/* A smoother passes forward, then back. `z` of its block is NaN where no measurement may enter the filter; `verdict`
+   is 0. The passes share working memory: `smoother_room` reals in `room`, and one byte per row in `starts`, which marks
+   the rows at which the filter restarts or the signal jumps. If rejected measurements turn out to be a jump, the first
+   is marked, and all of them are used. So the last rows of a block may have to wait for the next block.
    `smoother_forward` returns how many rows it filtered: a multiple of SMOOTHED, or at the end of the record all. */
 int64_t smoother_room(int64_t states, int64_t rows);
 void smoother_start(forward_t *forward, future_t *future);
@@ -286,16 +286,16 @@ void smoother_backward(const settings_t *settings, const coefficients_t *model, 
                        const block_t *block, const estimate_t *estimate, real *room, int8_t *starts,
                        int only_future);
 
-/* Smooth with a fixed lag. The block holds the waiting rows, then the new rows; z and verdict are as for a smoother. The
-   first `ready` rows are smoothed with the rows up to `lag` after each; do not pass these rows again. `forward` is the
-   state before the block, and afterwards the state after the first `ready` rows. As working memory, `room` has
+/* Smooth with a fixed lag. The block holds the waiting rows, then the new rows; z and verdict are as for a smoother.
+   The first `ready` rows are smoothed with the rows up to `lag` after each; do not pass these rows again. `forward` is
+   the state before the block, and afterwards the state after the first `ready` rows. As working memory, `room` has
    `lag_room` reals, `places` two numbers per row, and `starts` one per row. Return the first row with the steady-state
    gain, counted from the very first row, or -1. */
 int64_t lag_room(int64_t states, int64_t rows, int64_t lag);
 int64_t lag_smooth(const settings_t *settings, const coefficients_t *model, forward_t *forward, const block_t *block,
                    const estimate_t *estimate, int64_t lag, int64_t ready, real *room, int64_t *places, int8_t *starts);
 
-/* The verdict on a stamp: used; before the last one; equal to the last one; far ahead; used after a clock jump; none. */
+/* The verdict on a stamp: used; before the last one; equal to it; far ahead; used after a jump of the clock; none. */
 enum { TAKEN_STAMP = 0, LATE_STAMP = 1, REPEATED_STAMP = 2, FAR_STAMP = 3, CLOCK_RESET = 4, NO_STAMP = 5 };
 enum { AGREEING = 8 }; /* this many ascending stamps in a row, before the last one or far ahead: the clock has jumped */
 
@@ -311,8 +311,8 @@ typedef struct {
     real coarse;              /* whether rows may share a stamp */
 } stamps_t;
 
-/* Write the steps before each row, 0 for the first row, and the verdict on its stamp; `doubled` marks rows with the same
-   measurements as the previous row. */
+/* Write the steps before each row, 0 for the first row, and the verdict on its stamp; `doubled` marks rows with the
+   same measurements as the previous row. */
 void clock_walk(stamps_t *state, const real *stamps, const int8_t *doubled, int64_t rows, real *elapsed, int8_t *codes);
 
 void scan_start(limits_t *limits, record_monitor_t *watched);
@@ -324,8 +324,8 @@ int64_t scan_faults(const settings_t *settings, limits_t *state, const real *z, 
 /* Reduce the state of the limits to what later verdicts depend on. */
 void scan_reduce(const settings_t *settings, limits_t *state);
 /* Monitor innovations over their standard deviations, NaN where there is none; return how many hops ended. */
-int64_t scan_innovations(const settings_t *settings, record_monitor_t *state, const real *normalised, const real *elapsed,
-                         int64_t rows, int8_t *verdict, const hops_t *hops);
+int64_t scan_innovations(const settings_t *settings, record_monitor_t *state, const real *normalised,
+                         const real *elapsed, int64_t rows, int8_t *verdict, const hops_t *hops);
 /* Write OUTLIER for each measurement that is farther than `distance` from its neighbours on both sides; z is NaN where
    it is missing. Write STUCK for all of `stuck` or more equal measurements in a row, unless the signal rests; with
    `stuck` 0 any number may be equal. The verdicts of rows before `judged_rows` are final; the other verdicts must be 0.
@@ -337,8 +337,8 @@ int64_t scan_outliers(const settings_t *settings, real distance, int64_t stuck, 
    measurements, with the distance of the settings. Return the number of rows with final verdicts. */
 int64_t scan_outliers_soon(const settings_t *settings, real distance, int64_t stuck, const real *z, int64_t rows,
                            int64_t judged_rows, int64_t ahead, int whole, real *values, int64_t *ends, int8_t *verdict);
-/* Write the distance of each of more than NEIGHBOURS measurements from the median of its neighbours on both sides, and the
-   spread of these neighbours. */
+/* Write the distance of each measurement from the median of its neighbours on both sides, and the spread of these
+   neighbours; there must be more than NEIGHBOURS measurements. */
 void measure_distances(const real *z, int64_t rows, int64_t *ends, real *distances, real *spreads);
 /* Write the distance of each measurement, from the seventh on, from the median of the six before it. */
 void measure_jumps(const real *z, int64_t rows, real *jumps);

@@ -1,4 +1,5 @@
-/* List the offsets of the structs' fields, for languages that cannot read the header. Each number has 8 bytes. */
+/* List the offsets of the structs' fields, for languages that cannot read the header. Each number in a struct has 8
+   bytes. */
 #include <stddef.h>
 
 #include "filter.h"
@@ -8,7 +9,7 @@
 typedef struct {
     const char *name;     /* NULL: end of the list; `offset` is the struct's size */
     int64_t offset, size; /* in bytes */
-    int64_t whole;        /* whether it holds whole numbers */
+    int64_t whole;        /* whether the field holds whole numbers */
 } field_t;
 
 #define REALS(type, name) {#name, offsetof(type, name), sizeof(((type *)0)->name), 0}
@@ -117,7 +118,7 @@ const field_t *channel_knowledge_fields(void) {
     return fields;
 }
 
-/* Return the whole numbers that Python uses, too, each as the size of a field. */
+/* Return the whole numbers that Python also uses, each as the size of a field. */
 const field_t *channel_constants(void) {
 #define VALUE(name) {#name, 0, name, 1}
     static const field_t values[] = {

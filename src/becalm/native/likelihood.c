@@ -1,6 +1,6 @@
-/* Add the terms of the likelihood of a record to a score; the estimates are discarded. Tuning does so dozens of times
-   per channel. Source: Schweppe, IEEE TIT-11 (1965) 61; equation (8) of core/reference/kalman.py. The variances are
-   multiplied, so that one logarithm of the product replaces one per row. */
+/* Compute the likelihood of a record, and no estimates; tuning needs it dozens of times per channel. Source: Schweppe,
+   IEEE TIT-11 (1965) 61; equation (8) of core/reference/kalman.py. The innovation variances are multiplied, so that one
+   logarithm of the product replaces one logarithm per row. */
 #include <string.h>
 
 #include "filter.h"
@@ -21,7 +21,7 @@ void likelihood_add(const settings_t *settings, const coefficients_t *model, con
         filter_block(settings, model, &state, &part, &estimate, &pass);
         for (int64_t row = from > at ? from - at : 0; row < part.rows; row++) {
             const real S = deviation[row] * deviation[row];
-            if (!(S > 0 && S < INFINITE)) continue; /* missing, or no prediction, or an exact one */
+            if (!(S > 0 && S < INFINITE)) continue; /* no measurement, no prediction, or an exact prediction */
             add_score(score, innovation[row], S);
         }
     }

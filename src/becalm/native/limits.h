@@ -1,4 +1,4 @@
-/* Detect faults of a measurement itself: it is impossible, saturated, stuck, or far from those before it. */
+/* Detect faults of a measurement: it is impossible, saturated, stuck, or far from earlier measurements. */
 #ifndef BECALM_LIMITS_H
 #define BECALM_LIMITS_H
 
@@ -6,12 +6,12 @@
 
 #include "linear.h"
 
-#define IMPLAUSIBLE_SPREADS ((real)3) /* SPREADS of an implausible value; beside a jump, the spread is large */
-#define LATE ((real)2.5)        /* wait over the neighbours' second longest; after a longer one, they are discarded */
-#define NEARER ((real)4)        /* a stand-in value may be this many times nearer than an outlier */
-#define FARTHEST ((real)1000)   /* distance over the plausible range that no motion of the channel exceeds */
-#define MOST_IMPOSSIBLE 50      /* after so many impossible values in a row, the next ones are accepted */
-#define AMID ((real)0.01)       /* share of the measured range: a value nearer to its end is not within it */
+#define IMPLAUSIBLE_SPREADS ((real)3) /* replaces SPREADS for an implausible value; near a jump, the spread is large */
+#define LATE ((real)2.5)        /* a longer wait, over the neighbours' second longest wait, discards them */
+#define NEARER ((real)4)        /* a value that replaces missing ones may be this many times nearer than an outlier */
+#define FARTHEST ((real)1000)   /* largest distance of a motion from the plausible range, over the width of the range */
+#define MOST_IMPOSSIBLE 50      /* after this many impossible values in a row, the next values are accepted */
+#define AMID ((real)0.01)       /* a value nearer to an end of a range than this share of the range is not within it */
 
 /* Set the state before the first measurement. */
 static inline void start_limits(limits_t *state) {
@@ -21,15 +21,15 @@ static inline void start_limits(limits_t *state) {
     for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER;
 }
 
-/* Collect the last measurements; return how many there are. */
-static inline int recall(const real *past, real *neighbours) {
+/* Copy the last measurements to `neighbours`; return their number. */
+static inline int copy_past(const real *past, real *neighbours) {
     int count = 0;
     for (int k = 0; k < NEIGHBOURS; k++)
         if (!isnan(past[k])) neighbours[count++] = past[k];
     return count;
 }
 
-/* Sort some neighbours; return their median, and the spread of all but the lowest and the highest. */
+/* Sort some neighbours; return their median, and write their spread without the lowest and the highest neighbour. */
 static inline real median_of(real *neighbours, const int count, real *spread) {
     for (int k = 1; k < count; k++) {
         const real now = neighbours[k];
@@ -41,14 +41,15 @@ static inline real median_of(real *neighbours, const int count, real *spread) {
     return (neighbours[(count - 1) / 2] + neighbours[count / 2]) * (real)0.5;
 }
 
-/* Return whether a measurement is farther from the median of its neighbours than a distance, and than some spreads. */
+/* Return whether a measurement is farther from the median of its neighbours than `distance`, and than `spreads` times
+   their spread. */
 static inline int is_far(const real z, real *neighbours, const int count, const real distance, const real spreads) {
     real spread;
     const real median = median_of(neighbours, count, &spread);
     return fabs(z - median) > (spreads * spread > distance ? spreads * spread : distance);
 }
 
-/* Return whether a measurement is far from the six before it; for the first ones, from the plausible range. */
+/* Return whether a measurement is far from the six before it or, with too few of them, from the plausible range. */
 static inline int is_far_from_past(const settings_t *settings, const limits_t *state, const real z) {
     const real distance = settings->outlier_distance, *past = state->past;
     real neighbours[NEIGHBOURS], low = past[0], high = past[0];
@@ -57,22 +58,22 @@ static inline int is_far_from_past(const settings_t *settings, const limits_t *s
         low = past[k] < low ? past[k] : low;
         high = past[k] > high ? past[k] : high;
     }
-    if (!isnan(past[NEIGHBOURS - 1]) && high - distance <= z && z <= low + distance) return 0; /* near to each */
-    const int count = recall(past, neighbours);
+    if (!isnan(past[NEIGHBOURS - 1]) && high - distance <= z && z <= low + distance) return 0; /* near all of them */
+    const int count = copy_past(past, neighbours);
     if (count >= FEWEST_NEIGHBOURS) return is_far(z, neighbours, count, distance, SPREADS);
     const int plausible = settings->plausible_low <= z && z <= settings->plausible_high;
     return !(plausible || (count && fabs(z - state->last_value) <= distance));
 }
 
-/* Return whether a measurement that repeats the one before stands in for a missing one. */
-static inline int fills_in(const settings_t *settings, const real z, const real *past) {
+/* Return whether a measurement that equals the previous one replaces a missing measurement. */
+static inline int replaces_missing(const settings_t *settings, const real z, const real *past) {
     real neighbours[NEIGHBOURS];
-    const int count = recall(past, neighbours);
+    const int count = copy_past(past, neighbours);
     return count == NEIGHBOURS && is_far(z, neighbours, count, settings->outlier_distance / NEARER, SPREADS);
 }
 
-/* Return whether a 0 marks a missing measurement: at least three neighbours are not 0, and all of these are far from
-   0. */
+/* Return whether a 0 marks a missing measurement: at least three neighbours are not 0, and all of these three or more
+   are far from 0. */
 static inline int marks_missing(const settings_t *settings, const real z, const real *neighbours, const int count) {
     if (z != 0 || settings->far_from_0 == 0) return 0;
     int others = 0;
@@ -84,26 +85,27 @@ static inline int marks_missing(const settings_t *settings, const real z, const 
     return others >= FEWEST_NEIGHBOURS;
 }
 
-/* Return whether 0 may be an end of the range: it is not within the measured range, which is the middle third of the
-   plausible one. */
-static inline int ends_at_0(const settings_t *settings) {
+/* Return whether 0 may be an end of the measured range, because it is not within this range. (The measured range is the
+   middle third of the plausible range.) */
+static inline int may_end_at_0(const settings_t *settings) {
     const real low = settings->plausible_low, high = settings->plausible_high, third = (high - low) / 3;
     return !(low + (1 + AMID) * third < 0 && 0 < high - (1 + AMID) * third);
 }
 
-/* Return whether a 0 at an end of the range lasts longer than measurements can be missing: the sensor rests or is off,
-   and 0 is its reading in both cases. */
+/* Return whether a 0 at an end of the range lasts so long that it does not mark missing measurements: the sensor rests
+   or is off, and 0 is its reading in both cases. */
 static inline int is_long_0(const settings_t *settings, const real z, const int64_t rows) {
     const int known = settings->plausible_high - settings->plausible_low < INFINITE;
-    return z == 0 && rows >= LONGEST_0 && known && ends_at_0(settings);
+    return z == 0 && rows >= LONGEST_0 && known && may_end_at_0(settings);
 }
 
-/* Return whether a 0 at an end of the range so far means that the signal rests. */
+/* Return whether a 0 means that the signal rests: 0 is an end of the range so far, and does not mark a missing
+   measurement. */
 static inline int is_rest(const settings_t *settings, const limits_t *state) {
     return (state->least == 0 || state->most == 0) && !marks_missing(settings, 0, state->past, NEIGHBOURS);
 }
 
-/* Return the verdict on a value that is not a measurement of the sensor, 0 if it may be one. */
+/* Return the verdict on a value that cannot be a measurement of the sensor; 0 if it can be one. */
 static inline int no_measurement(const settings_t *settings, const real z) {
     if (isnan(z)) return MISSING;
     if (isinf(z)) return NONFINITE;
@@ -111,14 +113,14 @@ static inline int no_measurement(const settings_t *settings, const real z) {
     return z == settings->blank ? OUTLIER : USED;
 }
 
-/* Return whether no motion reaches a value, from the plausible range and the last measurement. */
+/* Return whether a value is beyond any motion: far from the plausible range and from the last measurement. */
 static inline int is_impossible(const settings_t *settings, const limits_t *state, const real z) {
     const real low = settings->plausible_low, high = settings->plausible_high, farthest = FARTHEST * (high - low);
     return farthest > 0 && (z < low - farthest || z > high + farthest) && !(fabs(z - state->last_value) <= farthest);
 }
 
-/* Discard the measurements before a long gap, because the signal has moved on. One of them may have come after a gap
-   itself. */
+/* Discard the measurements before a long gap, because the signal may have changed during it. A gap is compared with the
+   second longest wait, because one of these measurements may itself have come after a gap. */
 static inline void forget_past(limits_t *state) {
     real longest = 1, second = 1;
     for (int k = 0; k < NEIGHBOURS; k++) {
@@ -130,8 +132,8 @@ static inline void forget_past(limits_t *state) {
     for (int k = 0; k < NEIGHBOURS; k++) state->past[k] = NOT_A_NUMBER;
 }
 
-/* Return the verdict on one measurement. If it has the time of the row before, it does not enter the history, unless it
-   is the first. */
+/* Return the verdict on one measurement. A measurement with the same time as the previous row does not enter the
+   history, unless it is the first measurement. */
 static inline int judge(const settings_t *settings, limits_t *state, const real z, const real elapsed) {
     const int moved = elapsed > 0;
     int verdict = no_measurement(settings, z);
@@ -147,7 +149,7 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
     const int counts = moved || state->run == 0;
     if (settings->outlier_distance < INFINITE) {
         if (marks_missing(settings, z, state->past, NEIGHBOURS))
-            state->outlier = z != state->last_value || state->run + 1 < LONGEST_0 ? 1 : ends_at_0(settings) ? 0 : 2;
+            state->outlier = z != state->last_value || state->run + 1 < LONGEST_0 ? 1 : may_end_at_0(settings) ? 0 : 2;
         else if (!(settings->repeats_are_one && z == state->last_value)) {
             state->outlier = is_far_from_past(settings, state, z);
             if (counts) {
@@ -158,7 +160,7 @@ static inline int judge(const settings_t *settings, limits_t *state, const real 
             state->outlier = 0;
         else if (state->outlier != 1 && moved) {
             const int may_fill = settings->stuck > EVERY_REPEAT && state->run < LONGEST_FILL;
-            state->outlier = may_fill && fills_in(settings, z, state->past) ? 2 : 0;
+            state->outlier = may_fill && replaces_missing(settings, z, state->past) ? 2 : 0;
         }
     }
     if (counts) {

@@ -1,4 +1,4 @@
-/* Linear algebra for n states. `n` is a compile-time constant for small models, so that every loop is unrolled. */
+/* Linear algebra for n states. For small models `n` is a compile-time constant, so that every loop is unrolled. */
 #ifndef BECALM_LINEAR_H
 #define BECALM_LINEAR_H
 
@@ -22,12 +22,12 @@
 #define UNROLL
 #endif
 
-#define LARGEST ((real)1e200) /* an unobservable state saturates here, so that it cannot spoil the others */
-#define UNCHANGED ((real)1e-13) /* largest change, over a scale, that is only rounding */
+#define LARGEST ((real)1e200) /* limit of an unobservable state, so that it does not overflow in sums with others */
+#define UNCHANGED ((real)1e-13) /* largest change, over a scale, that counts as rounding */
 
 INLINE int near(const real now, const real then, const real scale) { return fabs(now - then) <= UNCHANGED * scale; }
 
-#define EVER ((int64_t)1 << 53) /* rows: more than any record has */
+#define EVER ((int64_t)1 << 53) /* number of rows that no record reaches */
 
 /* Return whether a whole number, which may come from a file, is between -most and most. */
 static inline int is_count(const int64_t count, const int64_t most) { return count >= -most && count <= most; }
@@ -41,7 +41,7 @@ INLINE real dot(const int n, const real *a, const real *b) {
     return s;
 }
 
-/* Return one number of A x + b; the order of additions makes the chain of operations after x short. */
+/* Return one element of A x + b; this order of additions needs few dependent operations after x. */
 INLINE real onward(const int n, const real *row, const real *x, const real b) {
     real sum = b + row[0] * x[0];
     UNROLL
@@ -88,7 +88,7 @@ INLINE void joseph(const int n, const real *h, const real R, const real *K, cons
         }
 }
 
-/* g = H F (m, n): the output as a function of the state one step before */
+/* g = H F (m, n): the predicted output as a function of the state before the step */
 INLINE void multiply_HF(const int n, const int m, const real *H, const real *F, real *g) {
     for (int c = 0; c < m; c++)
         for (int j = 0; j < n; j++) {

@@ -5,7 +5,7 @@
 #include "imm.h"
 #include "pair.h"
 
-#define UNLIKELY ((real)1e-100) /* least probability of a mode, so that every mode can come back */
+#define UNLIKELY ((real)1e-100) /* least probability of a mode, so that every mode can become probable again */
 
 typedef struct {
     real *mu, *x, *P; /* (M,), (M, n), (M, n, n) */
@@ -16,19 +16,19 @@ INLINE mode_states_t beliefs_in(const int n, const int m, real *memory) {
     return beliefs;
 }
 
-/* Return the first of the `rows` numbers of one mode; they are two apart. */
+/* Return a pointer to the first of the `rows` numbers of one mode; its next numbers are two places apart. */
 INLINE real *numbers_of(pair_t *numbers, const int rows, const int mode) {
     return (real *)(numbers + mode / 2 * rows) + mode % 2;
 }
 
 /* Copy numbers of all modes, (M, rows), into pairs; the next function copies them back. */
-INLINE void put(const int rows, const int m, const real *from, pair_t *to) {
+INLINE void pack_modes(const int rows, const int m, const real *from, pair_t *to) {
     for (int i = 0; i < (m + 1) / 2 * rows; i++) to[i] = both(0);
     for (int j = 0; j < m; j++)
         for (int i = 0; i < rows; i++) numbers_of(to, rows, j)[2 * i] = from[j * rows + i];
 }
 
-INLINE void get(const int rows, const int m, pair_t *from, real *to) {
+INLINE void unpack_modes(const int rows, const int m, pair_t *from, real *to) {
     for (int j = 0; j < m; j++)
         for (int i = 0; i < rows; i++) to[j * rows + i] = numbers_of(from, rows, j)[2 * i];
 }
@@ -55,7 +55,7 @@ INLINE void write_estimate(const int n, const int m, const real *c, const real l
         }
 }
 
-/* Filter rows with a known level; the states `beliefs` change. */
+/* Filter rows with a given level; the states in `beliefs` change. */
 void filter_modes(const imm_t *imm, real *beliefs, real level, const imm_block_t *block, const imm_estimate_t *estimate,
                   const imm_passed_t *passed, real *room, score_t *score);
 

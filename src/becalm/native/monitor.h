@@ -7,9 +7,9 @@
 
 #define ROUNDING ((real)6755399441055744.0) /* 1.5 * 2^52: adding it rounds a number to a whole one */
 
-enum { SLACK = PARTS / 2 }; /* of the cumulative sums: half a sigma a row */
+enum { SLACK = PARTS / 2 }; /* slack of the cumulative sums: half a sigma per row */
 
-/* End a hop of innovations, and test the window that ends with it. */
+/* Complete a hop of innovations, and test the window that ends with this hop. */
 static inline void end_hop(const settings_t *settings, monitor_t *state) {
     enum { BEFORE = WINDOW_HOPS - 1, WINDOW = WINDOW_HOPS * HOP };
     int64_t total = state->hop_total, squares = state->hop_squares;
@@ -25,8 +25,8 @@ static inline void end_hop(const settings_t *settings, monitor_t *state) {
     state->hops++;
 }
 
-/* Return the verdict on a normalised innovation, NaN if there is none: DRIFT by Page's cumulative sums (1954) on either
-   side, DEAD while the last window is too quiet for a live sensor. */
+/* Return the verdict on a normalised innovation, NaN if there is none: DRIFT if one of the two cumulative sums (Page
+   1954) reaches the threshold, DEAD while the last window is too quiet for a live sensor. */
 static inline int watch(const settings_t *settings, monitor_t *state, real nu) {
     const int64_t row = state->rows++;
     int64_t since = -1;
@@ -35,7 +35,7 @@ static inline int watch(const settings_t *settings, monitor_t *state, real nu) {
     nu = nu < MOST_SIGMA ? nu : MOST_SIGMA;
     const int64_t part = (int64_t)((nu * PARTS + ROUNDING) - ROUNDING); /* the nearest whole number */
     const int64_t above = state->above + part - SLACK, below = state->below - part - SLACK;
-    state->above = above * (above > 0), state->below = below * (below > 0); /* no branch, because signs are random */
+    state->above = above * (above > 0), state->below = below * (below > 0); /* without a branch: the signs are random */
     if (state->above >= settings->drift_threshold) since = state->above_since, state->above = 0;
     if (state->below >= settings->drift_threshold) since = since < 0 ? state->below_since : since, state->below = 0;
     state->above_since = row + 1 + (state->above_since - row - 1) * (state->above > 0);

@@ -1,8 +1,8 @@
 /* The filter and the smoother of several channels that share one state. Equations are numbered as in
    core/reference/kalman.py.
 
-   A channel that is missing keeps its place: its row of H counts as zero, its variance as one and its innovation as
-   zero. */
+   A missing channel keeps its place in the matrices: its row of H counts as 0, its variance as 1, its innovation as
+   0. */
 #include "multivariate.h"
 
 #include <stddef.h>
@@ -12,10 +12,10 @@
 #include "score.h"
 #include "settling.h"
 
-#define DEAD_PIVOT ((real)1e-15) /* share of a variance: less is rounding */
+#define DEAD_PIVOT ((real)1e-15) /* a pivot below this, over its variance, is a rounding error */
 
-/* Call a function whose first arguments are the numbers of states and of channels, constants for the smallest
-   models. */
+/* Call a function whose first arguments are the numbers of states and of channels; for small models these are
+   compile-time constants. */
 #define SIZE(n, m) ((n) * (M_MAX + 1) + (m))
 #define FOR_SMALL(n, m, function, ...)                        \
     switch (SIZE(n, m)) {                                     \
@@ -31,15 +31,15 @@
 
 /* Pointers to the arrays in `numbers` of a state. */
 typedef struct {
-    real *x, *P;         /* (n), (n, n); while GATHERING right-hand side and root of the information */
+    real *x, *P;         /* (n), (n, n); while GATHERING, right-hand side b and root U of the information */
     real *K;             /* (n, m) gain; zero columns for missing channels */
     real *L, *D;         /* (m, m), (m) innovation covariance S = L D L'; a pivot of 0 carries no information */
     real *nu, *deviation; /* (m) innovations, 0 where missing; their standard deviations, NaN where missing */
-    real *K_then, *L_then, *D_then, *P_then; /* at the last check */
-    real *A, *g;         /* (n, n) closed loop (I - K H) F, and H F (m, n); they can be recomputed */
+    real *K_then, *L_then, *D_then, *P_then; /* K, L, D and P at the last check */
+    real *A, *g;         /* (n, n) closed loop (I - K H) F, and H F (m, n); they can be computed again */
 } parts_t;
 
-/* Return the number of reals in all of them but A and g. */
+/* Return the number of reals in all these arrays except A and g. */
 INLINE int64_t kept(const int64_t n, const int64_t m) { return n + 2 * n * n + 2 * n * m + 2 * m * m + 4 * m; }
 
 INLINE parts_t parts_of(const int n, const int m, multivariate_state_t *state) {
@@ -58,7 +58,7 @@ int64_t multivariate_size(const int64_t states, const int64_t channels) {
     return packed(states, channels) + (int64_t)sizeof(real) * (states * states + channels * states);
 }
 
-/* Save a state without the arrays that can be recomputed. */
+/* Save a state without the arrays that can be computed again. */
 static void save(const multivariate_t *model, const multivariate_state_t *state, void *room) {
     memcpy(room, state, (size_t)packed(model->states, model->channels));
 }
@@ -68,13 +68,14 @@ static void load(const multivariate_t *model, const void *room, multivariate_sta
     state->closed = 0;
 }
 
-/* Return how many numbers of a state later rows depend on: x, P, K, L, D and nu. */
+/* Return the number of reals in x, P, K, L, D and nu, on which later rows depend. */
 static int64_t numbers_in(const int64_t n, const int64_t m) { return n + n * n + n * m + m * m + 2 * m; }
 
+/* Discard the steady-state gain and the checks so far. */
 static void lose_gain(multivariate_state_t *state, real *D_then) {
     state->settled = state->agreed = state->closed = 0;
     state->steady = -1, state->next_check = FIRST_CHECK, state->last_step = -1;
-    D_then[0] = -1; /* so that the next check finds a change */
+    D_then[0] = -1; /* the next check must find a change */
 }
 
 void multivariate_start(const multivariate_t *model, const real *x, const real *P, multivariate_state_t *state) {
@@ -89,8 +90,8 @@ void multivariate_start(const multivariate_t *model, const real *x, const real *
     copy(n, x, p.x), copy(n * n, P, p.P);
 }
 
-/* Forget a state whose covariance has no digits left; it stays undetermined. Information is not gathered again: a prior
-   belongs to the first row, and without one, gathering might never end. */
+/* Discard a state whose covariance has no digits left; it stays undetermined. No new information is gathered: a prior
+   belongs to the first row, and without a prior, gathering might never end. */
 static void lose_state(const multivariate_t *model, multivariate_state_t *state) {
     const int64_t n = model->states, m = model->channels;
     const parts_t p = parts_of((int)n, (int)m, state);
@@ -109,7 +110,7 @@ int multivariate_is_sound(const multivariate_t *model, const multivariate_state_
     for (int k = 0; k < 7; k++) sound = sound && is_count(counts[k], EVER);
     sound = sound && is_count(state->score.exponent, EVER);
     for (int64_t k = 0; sound && k < numbers_in(n, m); k++) sound = isfinite(state->numbers[k]) != 0;
-    return sound && isfinite(state->score.squares); /* a deviation may be NaN */
+    return sound && isfinite(state->score.squares); /* deviations may be NaN */
 }
 
 /* Factor S = L D L'. */
@@ -135,7 +136,7 @@ INLINE void divide(const int m, const real *L, const real *D, real *v) {
         for (int c = a + 1; c < m; c++) v[a] -= L[c * m + a] * v[c];
 }
 
-/* Add a row to the likelihood (8): e = L^-1 nu has the variances D. */
+/* Add the terms of a row to the likelihood (8): the elements of e = L^-1 nu are independent with variances D. */
 INLINE void score_row(const int m, const parts_t *p, score_t *score) {
     real e[M_MAX];
     for (int a = 0; a < m; a++) {
@@ -145,8 +146,8 @@ INLINE void score_row(const int m, const parts_t *p, score_t *score) {
     }
 }
 
-/* Write the standard deviation of each channel's signal, sqrt(H P H'); return whether P has lost its digits. */
-INLINE int spread_of(const int n, const int m, const multivariate_t *model, const real *P, real *sigma) {
+/* Write the standard deviation of each channel's signal, sqrt(diag(H P H')); return whether P has lost its digits. */
+INLINE int write_sigmas(const int n, const int m, const multivariate_t *model, const real *P, real *sigma) {
     int lost = 0;
     for (int c = 0; c < m; c++) {
         const real *h = model->H + c * n;
@@ -159,14 +160,15 @@ INLINE int spread_of(const int n, const int m, const multivariate_t *model, cons
     return lost;
 }
 
-/* Compare gain and covariance with those of the last check, and store them for the next; return what has settled. */
+/* Compare gain and covariance with those of the last check, and store them for the next check; return what is
+   unchanged: COVARIANCE, GAIN or 0. */
 static int compare(const int n, const int m, const multivariate_t *model, const parts_t *p) {
     const real *H = model->H;
     int gain = 1, covariance = 1;
-    real sigma[M_MAX], sigma_then[M_MAX]; /* a gain near 0 settles before the signals' sigma */
-    spread_of(n, m, model, p->P, sigma), spread_of(n, m, model, p->P_then, sigma_then);
+    real sigma[M_MAX], sigma_then[M_MAX]; /* compared, too: a gain near 0 settles before the signals' sigma */
+    write_sigmas(n, m, model, p->P, sigma), write_sigmas(n, m, model, p->P_then, sigma_then);
     for (int a = 0; a < m; a++) {
-        real apart = 0; /* variance of the signal for independent states: the scale of rounding */
+        real apart = 0; /* variance of the signal if states were independent: the scale of rounding */
         for (int i = 0; i < n; i++) apart += H[a * n + i] * H[a * n + i] * p->P[i * n + i];
         gain &= near(p->D[a], p->D_then[a], p->D[a]) & near(sigma[a], sigma_then[a], sqrt(apart));
         p->D_then[a] = p->D[a];
@@ -192,8 +194,8 @@ static int compare(const int n, const int m, const multivariate_t *model, const 
 }
 
 /* Check after a row what has settled; see settling.h. */
-INLINE void notice_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state, const parts_t *p,
-                       const real *F, const real length, const int complete) {
+INLINE void check_settling_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
+                       const parts_t *p, const real *F, const real length, const int complete) {
     if (!complete || length != state->last_step || !F) {
         lose_gain(state, p->D_then);
         if (complete && F) state->last_step = length;
@@ -215,7 +217,7 @@ INLINE void notice_row(const int n, const int m, const multivariate_t *model, mu
 INLINE void write_estimates(const int n, const int m, const multivariate_t *model, const real *x, const real *P,
                          const estimates_t *estimates, const int64_t row) {
     for (int c = 0; c < m && estimates->signal; c++) estimates->signal[row * m + c] = dot(n, model->H + c * n, x);
-    if (estimates->sigma) spread_of(n, m, model, P, estimates->sigma + row * m);
+    if (estimates->sigma) write_sigmas(n, m, model, P, estimates->sigma + row * m);
     if (estimates->x) copy(n, x, estimates->x + row * n);
     if (estimates->P) copy(n * n, P, estimates->P + row * n * n);
 }
@@ -268,9 +270,10 @@ INLINE void predict(const int n, const real *F, const real *Q, real *x, real *P)
     }
 }
 
-/* Filter one row and its covariance; F is NULL if there is no step before it. Return whether digits are left. */
-INLINE int filter_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state, const parts_t *p,
-                       const real *F, const real *Q, const real length, const real *z) {
+/* Filter one row and its covariance; F is NULL if there is no step before it. Return whether the covariance has digits
+   left. */
+INLINE int filter_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
+                      const parts_t *p, const real *F, const real *Q, const real length, const real *z) {
     const real *H = model->H, *R = model->R;
     real PH[N_MAX * M_MAX], S[M_MAX * M_MAX];
     int count = 0, lost = 0;
@@ -298,16 +301,16 @@ INLINE int filter_row(const int n, const int m, const multivariate_t *model, mul
         p->x[i] += dot(m, p->K + i * m, p->nu);                        /* (6) */
     }
     if (count) joseph_of(n, m, H, R, p->K, PH, p->P);
-    if (spread_of(n, m, model, p->P, sigma)) return 0;
+    if (write_sigmas(n, m, model, p->P, sigma)) return 0;
     score_row(m, p, &state->score);
-    notice_row(n, m, model, state, p, F, length, count == m);
+    check_settling_row(n, m, model, state, p, F, length, count == m);
     return 1;
 }
 
-/* Return the padded length of a column, for four numbers side by side; one or two numbers are not padded. */
+/* Return the length of a column padded to a multiple of four numbers; one or two numbers are not padded. */
 INLINE int padded(const int n) { return n < 3 ? n : (n + 3) & ~3; }
 
-/* Write the columns of A (rows, columns), each padded by 0. */
+/* Write the columns of `sign` times A (rows, columns), each padded with 0. */
 INLINE void lay_out(const int rows, const int columns, const real *A, const real sign, real *B) {
     const int wide = padded(rows);
     for (int j = 0; j < columns; j++)
@@ -335,7 +338,8 @@ INLINE void accumulate(const int rows, const int columns, const real *B, const r
         }
 }
 
-/* Filter rows with the steady-state gain, until one is missing or a state runs away; return how many. */
+/* Filter rows with the steady-state gain, up to a row in which a channel is missing or a state is too large; return the
+   number of filtered rows. */
 INLINE int64_t take_settled(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
                             const parts_t *p, const record_t *record, const int64_t from, const int64_t to,
                             const estimates_t *estimates) {
@@ -343,7 +347,7 @@ INLINE int64_t take_settled(const int n, const int m, const multivariate_t *mode
     real sigma[M_MAX] = {0}, deviation[M_MAX], x[N_MAX], nu[M_MAX];
     lay_out(n, n, p->A, 1, A), lay_out(n, m, p->K, 1, K), lay_out(m, n, p->g, -1, g), lay_out(m, n, model->H, 1, H);
     copy(m * m, p->L, L), copy(n, p->x, x), copy(m, p->deviation, deviation), copy(m, p->nu, nu);
-    if (estimates->sigma) spread_of(n, m, model, p->P, sigma);
+    if (estimates->sigma) write_sigmas(n, m, model, p->P, sigma);
     score_t score = state->score;
     int64_t scale = 0, live = 0, row = from;
     real determinant = 1;
@@ -417,7 +421,7 @@ static int64_t filter_settled(const int n, const int m, const multivariate_t *mo
     return taken;
 }
 
-/* Add the information of the channels that arrived: with R = C C', C lower triangular, the equations are
+/* Add the information of the channels that arrived; with R = C C', C lower triangular, its equations are
    C^-1 (z - H x) = e. */
 static void add_measurements(const int n, const int m, const multivariate_t *model, const real *z, real *U, real *b) {
     real C[M_MAX * M_MAX], a[M_MAX * N_MAX], right[M_MAX];
@@ -441,8 +445,8 @@ static void add_measurements(const int n, const int m, const multivariate_t *mod
     for (int c = 0; c < count; c++) add_equation(n, a + c * n, right[c], U, b);
 }
 
-/* Solve U' w = h; if the information determines the state, h x is w' b with variance w' w. */
-static void weigh(const int n, const real *h, const real *U, real *w) {
+/* Solve U' w = h. If the information determines the state, the estimate of h x is w' b, with variance w' w. */
+static void solve_output_weights(const int n, const real *h, const real *U, real *w) {
     for (int j = 0; j < n; j++) {
         real s = h[j];
         for (int i = 0; i < j; i++) s -= w[i] * U[i * n + j];
@@ -451,12 +455,12 @@ static void weigh(const int n, const real *h, const real *U, real *w) {
 }
 
 /* Predict a row from information that determines the state: (3), (4), (8). */
-static void predict_from_information(const int n, const int m, const multivariate_t *model, const real *z, const parts_t *p,
-                     score_t *score) {
+static void predict_from_information(const int n, const int m, const multivariate_t *model, const real *z,
+                                     const parts_t *p, score_t *score) {
     real S[M_MAX * M_MAX], w[M_MAX * N_MAX];
     for (int a = 0; a < m; a++) {
         const int arrived = has_arrived(z[a]);
-        weigh(n, model->H + a * n, p->P, w + a * n);
+        solve_output_weights(n, model->H + a * n, p->P, w + a * n);
         for (int b = 0; b <= a; b++)
             S[a * m + b] = arrived && has_arrived(z[b]) ? dot(n, w + a * n, w + b * n) + model->R[a * m + b] : a == b;
         p->nu[a] = arrived ? z[a] - dot(n, w + a * n, p->x) : 0;
@@ -466,8 +470,9 @@ static void predict_from_information(const int n, const int m, const multivariat
     score_row(m, p, score);
 }
 
-/* Return whether the next measurement is predicted well enough for the covariance form to keep its digits. */
-static int is_narrow(const int n, const int m, const multivariate_t *model, const real *F, const real *Q, const real *P) {
+/* Return whether the next measurement is predicted well enough for the covariance form to be accurate. */
+static int is_narrow(const int n, const int m, const multivariate_t *model, const real *F, const real *Q,
+                     const real *P) {
     real ahead[NN_MAX], Ph[N_MAX];
     copy(n * n, P, ahead);
     propagate(n, F, Q, ahead);
@@ -478,14 +483,14 @@ static int is_narrow(const int n, const int m, const multivariate_t *model, cons
     return 1;
 }
 
-/* Write the signals of a row that the information determines; NaN and inf for the other signals, and for the state. */
+/* Write the signals of a row that the information determines, NaN and inf for its other signals and for its state. */
 static void write_opening(const int n, const int m, const multivariate_t *model, const multivariate_state_t *state,
                           const parts_t *p, const estimates_t *estimates, const int64_t row) {
     for (int c = 0; c < m; c++) {
         real signal = NOT_A_NUMBER, sigma = INFINITE;
         if (model->proper_prior && state->phase != LOST) {
             real w[N_MAX];
-            weigh(n, model->H + c * n, p->P, w);
+            solve_output_weights(n, model->H + c * n, p->P, w);
             signal = dot(n, w, p->x), sigma = sqrt(dot(n, w, w));
         } else if (state->phase == GATHERING)
             estimate_from_information(n, model->H + c * n, p->P, p->x, &signal, &sigma);
@@ -496,9 +501,9 @@ static void write_opening(const int n, const int m, const multivariate_t *model,
     for (int i = 0; i < n * n && estimates->P; i++) estimates->P[row * n * n + i] = INFINITE;
 }
 
-/* Filter one row while measurements do not determine the state: add its information. */
-static void open_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state, const parts_t *p,
-                     const record_t *record, const real *F, const real *Q, const int64_t row,
+/* Filter one row while measurements do not determine the state: add the information of the row. */
+static void open_row(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
+                     const parts_t *p, const record_t *record, const real *F, const real *Q, const int64_t row,
                      const estimates_t *estimates) {
     const real *z = record->z + row * m;
     real V[NN_MAX], P[NN_MAX], x[N_MAX];
@@ -508,7 +513,7 @@ static void open_row(const int n, const int m, const multivariate_t *model, mult
         p->nu[c] = 0, p->deviation[c] = NOT_A_NUMBER;
     }
     if (state->phase == GATHERING && F)
-        carry_information(n, F, Q, model->prior, p->P, p->x);
+        predict_information(n, F, Q, model->prior, p->P, p->x);
     else if (state->phase == UNKNOWN && (count || model->proper_prior)) {
         state->phase = GATHERING;
         copy(n * n, model->prior, p->P), copy(n, model->right, p->x);
@@ -526,7 +531,8 @@ static void open_row(const int n, const int m, const multivariate_t *model, mult
             determine(n, V, P, x);
             if (estimates->x) copy(n, x, estimates->x + row * n);
             if (estimates->P) copy(n * n, P, estimates->P + row * n * n);
-            if (determined && (!model->proper_prior || is_narrow(n, m, model, F ? F : record->F, F ? Q : record->Q, P))) {
+            if (determined &&
+                (!model->proper_prior || is_narrow(n, m, model, F ? F : record->F, F ? Q : record->Q, P))) {
                 copy(n * n, P, p->P), copy(n, x, p->x);
                 state->phase = DETERMINED;
             }
@@ -535,7 +541,7 @@ static void open_row(const int n, const int m, const multivariate_t *model, mult
     write_innovation(m, p, estimates, row);
 }
 
-/* Return the run that a row belongs to; the search starts at a near run. */
+/* Return the run that contains a row; the search starts at `run`. */
 static int64_t run_of(const record_t *record, const int64_t row, int64_t run) {
     while (record->first[run + 1] <= row) run++;
     while (record->first[run] > row) run--;
@@ -559,7 +565,7 @@ INLINE void filter_rows(const int n, const int m, const multivariate_t *model, m
                                       : 0;
             state->rows += taken, row += taken;
             if (taken) continue;
-            lose_gain(state, p.D_then); /* so that later rows do not depend on when the gain settled */
+            lose_gain(state, p.D_then); /* later rows must not depend on the row at which the gain settled */
         }
         if (state->phase == DETERMINED && !filter_row(n, m, model, state, &p, F, Q, length, record->z + row * m))
             lose_state(model, state);
@@ -575,8 +581,8 @@ INLINE void filter_rows(const int n, const int m, const multivariate_t *model, m
     }
 }
 
-static void filter_rows_of(const multivariate_t *model, multivariate_state_t *state, const record_t *record, const int64_t row,
-                        const int64_t to, int64_t *run, const estimates_t *estimates) {
+static void filter_rows_of(const multivariate_t *model, multivariate_state_t *state, const record_t *record,
+                           const int64_t row, const int64_t to, int64_t *run, const estimates_t *estimates) {
     FOR_SMALL(model->states, model->channels, filter_rows, model, state, record, row, to, run, estimates)
 }
 
@@ -595,9 +601,10 @@ void multivariate_end(const multivariate_t *model, future_t *future) {
     forget_future((int)model->states, future);
 }
 
-/* Carry r back through a block with the steady-state gain (11), and add it to each row (9). */
+/* Pass r back through a block with the steady-state gain (11), and add its effect to the estimates of each row (9). */
 INLINE void pass_back_settled(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *A,
-                           const real *G_, const int64_t from, const int64_t to, const estimates_t *estimates, real *r_) {
+                              const real *G_, const int64_t from, const int64_t to, const estimates_t *estimates,
+                              real *r_) {
     real B[NN_MAX], back[NN_MAX], P[NN_MAX], G[N_MAX * M_MAX], HP[M_MAX * N_MAX], seen[M_MAX * N_MAX], r[N_MAX];
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) B[j * n + i] = A[i * n + j];
@@ -632,8 +639,9 @@ static void pass_back_block(const int n, const int m, const multivariate_t *mode
 }
 
 /* Smooth a block with the steady-state gain. */
-INLINE void smooth_settled(const int n, const int m, const multivariate_t *model, multivariate_state_t *state, const real *F,
-                           const int64_t from, const int64_t to, const estimates_t *estimates, future_t *future) {
+INLINE void smooth_settled(const int n, const int m, const multivariate_t *model, multivariate_state_t *state,
+                           const real *F, const int64_t from, const int64_t to, const estimates_t *estimates,
+                           future_t *future) {
     const parts_t p = parts_of(n, m, state);
     const int spread = estimates->sigma || estimates->P;
     real A[NN_MAX], g[M_MAX * N_MAX], G[N_MAX * M_MAX], sigma[M_MAX] = {0};
@@ -649,18 +657,19 @@ INLINE void smooth_settled(const int n, const int m, const multivariate_t *model
         if (!future->settled || row == to - 1) {
             for (int c = 0; c < m; c++)
                 sigma[c] = sqrt(smoothed_variance(n, model->H + c * n, p.P, future->M, NULL)); /* (10) */
-            if (estimates->P && !(smooth_covariance(n, p.P, future->M, future->P) > HARDLY))
+            if (estimates->P && !(smooth_covariance(n, p.P, future->M, future->P) > LEAST_SHARE))
                 copy(n * n, p.P, future->P);
         }
         if (estimates->sigma) copy(m, sigma, estimates->sigma + row * m);
         if (estimates->P) copy(n * n, future->P, estimates->P + row * n * n);
-        if (row == from && smooth_covariance(n, p.P, future->M, future->P) > HARDLY) future->later = COVARIANCE_ONLY;
+        if (row == from && smooth_covariance(n, p.P, future->M, future->P) > LEAST_SHARE)
+            future->later = COVARIANCE_ONLY;
         if (!future->settled) pull_back(n, m, A, G, g, future->M); /* (12) */
     }
-    if (spread && !future->settled) notice_future(n, future, to - from);
+    if (spread && !future->settled) check_future(n, future, to - from);
 }
 
-/* Smooth a row that was filtered again; the result replaces x and P of the row after. */
+/* Smooth a row that was filtered again; its smoothed x and P replace those of the next row in `future`. */
 INLINE void smooth_row(const int n, const int m, const multivariate_t *model, const multivariate_state_t *state,
                        const parts_t *p, const estimates_t *estimates, const int64_t row, future_t *future) {
     const int spread = estimates->sigma || estimates->P;
@@ -693,18 +702,19 @@ INLINE void smooth_row(const int n, const int m, const multivariate_t *model, co
         if (spread) {
             real smoothed[NN_MAX];
             const real share = smooth_covariance(n, p->P, future->M, smoothed);
-            const int recomputed = share < MUCH && future->later && covariance_from_later(n, p->P, future);
-            if (!recomputed) copy(n * n, share > HARDLY ? smoothed : p->P, future->P);
+            const int recomputed = share < ACCURATE_SHARE && future->later && covariance_from_later(n, p->P, future);
+            if (!recomputed) copy(n * n, share > LEAST_SHARE ? smoothed : p->P, future->P);
         }
         future->later = STATE_TOO;
     }
-    for (int c = 0; c < m && estimates->signal; c++) estimates->signal[row * m + c] = dot(n, model->H + c * n, future->x);
-    if (estimates->sigma) spread_of(n, m, model, future->P, estimates->sigma + row * m);
+    for (int c = 0; c < m && estimates->signal; c++)
+        estimates->signal[row * m + c] = dot(n, model->H + c * n, future->x);
+    if (estimates->sigma) write_sigmas(n, m, model, future->P, estimates->sigma + row * m);
     if (estimates->x) copy(n, future->x, estimates->x + row * n);
     if (estimates->P) copy(n * n, future->P, estimates->P + row * n * n);
 }
 
-/* Carry the information of later rows back through the update of a row, and through the step before it. */
+/* Transform the information of later rows: back through the update of a row, and through the step before this row. */
 INLINE void step_back(const int n, const int m, const multivariate_t *model, const parts_t *p, const real *F,
                       const int spread, future_t *future) {
     real A[NN_MAX], g[M_MAX * N_MAX], G[N_MAX * M_MAX];
@@ -769,7 +779,8 @@ void multivariate_smooth(const multivariate_t *model, multivariate_state_t *stat
                          const estimates_t *estimates, future_t *future, void *room) {
     const int64_t size = packed(model->states, model->channels);
     char *own = room, *before = own + SMOOTHED * size;
-    const estimates_t ahead = {estimates->signal, NULL, estimates->innovation, estimates->deviation, estimates->x, NULL};
+    const estimates_t ahead = {estimates->signal, NULL, estimates->innovation, estimates->deviation, estimates->x,
+                               NULL};
     int64_t run = 0;
     for (int64_t row = 0; row < record->rows; row += SMOOTHED, before += size) {
         save(model, state, before);
@@ -786,8 +797,8 @@ int64_t multivariate_lag_room(const int64_t states, const int64_t channels, cons
            (int64_t)sizeof(future_t) + 4 * (lag + 1) * channels * (int64_t)sizeof(real);
 }
 
-void multivariate_lag(const multivariate_t *model, multivariate_state_t *state, const record_t *record, const int64_t lag,
-                      const int64_t ready, real *signal, real *sigma, void *room) {
+void multivariate_lag(const multivariate_t *model, multivariate_state_t *state, const record_t *record,
+                      const int64_t lag, const int64_t ready, real *signal, real *sigma, void *room) {
     const int64_t m = model->channels, most = (lag + 1) * m, size = multivariate_size(model->states, m);
     const estimates_t nothing = {NULL, NULL, NULL, NULL, NULL, NULL};
     multivariate_state_t *ahead = room;

@@ -1,5 +1,5 @@
-/* exp, log and the normal distribution, from arithmetic alone: C libraries differ in the last digit, so that IMM
-   estimates would differ between machines. */
+/* exp, log and the normal distribution, computed only by arithmetic: the results of C libraries differ in the last
+   digit, so that IMM estimates would differ between machines. */
 #ifndef BECALM_NORMAL_H
 #define BECALM_NORMAL_H
 
@@ -7,14 +7,15 @@
 
 #include "pair.h"
 
-#define LEAST_EXPONENT ((real)-708)    /* least argument of exp; below it, the result is 0 */
-#define LEAST_TAIL ((real)1e-300)      /* a probability; its quantile is 37 */
+#define LEAST_EXPONENT ((real)-708)    /* least argument of exp; below this, the result is 0 */
+#define LEAST_TAIL ((real)1e-300)      /* least probability, whose normal quantile is -37 */
 #define ROOT_2 ((real)1.41421356237309504880)
 #define ROOT_2_PI ((real)2.50662827463100050242)
 
-static const real LN_2_HIGH = (real)0x1.62e42fefap-1, LN_2_LOW = (real)0x1.cf79abc9e3b3ap-40; /* k times the first is exact */
+/* ln 2 in two parts; a whole multiple of the first part is exact. */
+static const real LN_2_HIGH = (real)0x1.62e42fefap-1, LN_2_LOW = (real)0x1.cf79abc9e3b3ap-40;
 
-/* Return e^x of two numbers below 709. x = k ln 2 + r, and e^r is a quotient of polynomials (Pade, order 6). */
+/* Return e^x of two numbers below 709: x = k ln 2 + r, and e^r is a quotient of polynomials (Pade, order 6). */
 INLINE pair_t exponentials(const pair_t x) {
     const pair_t shift = both((real)6755399441055744); /* 1.5 * 2^52: adding it rounds a number to a whole one */
     const pair_t shifted = x * (real)1.44269504088896340736 + shift, k = shifted - shift;
@@ -27,7 +28,7 @@ INLINE pair_t exponentials(const pair_t x) {
 
 INLINE real exponential(const real x) { return exponentials(both(x))[0]; }
 
-/* Return log x of two normal numbers, 0 or infinity. x = 2^k m, and log m = 2 artanh f with f = (m - 1) / (m + 1). */
+/* Return log x of two numbers that are normal, 0 or infinite: x = 2^k m, log m = 2 artanh f, f = (m - 1) / (m + 1). */
 INLINE pair_t logarithms(const pair_t x) {
     const uint64_t root_half = 0x3FE6A09E667F3BCDu, one = 0x3FF0000000000000u;
     const bits_t bits = (bits_t)x, powers = (bits + (one - root_half)) >> 52;
@@ -77,9 +78,9 @@ static inline real scaled_tail(const real u) {
 /* Return the probability of a standard normal number larger than u >= 0. */
 static inline real upper_tail(const real u) { return scaled_tail(u) * exponential((real)-0.5 * u * u); }
 
-/* Return the normal quantile of a value, given the probabilities of smaller and of larger values. The first
-   approximation is within 5e-4 (Hastings 1955; Abramowitz and Stegun 26.2.23); two steps of Newton's method each double
-   the digits. */
+/* Return the normal quantile of a value, given the probabilities of smaller and of larger values. The error of the
+   first approximation is below 5e-4 (Hastings 1955; Abramowitz and Stegun 26.2.23); two steps of Newton's method each
+   double the number of correct digits. */
 static inline real normal_score(const real below, const real above) {
     static const real A[] = {(real)0.010328, (real)0.802853, (real)2.515517};
     static const real B[] = {(real)0.001308, (real)0.189269, (real)1.432788, 1};

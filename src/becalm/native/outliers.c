@@ -1,12 +1,13 @@
-/* Detect gross outliers of a record by neighbours on both sides; for streams, `limits.h` uses those before. */
+/* Detect gross outliers of a record by neighbours on both sides; for streams, `limits.h` uses only earlier neighbours.
+ */
 #include "limits.h"
 
-#define FEWEST_AFTER 2 /* least number of runs after a run; with fewer, those before decide */
+#define FEWEST_AFTER 2 /* least number of later runs; with fewer, the limit for earlier neighbours applies */
 
-/* Collect the six nearest neighbours of a run in the rows from `from` to `until`; return how many there are. If one
-   side has fewer than three, the other has more. Write to `after` how many come after the run, and to `missing` whether
-   more may come after the last run. */
-static int gather(const real *values, const int64_t *ends, const int64_t run, const int64_t runs, const int64_t from,
+/* Collect up to six nearest neighbours of a run, in the rows from `from` to `until`; return their number. If one side
+   has fewer than three, the other side gives more. Write to `after` the number of runs after this run, up to six, and to
+   `missing` whether more are needed and may follow after the last run. */
+static int collect_neighbours(const real *values, const int64_t *ends, const int64_t run, const int64_t runs, const int64_t from,
                   const int64_t until, real *neighbours, int *after, int *missing) {
     int before = 0;
     *after = 0;
@@ -22,8 +23,9 @@ static int gather(const real *values, const int64_t *ends, const int64_t run, co
     return left + right;
 }
 
-/* Write the runs of measurements that are not NaN: their values, first and last rows; return how many. Equal ones in a
-   row form one run if the settings say so, or if they are zeros that may mark missing measurements. */
+/* Write the value, the first row and the last row of each run of measurements that are not NaN; return the number of
+   runs. Equal measurements in a row are one run if `repeats_are_one`, or if they are zeros that may mark missing
+   measurements; otherwise each measurement is a run. */
 static int64_t find_runs(const settings_t *settings, const real *z, const int64_t rows, real *values, int64_t *ends) {
     int64_t runs = 0;
     for (int64_t row = 0; row < rows; row++) {
@@ -44,8 +46,8 @@ static int64_t count_measured(const real *z, const int64_t first, const int64_t 
     return count;
 }
 
-/* Return whether a single measurement is so near to each of three on either side, in the rows from `from` to `until`,
-   that it is not an outlier. Most measurements are, and need no median. */
+/* Return whether a single measurement is so near to each of three neighbours on either side, in the rows from `from` to
+   `until`, that it is not an outlier. This is true for most measurements, so that they need no median. */
 static int is_near_neighbours(const settings_t *settings, const real distance, const real *values, const int64_t *ends,
                    const int64_t run, const int64_t runs, const int64_t from, const int64_t until) {
     if (run < SIDE || run + SIDE >= runs || ends[2 * run] != ends[2 * run + 1]) return 0;
@@ -59,14 +61,14 @@ static int is_near_neighbours(const settings_t *settings, const real distance, c
     return near;
 }
 
-/* Return whether measurements are missing in the rows before and after a run. */
-static int is_alone(const int64_t *ends, const int64_t run, const int64_t runs) {
+/* Return whether the row before a run and the row after it have no measurement. */
+static int has_missing_beside(const int64_t *ends, const int64_t run, const int64_t runs) {
     const int64_t row = ends[2 * run];
     return (run == 0 || row - ends[2 * run - 1] > 1) && (run + 1 == runs || ends[2 * run + 2] - row > 1);
 }
 
-/* Leave out implausible neighbours whose distance from a value is more than four times the distance of the value from
-   the plausible range; return how many stay. */
+/* Remove each implausible neighbour whose distance from a value is more than four times the distance of the value from
+   the plausible range; return the number of remaining neighbours. */
 static int keep_supporting(const settings_t *settings, const real value, real *neighbours, const int count) {
     const real low = settings->plausible_low, high = settings->plausible_high;
     const real beyond = value < low ? low - value : value - high;
@@ -78,7 +80,7 @@ static int keep_supporting(const settings_t *settings, const real value, real *n
     return kept;
 }
 
-/* Leave out neighbours that are 0 and mark missing measurements; return how many stay. */
+/* Remove neighbours that are 0 and mark missing measurements; return the number of remaining neighbours. */
 static int keep_measured(const settings_t *settings, real *neighbours, const int count) {
     if (!marks_missing(settings, 0, neighbours, count)) return count;
     int kept = 0;
@@ -96,7 +98,7 @@ static int judge_run(const settings_t *settings, const real distance, const int6
     if (marks_missing(settings, value, neighbours, count)) return holds && rows >= LONGEST_0 ? STUCK : OUTLIER;
     count = keep_measured(settings, neighbours, count);
     int away = value < settings->plausible_low || value > settings->plausible_high;
-    if (away && rows == 1 && is_alone(ends, run, runs)) /* in a sparse stretch outliers would hide each other */
+    if (away && rows == 1 && has_missing_beside(ends, run, runs)) /* among sparse measurements outliers would hide each other */
         count = keep_supporting(settings, value, neighbours, count);
     if (count >= FEWEST_NEIGHBOURS) {
         const int fills = stuck > 0 && rows >= SHORTEST_FILL && rows <= LONGEST_FILL;
@@ -104,22 +106,24 @@ static int judge_run(const settings_t *settings, const real distance, const int6
                       away ? IMPLAUSIBLE_SPREADS : SPREADS);
     }
     if (away) return OUTLIER;
-    return holds && !(value == 0 && ends_at_0(settings)) ? STUCK : USED;
+    return holds && !(value == 0 && may_end_at_0(settings)) ? STUCK : USED;
 }
 
 int64_t scan_outliers(const settings_t *settings, const real distance, const int64_t stuck, const real *z,
                       const int64_t rows, const int64_t judged_rows, const int whole, real *values, int64_t *ends,
                       int8_t *verdict) {
     const int64_t runs = find_runs(settings, z, rows, values, ends);
-    const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* a run that is too long to stand in */
+    const int64_t longest = stuck > 0 ? LONGEST_FILL + 1 : 0; /* a run too long to replace missing measurements */
     const int64_t decided = stuck > longest ? stuck : longest;
     for (int64_t run = 0; run < runs; run++) {
         const int64_t first = ends[2 * run], last = ends[2 * run + 1];
         int found = verdict[first];
-        if (first >= judged_rows && (stuck == 1 || !is_near_neighbours(settings, distance, values, ends, run, runs, first - REACH, first + REACH))) {
+        const int64_t from = first - REACH, until = first + REACH;
+        if (first >= judged_rows &&
+            (stuck == 1 || !is_near_neighbours(settings, distance, values, ends, run, runs, from, until))) {
             real neighbours[NEIGHBOURS];
             int after, missing;
-            const int count = gather(values, ends, run, runs, first - REACH, first + REACH, neighbours, &after, &missing);
+            const int count = collect_neighbours(values, ends, run, runs, from, until, neighbours, &after, &missing);
             const int64_t measured = count_measured(z, first, last);
             if (missing && !whole && rows - 1 - first < REACH) return first;
             const int undecided = measured < decided || (values[run] == 0 && last - first + 1 < LONGEST_0);
@@ -142,7 +146,7 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
     for (int64_t row = judged_rows; row < end; row++) {
         if (isnan(z[row])) continue;
         while (ends[2 * run + 1] < row) run++;
-        const int64_t from = row - REACH, until = row + ahead; /* the rows that decide, wherever a block ends */
+        const int64_t from = row - REACH, until = row + ahead; /* these rows decide, whatever the block */
         int64_t first = ends[2 * run] > from ? ends[2 * run] : from;
         int64_t last = ends[2 * run + 1] < until ? ends[2 * run + 1] : until;
         while (isnan(z[first])) first++;
@@ -150,7 +154,7 @@ int64_t scan_outliers_soon(const settings_t *settings, const real distance, cons
         if (is_near_neighbours(settings, distance, values, ends, run, runs, from, until)) continue;
         real neighbours[NEIGHBOURS];
         int after, missing;
-        const int count = gather(values, ends, run, runs, from, until, neighbours, &after, &missing);
+        const int count = collect_neighbours(values, ends, run, runs, from, until, neighbours, &after, &missing);
         if (is_long_0(settings, values[run], last - first + 1)) continue;
         const int64_t measured = count_measured(z, first, last);
         const real far = after < FEWEST_AFTER ? settings->outlier_distance : distance;
@@ -164,7 +168,7 @@ void measure_distances(const real *z, const int64_t rows, int64_t *ends, real *d
     for (int64_t row = 0; row < rows; row++) {
         real neighbours[NEIGHBOURS];
         int after, missing;
-        const int count = gather(z, ends, row, rows, row - REACH, row + REACH, neighbours, &after, &missing);
+        const int count = collect_neighbours(z, ends, row, rows, row - REACH, row + REACH, neighbours, &after, &missing);
         distances[row] = fabs(z[row] - median_of(neighbours, count, spreads + row));
     }
 }

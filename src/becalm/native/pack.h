@@ -1,4 +1,4 @@
-/* Pack the state of a filter without the unused part of its arrays. */
+/* Pack the state of a filter: copy it without the unused parts of its arrays. */
 #ifndef BECALM_PACK_H
 #define BECALM_PACK_H
 
@@ -7,7 +7,7 @@
 
 #include "linear.h"
 
-enum { HEAD = offsetof(filter_t, x) / sizeof(real) }; /* numbers before the arrays */
+enum { HEAD = offsetof(filter_t, x) / sizeof(real) }; /* number of numbers before the arrays */
 
 static inline int64_t packed_size(const int64_t n) { return HEAD + 6 * n + n * n; }
 
@@ -40,7 +40,7 @@ static inline int64_t size_after(const int64_t n, const size_t at) {
     return (int64_t)at + packed_size(n) * (int64_t)sizeof(real);
 }
 
-/* Read a field of a packed state. */
+/* The next functions read a field of a packed state. */
 static inline int64_t packed_phase(const real *packed) {
     int64_t phase;
     memcpy(&phase, packed + offsetof(filter_t, phase) / sizeof(real), sizeof phase);

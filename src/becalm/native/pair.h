@@ -1,5 +1,4 @@
-/* Two numbers side by side, so that one instruction does the work of two. GCC and Clang have such types on any
-   processor. */
+/* Vectors of two numbers, so that one instruction processes both. GCC and Clang have such types for any processor. */
 #ifndef BECALM_PAIR_H
 #define BECALM_PAIR_H
 
@@ -8,7 +7,7 @@
 #define SIDE_BY_SIDE __attribute__((vector_size(2 * sizeof(real)), aligned(sizeof(real)), may_alias))
 
 typedef real pair_t SIDE_BY_SIDE;
-typedef int64_t mask_t SIDE_BY_SIDE; /* the result of comparing pairs */
+typedef int64_t mask_t SIDE_BY_SIDE; /* the result of a comparison of pairs */
 typedef uint64_t bits_t SIDE_BY_SIDE;
 
 /* Return a pointer to two numbers of an array as a pair. */

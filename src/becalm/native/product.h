@@ -8,8 +8,8 @@ enum { POWER = 60 }; /* exponent of LARGE */
 
 #define LARGE ((real)1152921504606846976) /* 2^POWER: products are kept between it and its inverse */
 
-/* Scale a factor to between 1 / LARGE and LARGE by powers of two, which are added to an exponent; 0 and infinity do not
-   change. */
+/* Scale a factor by a power of two into the range from 1 / LARGE to LARGE, and add the opposite power to the exponent; 0
+   and infinity do not change. */
 static inline real near_one(real factor, int64_t *exponent) {
     for (; factor > LARGE && factor < INFINITE; *exponent += POWER) factor *= 1 / LARGE;
     for (; factor < 1 / LARGE && factor > 0; *exponent -= POWER) factor *= LARGE;

@@ -26,8 +26,8 @@ int64_t scan_faults(const settings_t *settings, limits_t *state, const real *z, 
 
 void scan_reduce(const settings_t *settings, limits_t *state) { reduce_limits(settings, state); }
 
-int64_t scan_innovations(const settings_t *settings, record_monitor_t *state, const real *normalised, const real *elapsed,
-                         const int64_t rows, int8_t *verdict, const hops_t *hops) {
+int64_t scan_innovations(const settings_t *settings, record_monitor_t *state, const real *normalised,
+                         const real *elapsed, const int64_t rows, int8_t *verdict, const hops_t *hops) {
     enum { LAST = WINDOW_HOPS - 2 };
     monitor_t *monitor = &state->monitor;
     int64_t ended = 0;

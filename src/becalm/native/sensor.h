@@ -22,7 +22,7 @@ static inline void count_fault(faults_t *faults, const int verdict) {
     if (!faults->met[verdict]++) faults->first_row[verdict] = faults->rows, faults->first_step[verdict] = faults->steps;
 }
 
-/* Check measurements: write verdicts, those that may enter the filter, and the rows before which it restarts. */
+/* Check measurements: write verdicts, the measurements that may enter the filter, and the rows at which it restarts. */
 static inline void judge_rows(const settings_t *settings, sensor_t *state, const block_t *block, int8_t *verdicts,
                               pass_t *pass) {
     faults_t *faults = &state->faults;
@@ -38,7 +38,7 @@ static inline void judge_rows(const settings_t *settings, sensor_t *state, const
     }
 }
 
-/* Return sigma widened by the uncertainties of times, tuning and calibration; R is the variance of a measurement. */
+/* Return sigma increased by the uncertainties of times, tuning and calibration; R is the variance of a measurement. */
 static inline real widened(const settings_t *settings, const real R, sensor_t *state, const real signal, real sigma,
                            const real elapsed) {
     if (settings->timed) {
@@ -59,7 +59,7 @@ static inline real widened(const settings_t *settings, const real R, sensor_t *s
     return sigma;
 }
 
-/* Monitor innovations, remove impossible estimates, and widen sigma. */
+/* Monitor innovations, remove runaway estimates and those in holes, and increase sigma. */
 static inline void watch_rows(const settings_t *settings, const real R, sensor_t *state, const block_t *block,
                               const estimate_t *estimate, const pass_t *pass) {
     const real low = settings->plausible_low, high = settings->plausible_high;

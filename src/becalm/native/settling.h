@@ -57,15 +57,16 @@ static inline void unsettle(filter_t *state) {
 
 /* Check after a row whether the gain has settled. It must be unchanged for n more rows, because an oscillating gain may
    have the same value at two checks. */
-INLINE void check_settling(const int n, const real *h, const real *F, filter_t *state, const real elapsed, const int complete) {
+INLINE void check_settling(const int n, const real *h, const real *F, filter_t *state, const real elapsed,
+                           const int complete) {
     if (!complete || elapsed != state->last_step) {
         unsettle(state);
         if (complete) state->last_step = elapsed;
     }
     state->predicted = 0;
     if (++state->steady < state->next_check) return;
-    const real rows = (real)0.125 * (real)state->steady;
-    const int settled = check_gain(n, state) && forgets(n, 1, h, F, state->K, state->P, rows);
+    const int settled =
+        check_gain(n, state) && forgets(n, 1, h, F, state->K, state->P, (real)0.125 * (real)state->steady);
     state->agreed = settled ? state->agreed + 1 : 0;
     if (0 < state->agreed && state->agreed <= n) {
         state->next_check = state->steady + 1;

@@ -5,10 +5,10 @@
 enum { N_MAX = 72 };    /* largest number of states */
 enum { M_MAX = 32 };    /* largest number of channels that share one state */
 enum { MODES_MAX = 8 }; /* largest number of modes */
-enum { SMOOTHED = 64 }; /* rows in a block that a smoother filters again at once */
+enum { SMOOTHED = 64 }; /* number of rows in a block, which a smoother filters again as a whole */
 
-/* Call a function whose first argument is the number of states; it is a constant up to 7, so that loops are
-   unrolled. */
+/* Call a function whose first argument is the number of states; up to 7 it is a compile-time constant, so that loops
+   are unrolled. */
 #define FOR_STATES(n, function, ...)                       \
     switch (n) {                                           \
     case 1: function(1, __VA_ARGS__); break;               \
@@ -21,7 +21,7 @@ enum { SMOOTHED = 64 }; /* rows in a block that a smoother filters again at once
     default: function((int)(n), __VA_ARGS__);              \
     }
 
-/* The same, with constants up to 4. */
+/* Do the same, with compile-time constants up to 4. */
 #define FOR_FEW_STATES(n, function, ...)                   \
     switch (n) {                                           \
     case 1: function(1, __VA_ARGS__); break;               \

@@ -1,14 +1,14 @@
 /* Fixed-interval smoother of one channel, in the form of Bryson and Frazier (1963) and Bierman (1973).
 
-   The forward pass stores its state before every block. For a block with the steady-state gain the backward pass needs
-   only the innovations; it filters any other block again from the stored state. Equations are numbered as in
+   The forward pass stores the state before every block. For a block with the steady-state gain the backward pass needs
+   only the innovations; any other block is filtered again from the stored state. Equations are numbered as in
    core/reference/kalman.py. */
 #include "backward.h"
 #include "gap.h"
 
-enum { LONGEST_WAIT = 50 }; /* missing rows in a row; after more, a reject stays a spike */
+enum { LONGEST_WAIT = 50 }; /* after more consecutive missing rows, a rejected measurement remains a spike */
 
-enum { SKIPPED = 2 }; /* value of `only_future`: not even the last rows are smoothed */
+enum { SKIPPED = 2 }; /* value of `only_future`: no row of the block is smoothed */
 
 int64_t smoother_room(const int64_t states, const int64_t rows) {
     return ((rows + SMOOTHED - 1) / SMOOTHED + 1 + SMOOTHED) * packed_size(states);
@@ -27,7 +27,7 @@ void smoother_begin_after(const settings_t *settings, const coefficients_t *mode
     filter_begin_after(settings, model, &forward->limits, &forward->filter, first, rows, steps);
 }
 
-/* Return the first of the consecutive rejects before a row, or the row itself if there are none. */
+/* Return the first of the consecutive rejected measurements before a row, or the row itself if there are none. */
 static int64_t first_rejected(const block_t *block, const int8_t *verdict, const int64_t row) {
     int64_t first = row, missing = 0;
     for (int64_t k = row - 1; k >= 0 && missing <= LONGEST_WAIT; k--) {
@@ -41,8 +41,8 @@ static int64_t first_rejected(const block_t *block, const int8_t *verdict, const
     return first;
 }
 
-/* Filter SMOOTHED rows from `row` on; return the first row that is not final. If it is before their end, a jump starts
-   there: it is marked, and rows from there on must be filtered again. */
+/* Filter SMOOTHED rows from `row` on; return the first row that is not final. If it is one of the filtered rows or an
+   earlier row, a jump starts there: the row is marked, and rows from there on must be filtered again. */
 INLINE int64_t forward_part(const int n, const settings_t *settings, const coefficients_t *model, filter_t *state,
                             const block_t *block, const int64_t row, const estimate_t *estimate, real *room,
                             int8_t *starts) {
@@ -69,7 +69,7 @@ INLINE int64_t forward_rows(const int n, const settings_t *settings, const coeff
         int64_t stay = forward_part(n, settings, model, state, block, row, estimate, room, starts);
         if (stay == rows && !ends && settings->gated) {
             const int64_t first = first_rejected(block, estimate->verdict, rows);
-            if (first < rows) rows = stay = first / SMOOTHED * SMOOTHED; /* the rejects may still become a jump */
+            if (first < rows) rows = stay = first / SMOOTHED * SMOOTHED; /* the rejected measurements may still become a jump */
         }
         if (stay < filtered) {
             stay = stay / SMOOTHED * SMOOTHED;
@@ -91,14 +91,14 @@ int64_t smoother_forward(const settings_t *settings, const coefficients_t *model
     find_starts(settings, &forward->limits, block, block->rows, starts);
     FOR_STATES(settings->states, taken = forward_rows, settings, model, &forward->filter, block, estimate, room, starts,
                ends)
-    if (taken < block->rows) { /* the caller passes the others again */
+    if (taken < block->rows) { /* the caller passes the other rows again */
         forward->limits = before;
         find_starts(settings, &forward->limits, block, taken, starts);
     }
     return taken;
 }
 
-/* Add the information of later rows to a row (9). */
+/* Add the effect of later rows to the estimates of a row (9). */
 INLINE void add_later(const int n, const real *P, const real *Pc, const real *r, const int64_t row,
                       const estimate_t *estimate) {
     estimate->signal[row] += dot(n, Pc, r);
@@ -106,8 +106,8 @@ INLINE void add_later(const int n, const real *P, const real *Pc, const real *r,
         for (int i = 0; i < n; i++) estimate->x[row * n + i] += dot(n, P + i * n, r);
 }
 
-/* Smooth a block with the steady-state gain. Two rows at once halve the chain of dependent operations of the recursion
-   for r. */
+/* Smooth a block with the steady-state gain. Two rows are processed at once: this halves the number of dependent
+   operations in the recursion for r. */
 INLINE void smooth_settled(const int n, const coefficients_t *model, const filter_t *state, const real *F,
                            const block_t *part, future_t *future, const estimate_t *estimate, const int only_future) {
     real A[NN_MAX], B[NN_MAX], BB[NN_MAX], hF[N_MAX], BhF[N_MAX], G[N_MAX], Pc[N_MAX], r[N_MAX]; /* B = A' */
@@ -143,10 +143,10 @@ INLINE void smooth_settled(const int n, const coefficients_t *model, const filte
         if (!only_future) estimate->sigma[row] = sigma;
         if (row == 0)
             future->later =
-                smooth_covariance(n, state->P, future->M, future->P) > HARDLY ? COVARIANCE_ONLY : NOTHING_LATER;
+                smooth_covariance(n, state->P, future->M, future->P) > LEAST_SHARE ? COVARIANCE_ONLY : NOTHING_LATER;
         if (!future->settled) pull_back(n, 1, A, G, hF, future->M); /* (12) */
     }
-    if (!future->settled) notice_future(n, future, part->rows);
+    if (!future->settled) check_future(n, future, part->rows);
 }
 
 /* Filter a block again, row by row, and smooth it. */

@@ -1,5 +1,5 @@
-/* Checkpoints of a channel, or of a forward pass: reduce a state to what later rows depend on, check one that comes
-   from a file, and pack it without the unused part of its arrays. */
+/* Checkpoints of a channel, or of a smoother's forward pass: reduce a state to what later rows depend on, check a state
+   from a file, and pack a state without the unused parts of its arrays. */
 #include <string.h>
 
 #include "filter.h"
@@ -7,7 +7,7 @@
 #include "monitor.h"
 #include "pack.h"
 
-/* Reduce the state of the filter; once the gain has settled, the numbers of its checks do not matter. */
+/* Reduce the state of the filter; once the gain has settled, the numbers of the checks have no influence. */
 static void reduce_filter(const settings_t *settings, filter_t *filter) {
     const int64_t longest = settings->gate_most > GOES_ON ? settings->gate_most : GOES_ON;
     filter->rows = filter->settled_row = 0;
@@ -54,7 +54,7 @@ static int are_finite(const real *numbers, const int count) {
     return 1;
 }
 
-/* Return whether the state of a filter is possible: no counter can overflow, and no number stays NaN. */
+/* Return whether the state of a filter is possible: no counter can overflow, and no number is NaN. */
 static int filter_is_sound(const int n, const filter_t *filter) {
     int sound = filter->phase >= UNKNOWN && filter->phase <= DETERMINED && are_finite(filter->x, n) &&
                 are_finite(filter->P, n * n) && isfinite(filter->level);
@@ -71,8 +71,7 @@ int smoother_is_sound(const settings_t *settings, const forward_t *forward) {
     return limits_are_sound(&forward->limits) && filter_is_sound((int)settings->states, &forward->filter);
 }
 
-/* Return whether a state, which may come from a file, is possible for this channel; then every index is also within its
-   array. */
+/* If the state is possible, every index is also within its array. */
 int channel_is_sound(const settings_t *settings, const state_t *state) {
     const int n = (int)state->states;
     const sensor_t *sensor = &state->sensor;
