@@ -2,8 +2,6 @@
 PYTHON ?= python3
 BIN := .venv/bin
 WORKERS ?= 2
-# Most slow tests wait for browsers, clusters and servers.
-SLOW_WORKERS ?= 4
 # Tests compile the same sources of the filter again and again.
 export PATH := $(if $(wildcard /usr/lib/ccache),/usr/lib/ccache:)$(PATH)
 export CCACHE_NOHASHDIR := 1
@@ -52,7 +50,7 @@ fast: .venv/tested
 
 slow: .venv/tested
 	$(BIN)/python hatch_build.py
-	$(BIN)/pytest -n $(SLOW_WORKERS) --dist worksteal -m slow
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m slow
 
 # For every platform, on any machine: ziglang compiles for all of them.
 wheels: .venv/tested
