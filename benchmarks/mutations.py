@@ -134,7 +134,8 @@ def tests_of(one: Mutation, rng: Random) -> list[str]:
     data.read()
     lines = data.contexts_by_lineno(str(ROOT / one.path))
     of_line = {name for name in lines.get(one.line, []) if "::" in name}
-    contexts = of_line or {name for names in lines.values() for name in names if "::" in name}  # a constant of a module
+    of_file = {name for contexts in lines.values() for name in contexts if "::" in name}
+    contexts = of_line or of_file  # a constant of a module is in no test's line
     names = {name.partition("|")[0].partition("[")[0] for name in contexts}
     tests = {name for name in names if not name.startswith("tests/house")}  # these read the text
     return sorted(rng.sample(sorted(tests), min(TESTS, len(tests))))
@@ -171,7 +172,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(asked.jobs) as pool:
         copies: SimpleQueue[Path] = SimpleQueue()
         for number in range(asked.jobs):
-            ignored = shutil.ignore_patterns(".venv", ".git", "__pycache__", ".*_cache")
+            ignored = shutil.ignore_patterns(".venv", ".git", "__pycache__", ".*_cache", ".coverage*")
             copies.put(Path(shutil.copytree(ROOT, Path(folder, str(number), ROOT.name), ignore=ignored)))
 
         def attempt(one: Mutation, tests: list[str]) -> str:

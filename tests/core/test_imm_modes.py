@@ -12,6 +12,7 @@ from banks import bank_of, kernels, laid_out, record, tones
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import run_filter
 from becalm.core.filter.smoothing import run_smoother
+from becalm.core.imm import modes
 from becalm.core.imm.flow import ImmFlow
 from becalm.core.imm.modes import InteractingModels, Mode
 from becalm.core.model.components import motion
@@ -234,3 +235,13 @@ def test_sigma_is_honest_where_the_posterior_is_no_gaussian(causal: bool) -> Non
     share, square = honesty(1, causal)
     assert 0.68 < share < 0.8
     assert 0.85 < square < 1.2
+
+
+def test_matrices_of_many_step_lengths_are_not_kept_for_other_filters() -> None:
+    """A record in uneven time has a step length for every row; its matrices would fill the memory."""
+    bank = bank_of(2, 2)
+    bank.matrices(np.ones(1))
+    kept = modes._over.cache_info().currsize
+    lengths = np.linspace(1.0, 2.0, 1000)
+    np.testing.assert_array_equal(bank.matrices(lengths).F[:2], bank.matrices(np.ones(1)).F)
+    assert modes._over.cache_info().currsize == kept

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from becalm.core.recording import Recording
 from becalm.errors import OutputError, RecordingError
 from becalm.files import ReadOptions, output_table, read, read_source, write, write_table
-from becalm.files.atomic_file import refuse_unwritable
+from becalm.files.atomic_file import abandon, refuse_unwritable, replacing
 from becalm.files.writing import refuse_columns
 
 ENDINGS = ["csv", "csv.gz", "h5", "mat", "npz", "parquet"]
@@ -296,3 +296,35 @@ def test_an_epoch_in_milliseconds_keeps_its_digits(tmp_path: Path) -> None:
     write_table(tmp_path / "out.csv", output_table(source, source.recording, source.recording))
     written = (tmp_path / "out.csv").read_text(encoding="utf-8").splitlines()[1:]
     assert [line.split(",")[0] for line in written] == [line.split(",")[0] for line in lines]
+
+
+def test_an_end_without_unwinding_closes_a_file_and_removes_it(tmp_path: Path) -> None:
+    """Windows removes no open file."""
+
+    def write_and_end() -> None:
+        with replacing(tmp_path / "out.csv") as file:
+            file.write(b"half")
+            abandon()
+            with pytest.raises(OSError, match="Bad file descriptor"):
+                os.fstat(file.fileno())
+            assert list(tmp_path.iterdir()) == []
+
+    with pytest.raises(OutputError):
+        write_and_end()
+
+
+def test_an_output_that_another_program_holds_open_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "out.csv").write_text("old", encoding="utf-8")
+    refusal = PermissionError(errno.EACCES, "in use")
+    refusal.winerror = 32  # type: ignore[attr-defined]  # as Windows has it
+
+    def refuse(path: Path, target: Path) -> Path:
+        raise refusal
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    with (
+        pytest.raises(OutputError, match=r"out\.csv is open in another program; close it there"),
+        replacing(tmp_path / "out.csv") as file,
+    ):
+        file.write(b"new")
+    assert [path.name for path in tmp_path.iterdir()] == ["out.csv"]

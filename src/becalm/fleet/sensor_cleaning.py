@@ -159,7 +159,8 @@ def refuse_foreign(job: Job, sensor: Sensor, names: Sequence[str]) -> None:
         raise OutputError(
             f"Two files of the sensor would both be written to {folder / twice[0]}; rename one of them in the lake."
         )
-    own = mark.own if mark is not None and mark.outcome.sensor == sensor.name else set()  # of "a", not of "A"
+    # Where names differ in case only, the folder may be another sensor's.
+    own = mark.own if mark is not None and mark.outcome.sensor == sensor.name else set()
     if foreign := [name for name in names if name not in own and os.path.lexists(folder / name)]:
         raise OutputError(
             f"{folder / foreign[0]} exists already, and no mark shows that becalm wrote it; remove it, or name another"

@@ -22,7 +22,8 @@ from becalm.native.imm import MOST_MODES, ModeMatrices, Steps
 _WIDE = 1e6  # initial variance of the slopes, over that of the steady-state filter
 _ASLEEP = 1e-6  # variance of an inactive state, over the process noise of one step
 _MOST_CACHED = 16  # largest number of `ModeMatrices` in the cache
-_MOST_KEPT = 256  # number of matrices of modes in each cache: a search asks for the same ones again and again
+_MOST_KEPT = 256  # results that the caches below keep; a search for modes needs the same ones many times
+_FEW_LENGTHS = 64  # most step lengths of a result that is kept: a record in uneven time may have one for every row
 _TERMS = 16  # terms of a series whose argument is at most 1/4
 
 
@@ -144,10 +145,10 @@ class InteractingModels:
         return {}
 
     def _new_matrices(self, lengths: Floats) -> ModeMatrices:
-        key = lengths.tobytes()
+        over, key = _over if len(lengths) <= _FEW_LENGTHS else _over.__wrapped__, lengths.tobytes()
         F, Q = (
             np.stack(parts, axis=1)
-            for parts in zip(*(_over(mode.component, self.component, key) for mode in self.modes), strict=True)
+            for parts in zip(*(over(mode.component, self.component, key) for mode in self.modes), strict=True)
         )
         n, count = self.states, len(lengths) * len(self.modes)
         return ModeMatrices(
