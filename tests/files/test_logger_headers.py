@@ -66,6 +66,7 @@ def test_a_step_in_milliseconds_is_one(head: str, tmp_path: Path) -> None:
 
 HEADS = {
     "LabVIEW, no X": WITHOUT_X + pair("\t"),
+    "LabVIEW, no X, no 0": WITHOUT_X.replace("\t0.01", "\t.01") + pair("\t"),
     "RaceChrono": RACE
     + "".join(f"{1709647323 + t:.2f},{a:.4f},{b:.4f}\n" for t, a, b in zip(TIMES, A, B, strict=True)),
     "INCA": "ETASAsciiItemFile\trecord\t\nsampleCount\t60\ntime\ta\tb\nf8\tf8\tf8\ns\tV\tg\n" + table("\t"),

@@ -110,7 +110,7 @@ def test_the_map_gives_the_covariance_of_what_no_state_touches(growth: float) ->
     exact = T.T @ stacked_covariance(model, start, found.rows) @ T
     np.testing.assert_allclose((found.slopes @ amounts).reshape(exact.shape), exact, atol=1e-9)
     half = told(model, "fixed", "full")
-    np.testing.assert_allclose(half.slopes @ amounts[3:] + half.held, found.slopes @ amounts, atol=1e-9)
+    np.testing.assert_allclose(half.slopes @ amounts[3:] + half.fixed, found.slopes @ amounts, atol=1e-9)
 
 
 LEVEL, SLOPE, CURVE = (motion(order).to_model(1.0, 1.0) for order in (1, 2, 3))

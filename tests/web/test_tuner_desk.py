@@ -146,12 +146,12 @@ def test_what_passes_unchanged_has_no_dial() -> None:
     ],
 )
 def test_a_recipe_is_read_back_as_what_was_set(options: Options, setting: Setting) -> None:
-    assert options.as_given(options.recipe(setting)) == setting
+    assert options.simplest_setting(options.recipe(setting)) == setting
 
 
 def test_a_recipe_of_another_hand_is_kept_as_it_is(options: Options) -> None:
     strange = RICH.model_copy(update={"order": 5, "process_noise_density": 1e12, "tuning_spread": 0.3})
-    setting = options.as_given(strange)
+    setting = options.simplest_setting(strange)
     assert setting.choice == GIVEN
     assert options.recipe(setting) == strange
     calmer = options.recipe(options.changed(setting, SettingChanges(process_noise_density=1e6)))

@@ -80,7 +80,7 @@ class Filter:
         else:
             self.noise_variance, self.noise_std = self.tuning.noise_variance, recipe.motion.noise_std
             self.gap_limit = gap_limit_of(self.tuning.component, self.noise_variance)
-        self.largest = largest_magnitude_for_noise(self.noise_variance)
+        self.largest_magnitude = largest_magnitude_for_noise(self.noise_variance)
 
     def open_flow(
         self, judge: Judge | None = None, *, split: bool = False
@@ -90,7 +90,9 @@ class Filter:
         A causal filter without modes cannot be run so: `CausalChannel` and `CausalFlow` run it.
         """
         if self.modes is not None:
-            return RestartingFlow(partial(self._open_modes, self.modes, judge, split), self.gap_limit, self.largest)
+            return RestartingFlow(
+                partial(self._open_modes, self.modes, judge, split), self.gap_limit, self.largest_magnitude
+            )
         component, variance = self.tuning.component, self.noise_variance
         if self.lag is None:
             return SmoothedFlow(component, variance, judge=judge, split=split, gate=self.gate)

@@ -64,7 +64,9 @@ class LiveFilteredChannel(FilteredChannel):
             assert design.lag, "a causal filter without modes is a `CausalChannel`"
             self._flow = FixedLagFlow(component, variance, lag=design.lag, judge=judge, gate=design.gate)
         else:
-            self._flow = LiveRestartingFlow(partial(self._open_modes, design.modes), design.gap_limit, design.largest)
+            self._flow = LiveRestartingFlow(
+                partial(self._open_modes, design.modes), design.gap_limit, design.largest_magnitude
+            )
 
     def _open_modes(self, modes: InteractingModels) -> LiveFlow:
         lag, judge = self._filter.lag, self.sensor.add_innovations

@@ -33,7 +33,7 @@ _LEAST_GROUP = 64 * BLOCK  # rows
 _MOST_GROUP = 1 << 22  # rows: a mode with a longer memory is almost a constant
 
 
-class _Stretch(NamedTuple):
+class _Group(NamedTuple):
     """Filtered rows, with all that the smoother needs."""
 
     matrices: ModeMatrices
@@ -73,7 +73,7 @@ class ImmFlow(ImmFlowBase):
         super().__init__(ForwardImm(switching, judge, split=split, with_probabilities=with_probabilities))
         self._group = _LEAST_GROUP if causal else _group_rows(switching)
         self._incomplete = Rows.empty()
-        self._held: _Stretch | None = None
+        self._unsmoothed: _Group | None = None
 
     def push(self, z: Floats, elapsed: Floats) -> list[EstimatedRows]:
         """Take the next rows, readings (B,) and the steps before them; return the rows whose estimates are final."""
@@ -92,34 +92,34 @@ class ImmFlow(ImmFlowBase):
         """End the record; return the rows that were waiting."""
         estimates = self._take_group(self._incomplete) if len(self._incomplete.z) else []
         self._incomplete = Rows.empty()
-        if self._held is not None:
-            estimates.append(self._smooth(self._held, nothing_later(self._held.matrices)))
-            self._held = None
+        if self._unsmoothed is not None:
+            estimates.append(self._smooth(self._unsmoothed, nothing_later(self._unsmoothed.matrices)))
+            self._unsmoothed = None
         return estimates
 
     def _take_group(self, rows: Rows) -> list[EstimatedRows]:
         """Filter a group, and smooth the previous group."""
-        stretch, _ = self._take(rows)
-        before, self._held = self._held, stretch
-        if before is None:
+        group, _ = self._take(rows)
+        previous, self._unsmoothed = self._unsmoothed, group
+        if previous is None:
             return []
-        later = nothing_later(stretch.matrices)
-        smooth_rows(stretch.matrices, self._filter.state, stretch.z, stretch.steps, stretch.before, later, NO_BUFFERS)
-        return [self._smooth(before, later)]
+        information = nothing_later(group.matrices)
+        smooth_rows(group.matrices, self._filter.state, group.z, group.steps, group.before, information, NO_BUFFERS)
+        return [self._smooth(previous, information)]
 
-    def _take(self, rows: Rows) -> tuple[_Stretch, EstimatedRows]:
+    def _take(self, rows: Rows) -> tuple[_Group, EstimatedRows]:
         lengths, steps = numbered_steps(rows.elapsed)
         matrices, z = self.switching.matrices(lengths), np.ascontiguousarray(rows.z)
         before = blocks_before(matrices, 0 if self._causal else len(z))
         buffers = self._filter.run(z, matrices, steps, before=None if self._causal else before)
         verdicts = with_spikes(rows.verdicts, buffers)
-        return _Stretch(matrices, z, steps, before, verdicts), self._filter.estimates_from(buffers, verdicts)
+        return _Group(matrices, z, steps, before, verdicts), self._filter.estimates_from(buffers, verdicts)
 
-    def _smooth(self, stretch: _Stretch, later: Floats) -> EstimatedRows:
-        """Smooth a stretch with the information of the rows after it."""
-        buffers = self._filter.new_buffers(len(stretch.z))
-        smooth_rows(stretch.matrices, self._filter.state, stretch.z, stretch.steps, stretch.before, later, buffers)
-        return self._filter.estimates_from(buffers, stretch.verdicts)
+    def _smooth(self, group: _Group, information: Floats) -> EstimatedRows:
+        """Smooth a group with the information of the rows after it."""
+        buffers = self._filter.new_buffers(len(group.z))
+        smooth_rows(group.matrices, self._filter.state, group.z, group.steps, group.before, information, buffers)
+        return self._filter.estimates_from(buffers, group.verdicts)
 
 
 def _group_rows(switching: InteractingModels) -> int:
@@ -165,6 +165,6 @@ def _comparable_gaps(gaps: Floats, gap_limit: GapLimit) -> Floats:
 
     The time span and the number are inf once they are so large that they do not reduce the longest gap.
     """
-    now, last, readings = gaps
-    saturated = readings >= gap_limit.readings and gap_limit.spans * last >= gap_limit.longest
-    return np.array([now - last, np.inf if saturated else last, np.inf if saturated else readings])
+    now, last_reading, readings = gaps
+    saturated = readings >= gap_limit.readings and gap_limit.spans * last_reading >= gap_limit.longest
+    return np.array([now - last_reading, np.inf if saturated else last_reading, np.inf if saturated else readings])

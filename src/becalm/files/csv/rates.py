@@ -19,10 +19,10 @@ from becalm.files.text.cells import split
 from becalm.files.timing.time_column import NUMBERS, find_time, kind_of_column, numbers
 from becalm.files.unit_spelling import parse_header
 
-_STEPS = {"Delta_X": "dt", "Increment": "dt", "tInc": "dt"}
-"""Names of the time step in files of LabVIEW and of oscilloscopes."""
+_NAMES_OF_STEPS = {"Delta_X": "dt", "Increment": "dt", "tInc": "dt"}
+"""For names of the time step in files of LabVIEW and of oscilloscopes, the name that `hertz_of` knows."""
 
-_WRITTEN = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/]*)")
+_NUMBER_AND_UNIT = re.compile(r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z/]*)")
 _NAME_END = re.compile(r"\s*[:=]\s*")
 _AGREE = 1e-9  # largest relative difference of rates that count as equal
 
@@ -48,9 +48,9 @@ def with_rate(raw: RawTable, rate_hz: float | None) -> RawTable:
     """Add a time column at the given rate to a table, unless the rate is None or the table has times."""
     if rate_hz is None or _has_times(raw):
         return raw
-    own = next(name for number in range(len(raw.names) + 1) if (name := TIME + "_" * number) not in raw.names)
-    rows = _CountedRows(raw.rows, own, rate_hz)
-    return replace(raw, rows=rows, units={own: "s", **raw.units}, time=FormatTime(own, rate_hz))
+    time = next(name for number in range(len(raw.names) + 1) if (name := TIME + "_" * number) not in raw.names)
+    rows = _RowsWithTime(raw.rows, time, rate_hz)
+    return replace(raw, rows=rows, units={time: "s", **raw.units}, time=FormatTime(time, rate_hz))
 
 
 def _rates_in(row: Sequence[str]) -> Iterator[float]:
@@ -58,10 +58,11 @@ def _rates_in(row: Sequence[str]) -> Iterator[float]:
     pairs = [(row[0].rstrip(":= "), row[1:])]
     pairs += [(parts[0], parts[1:]) for cell in row if len(parts := _NAME_END.split(cell, maxsplit=1)) == 2]
     for name, values in pairs:
-        matches = [match for value in values if (match := _WRITTEN.fullmatch(value))]
+        matches = [match for value in values if (match := _NUMBER_AND_UNIT.fullmatch(value))]
         if matches and len({match[1] for match in matches}) == 1:
-            unit = matches[0][2] or next((value for value in values if value and not value[0].isdigit()), "")
-            rate = hertz_of(_STEPS.get(name, name), float(matches[0][1]), unit)
+            texts = (value for value in values if value and not _NUMBER_AND_UNIT.fullmatch(value))
+            unit = matches[0][2] or next(texts, "")
+            rate = hertz_of(_NAMES_OF_STEPS.get(name, name), float(matches[0][1]), unit)
             if rate is not None:
                 yield rate
 
@@ -69,8 +70,8 @@ def _rates_in(row: Sequence[str]) -> Iterator[float]:
 def _rates_below(upper: Sequence[str], lower: Sequence[str]) -> Iterator[float]:
     """Yield the rates of time steps that are in the row below their names."""
     for name, value in zip(upper, lower, strict=False):
-        if name in _STEPS and (match := _WRITTEN.fullmatch(value)):
-            rate = hertz_of(_STEPS[name], float(match[1]))
+        if name in _NAMES_OF_STEPS and (match := _NUMBER_AND_UNIT.fullmatch(value)):
+            rate = hertz_of(_NAMES_OF_STEPS[name], float(match[1]))
             if rate is not None:
                 yield rate
 
@@ -89,7 +90,7 @@ def _has_times(raw: RawTable) -> bool:
     return not statistics.counts
 
 
-class _CountedRows:
+class _RowsWithTime:
     """Rows with a first column of time in seconds at an even rate."""
 
     def __init__(self, rows: TableRows, name: str, rate_hz: float) -> None:

@@ -44,12 +44,12 @@ class StripCursor:
             self._schema: pa.Schema = pa.ipc.read_schema(file)
             self._at: int = file.tell()
         self.columns: pa.Schema = self._schema.remove(self._schema.get_field_index(RANK))
-        self._held: pa.Table = self._schema.empty_table()
+        self._loaded: pa.Table = self._schema.empty_table()
 
     @property
-    def held(self) -> int:
+    def loaded_rows(self) -> int:
         """Return the number of rows in memory."""
-        return int(self._held.num_rows)
+        return int(self._loaded.num_rows)
 
     def read(self) -> pa.Table:
         """Read the next message and return its rows, without keeping them in memory."""
@@ -62,19 +62,21 @@ class StripCursor:
 
     def load(self) -> None:
         """Read the next message into memory, in place of the rows there."""
-        self._held = self.read()
-        self.last_rank = _ranks(self._held)[-1]
+        self._loaded = self.read()
+        self.last_rank = _ranks(self._loaded)[-1]
 
     def take(self, stop: Any, *, also_equal: bool) -> pa.Table:
         """Remove from memory, and return, the rows with a rank below `stop`, with `also_equal` up to `stop`."""
-        count = int(np.searchsorted(_ranks(self._held), stop, "right" if also_equal else "left"))
-        taken, rest = self._held.slice(0, count), self._held.slice(count)
-        self._held = rest if rest.num_rows else self._schema.empty_table()  # an empty slice would keep the whole buffer
+        count = int(np.searchsorted(_ranks(self._loaded), stop, "right" if also_equal else "left"))
+        taken, rest = self._loaded.slice(0, count), self._loaded.slice(count)
+        self._loaded = (
+            rest if rest.num_rows else self._schema.empty_table()
+        )  # an empty slice would keep the whole buffer
         return taken
 
-    def rest(self) -> pa.Table:
+    def all_loaded(self) -> pa.Table:
         """Return all rows in memory."""
-        return self._held
+        return self._loaded
 
 
 def merge_strips(lake: Path, strips: Sequence[Strip]) -> Iterator[pa.Table]:
@@ -119,18 +121,18 @@ def _by_rank(heads: Sequence[StripCursor]) -> Iterator[list[pa.Table]]:
     """
     unread = [(head.last_rank, place) for place, head in enumerate(heads)]
     heapq.heapify(unread)
-    at_work = list[int]()
+    in_memory = list[int]()
     while unread:
-        last_rank, least = unread[0]
-        yield [heads[place].take(last_rank, also_equal=place <= least) for place in at_work]
-        head = heads[least]
+        last_rank, first = unread[0]
+        yield [heads[place].take(last_rank, also_equal=place <= first) for place in in_memory]
+        head = heads[first]
         head.load()
-        at_work = sorted({place for place in at_work if heads[place].held} | {least})
+        in_memory = sorted({place for place in in_memory if heads[place].loaded_rows} | {first})
         if head.left:
-            heapq.heapreplace(unread, (head.last_rank, least))
+            heapq.heapreplace(unread, (head.last_rank, first))
         else:
             heapq.heappop(unread)
-    yield [heads[place].rest() for place in at_work]
+    yield [heads[place].all_loaded() for place in in_memory]
 
 
 def _join_sorted(parts: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:

@@ -113,7 +113,7 @@ def _first_readings(parts: OpenedSensor) -> tuple[float, ...]:
 
 
 def _largest(channel: ChannelRecipe, step_s: float) -> float:
-    return np.inf if channel.motion is None else Filter(channel, step_s, 0).largest
+    return np.inf if channel.motion is None else Filter(channel, step_s, 0).largest_magnitude
 
 
 def _first_finite(readings: Floats) -> float:

@@ -48,7 +48,7 @@ class Autocovariances:
         Orthonormal directions of stacked readings that do not depend on the state.
     slopes : (d * d, k) float array
         Derivatives of the covariance along these directions with respect to the amounts.
-    held : (d * d,) float array
+    fixed : (d * d,) float array
         Covariance along these directions due to the fixed part of Q and R.
     largest : (k,) float array
         Upper bounds of the lengths of the columns of `slopes`: their lengths if no terms cancelled.
@@ -59,7 +59,7 @@ class Autocovariances:
     rows: int
     noise_only: Floats
     slopes: Floats
-    held: Floats
+    fixed: Floats
     largest: Floats
 
     @cached_property
@@ -120,7 +120,7 @@ class Autocovariances:
         noise = noise[np.isfinite(noise).all(axis=1)]
         if len(noise) < 2 * self.noise_only.shape[1]:
             return None
-        moments = (noise.T @ noise / len(noise)).ravel() - self.held
+        moments = (noise.T @ noise / len(noise)).ravel() - self.fixed
         seen = ~self.unseen
         amounts = np.zeros(len(seen))
         scaled = self.slopes[:, seen] / self.lengths[seen]
@@ -163,14 +163,15 @@ def autocovariances(
     vectors, _, _ = np.linalg.svd(observability)
     noise_only = vectors[:, model.states - observed_model.unobservable.shape[1] :]
     shapes = [
-        (R * together)[np.ix_(has_readings, has_readings)] / np.outer(units, units) for R in (*noise.shapes, noise.held)
+        (R * together)[np.ix_(has_readings, has_readings)] / np.outer(units, units)
+        for R in (*noise.shapes, noise.fixed)
     ]
     parts = (H, model.F, model.G, noise_only)
-    moments = _moments(parts, [*process.shapes, process.held], shapes)
+    moments = _moments(parts, [*process.shapes, process.fixed], shapes)
     bounds = _moments([np.abs(part) for part in parts], np.abs(process.shapes), np.abs(shapes[:-1]))
     k = len(process.shapes)
-    slopes, held = np.delete(moments, [k, -1], axis=1), moments[:, k] + moments[:, -1]
-    return Autocovariances(has_readings, units, rows, noise_only, slopes, held, np.linalg.norm(bounds, axis=0))
+    slopes, fixed = np.delete(moments, [k, -1], axis=1), moments[:, k] + moments[:, -1]
+    return Autocovariances(has_readings, units, rows, noise_only, slopes, fixed, np.linalg.norm(bounds, axis=0))
 
 
 def _moments(parts: Sequence[Floats], process: Iterable[Floats], noise: Iterable[Floats]) -> Floats:

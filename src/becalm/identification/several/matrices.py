@@ -39,13 +39,13 @@ class Patterns:
         Names for messages, such as "Q[0,1]".
     shapes : (k, d, d) float array
         The patterns; no two of them share an entry.
-    held : (d, d) float array
+    fixed : (d, d) float array
         The fixed part, in unit^2.
     """
 
     names: tuple[str, ...]
     shapes: Floats
-    held: Floats
+    fixed: Floats
 
     @property
     def variances(self) -> Booleans:
@@ -64,7 +64,7 @@ class Patterns:
 
     def covariance(self, amounts: Floats) -> Floats:
         """Return the covariance (d, d) for any amounts (k,); it may have negative eigenvalues."""
-        return np.asarray(self.held + np.einsum("k,kij->ij", amounts, self.shapes))
+        return np.asarray(self.fixed + np.einsum("k,kij->ij", amounts, self.shapes))
 
 
 def patterns_of(letter: str, covariance: Floats, freedom: Freedom) -> Patterns:

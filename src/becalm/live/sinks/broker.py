@@ -84,7 +84,7 @@ class BrokerSink(ABC):
         form = remote.address.chosen("format", FORMATS, FORMATS[0])
         self._outbox = Outbox(form, remote.address.seconds("gather", _GATHER_S))
         self._connection: BrokerConnection | None = None
-        self._reached = False
+        self._has_connected = False
         self._acknowledged: set[int] = set()
         self._refusal: BecalmError | None = None
 
@@ -98,7 +98,7 @@ class BrokerSink(ABC):
         self._outbox.begin(head)
         self._acknowledged = set()
         self._connection = self._connect()
-        self._reached, self._refusal = True, None
+        self._has_connected, self._refusal = True, None
         self._send()
 
     def write(self, output: Output) -> None:

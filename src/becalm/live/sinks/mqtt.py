@@ -43,7 +43,7 @@ class MqttSink(BrokerSink):
 
     def _connect(self) -> BrokerConnection:
         connection = _MqttPublisher(self._remote, self._session, self._on_result)
-        connection.connect(reached=self._reached)
+        connection.connect(reached=self._has_connected)
         return connection
 
 

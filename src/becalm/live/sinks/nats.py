@@ -51,9 +51,9 @@ class NatsSink(BrokerSink):
 
     def _connect(self) -> BrokerConnection:
         connection = _NatsPublisher(self._remote, self._stream, self._subject, self._on_result)
-        connection.connect(reached=self._reached)
+        connection.connect(reached=self._has_connected)
         try:
-            check_subject(connection.stream_info(self._stream, reached=self._reached), self._subject)
+            check_subject(connection.stream_info(self._stream, reached=self._has_connected), self._subject)
             if self._refusal is None:  # after a refusal, a message before the last one may be missing
                 self._outbox.drop_through(connection.last_id())
         except BaseException:

@@ -77,7 +77,7 @@ class MqttSource:
         self._stream = MessageStream(address)
         self.rate_hz = self._stream.rate_hz
         self._link: MqttLink | None = None
-        self._reached = False
+        self._has_connected = False
         self._queue: deque[_Message] = deque()
         self._queued_bytes = 0
         self._pending_losses: tuple[Loss, ...] = ()
@@ -101,11 +101,11 @@ class MqttSource:
         with self._guard:
             self._unacknowledged.clear()
         self._link = link = MqttLink(self._remote, self._session, on_message=self._on_message)
-        link.connect(reached=self._reached)
-        if (position or self._reached) and not link.session_present:
+        link.connect(reached=self._has_connected)
+        if (position or self._has_connected) and not link.session_present:
             text = f"{self._remote.host} no longer has this client's session; messages that it held for it are lost."
             self._pending_losses += (Loss(LossKind.GAP, None, text),)
-        self._reached = True
+        self._has_connected = True
         link.subscribe(self._topic)
 
     def read(self, timeout_s: float) -> Block | None:
@@ -130,7 +130,7 @@ class MqttSource:
         self._stream.take_many([(message.payload, message.received_s) for message in taken])
         block = self._stream.block(extra=self._pending_losses)
         self._pending_losses = ()
-        self._await_commit(taken, new=block is not None and len(block) > 0)
+        self._acknowledge_after_commit(taken, new=block is not None and len(block) > 0)
         if block is None:
             return None
         arrived_s = taken[-1].arrived_s if taken else time.monotonic()
@@ -163,7 +163,7 @@ class MqttSource:
             self._queued_bytes += len(queued.payload)
             link.changed.notify_all()
 
-    def _await_commit(self, taken: list[_Message], *, new: bool) -> None:
+    def _acknowledge_after_commit(self, taken: list[_Message], *, new: bool) -> None:
         """Record the block that must be committed before these messages are acknowledged.
 
         If the messages made a `new` block with rows, this is that block, else the block before.

@@ -59,7 +59,7 @@ class NatsSource:
         self.rate_hz = self._stream.rate_hz
         self._link: NatsLink | None = None
         self._pull: NatsPull | None = None
-        self._reached = False
+        self._has_connected = False
         self._created = ""
         self._last = 0
         self._began: int | None = None  # number of the first message to read while there is no position
@@ -70,9 +70,9 @@ class NatsSource:
         self.close()
         fields = parse_position("nats", position, "message")
         self._link = link = NatsLink(self._remote)
-        link.connect(reached=self._reached)
-        info = link.stream_info(self._name, reached=self._reached)
-        self._reached = True
+        link.connect(reached=self._has_connected)
+        info = link.stream_info(self._name, reached=self._has_connected)
+        self._has_connected = True
         if info.config.retention not in (None, "limits"):
             raise InputError(
                 f"The stream {self._name} deletes messages once they are read (retention {info.config.retention}), so "

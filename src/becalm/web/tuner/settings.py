@@ -120,16 +120,18 @@ class Options:
             "unchanged": setting.unchanged or recipe.model != "motion",
         }
 
-    def as_given(self, given: ChannelRecipe) -> Setting:
+    def simplest_setting(self, given: ChannelRecipe) -> Setting:
         """Return the simplest setting whose recipe is a given recipe of the channel."""
         for choice in (FOUND, *self._rivals):
             base = self._base(Setting(choice))
             off = frozenset(key for key in components(base) if not _has(given, key, base))
-            tries = [Setting(choice, off=off)]
+            candidates = [Setting(choice, off=off)]
             if given.motion is not None:
-                dialled = given.motion.noise_std, given.motion.process_noise_density
-                tries += [Setting(choice, *dialled, off=off - kept) for kept in ({"switching", "gate"}, {"switching"})]
-            for setting in tries:
+                numbers = given.motion.noise_std, given.motion.process_noise_density
+                candidates += [
+                    Setting(choice, *numbers, off=off - kept) for kept in ({"switching", "gate"}, {"switching"})
+                ]
+            for setting in candidates:
                 if self.recipe(setting) == given:
                     return setting
         return Setting(GIVEN, given=given)

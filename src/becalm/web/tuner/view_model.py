@@ -130,7 +130,7 @@ class ViewModel:
             if option.unit != unit:
                 raise RecipeError(f"The recipe has {channel!r} in {option.unit!r}, this recording in {unit!r}.")
         settings = tuple(
-            option.as_given(given[name]) if name in given else Setting(unchanged=True)
+            option.simplest_setting(given[name]) if name in given else Setting(unchanged=True)
             for name, option in zip(names, options, strict=True)
         )
         self._set(TunerSettings(recipe.mode, recipe.lag_s, settings))
