@@ -137,12 +137,20 @@ def _without_some(part: Columns, whole: Columns) -> bool:
     return set(rows) <= set(all_rows)
 
 
+@pytest.fixture(scope="module", params=WRITTEN)
+def log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, bytes, list[Columns]]:
+    """Return a format, a file in it, and what is in that file."""
+    name: str = request.param
+    path = WRITTEN[name](tmp_path_factory.mktemp("whole") / f"log.{name.rpartition('.')[2]}")
+    return name, path.read_bytes(), _read(path)[0]
+
+
 @pytest.mark.parametrize("cut", CUTS)
-@pytest.mark.parametrize("name", WRITTEN)
-def test_what_is_left_is_the_beginning_and_said_to_be(name: str, cut: float, tmp_path: Path) -> None:
-    path = WRITTEN[name](tmp_path / f"log.{name.rpartition('.')[2]}")
-    data = path.read_bytes()
-    whole, _ = _read(path)
+def test_what_is_left_is_the_beginning_and_said_to_be(
+    log: tuple[str, bytes, list[Columns]], cut: float, tmp_path: Path
+) -> None:
+    name, data, whole = log
+    path = tmp_path / f"log.{name.rpartition('.')[2]}"
     path.write_bytes(data[: int(len(data) * cut if cut > 0 else cut)])
     if path.stat().st_size <= ENOUGH.get(name, 0.5) * len(data):
         with suppress(BecalmError):
