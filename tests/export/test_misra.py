@@ -20,7 +20,7 @@ GATED = channel("ax", 2, 0.05, gate=GateRecipe(), limits=LIMITS)
 SWITCHING = channel("ay", 2, 0.05, switching=MODES, limits=LIMITS)
 MADE: dict[str, Callable[[Precision], Bundle]] = {
     "settled": lambda precision: bundle(TONAL, SLOW, precision=precision, gain="settled"),
-    "whole": lambda precision: bundle(channel("az", 2, 0.0), GATED, SWITCHING, precision=precision),
+    "full": lambda precision: bundle(channel("az", 2, 0.0), GATED, SWITCHING, precision=precision),
     "fixed": lambda _: bundle(TONAL, SLOW, precision="q31", spans=dict.fromkeys(("ax", "ay"), (-SPAN, SPAN))),
 }
 PAGE = Path(__file__).parents[2] / "docs" / "export.md"
@@ -34,7 +34,7 @@ def deviations(kind: str) -> set[str]:
 
 @pytest.mark.parametrize(
     ("kind", "precision"),
-    [(kind, precision) for kind in ("settled", "whole") for precision in ("float32", "float64")] + [("fixed", "q31")],
+    [(kind, precision) for kind in ("settled", "full") for precision in ("float32", "float64")] + [("fixed", "q31")],
 )
 def test_misra_reports_what_is_listed(kind: str, precision: Precision, tmp_path: Path) -> None:
     need("cppcheck")
