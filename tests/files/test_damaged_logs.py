@@ -11,7 +11,7 @@ from becalm.errors import BecalmError
 from robot_logs import EPOCH_NS, bag1, bag2, drone, json_log, mutant, read_through
 from test_real_files import real
 
-MORE_MUTANTS = 2000
+MORE_MUTANTS = 500
 
 
 def _stored(storage: str) -> Callable[[Path], Path]:
@@ -74,10 +74,10 @@ def test_any_damaged_log_is_read_or_told(name: str, tmp_path: Path) -> None:
     assert _damage(LOGS[name], tmp_path, range(MUTANTS[name], MORE_MUTANTS))
 
 
-@pytest.mark.parametrize("kept", range(10, 100, 10))
 @pytest.mark.parametrize("name", LOGS)
-def test_a_log_that_is_cut_off_is_read_or_told(name: str, kept: int, tmp_path: Path) -> None:
+def test_a_log_that_is_cut_off_is_read_or_told(name: str, tmp_path: Path) -> None:
     data = LOGS[name](tmp_path / "log.bag").read_bytes()
     path = tmp_path / "cut.bin"
-    path.write_bytes(data[: len(data) * kept // 100])
-    assert _readable(path) or kept < ENOUGH_PERCENT.get(name, 60)
+    for kept in range(10, 100, 10):
+        path.write_bytes(data[: len(data) * kept // 100])
+        assert _readable(path) or kept < ENOUGH_PERCENT.get(name, 60), kept
