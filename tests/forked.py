@@ -5,6 +5,7 @@ A command begins in the fork as `python -m becalm` does: with its own arguments,
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import runpy
@@ -75,12 +76,22 @@ def _server() -> subprocess.Popen[str]:
 
 def _load() -> None:
     """Load what most commands do, but start no thread: a fork has none."""
+    import pyarrow.csv
+    import pyarrow.parquet  # noqa: F401
+    import rich.progress  # noqa: F401
+    import scipy.signal  # noqa: F401
+
     from becalm.cleaning import pipeline  # noqa: F401
-    from becalm.cli import clean, main, messages  # noqa: F401
+    from becalm.cli import clean, compare, export, main, messages, noise, report_files  # noqa: F401
     from becalm.files import source  # noqa: F401
+    from becalm.report import page  # noqa: F401
 
     if find_spec("pandas"):
         import pandas  # noqa: F401  (which pyarrow loads where it is)
+    if find_spec("matplotlib"):
+        import matplotlib.backends.backend_svg
+        import matplotlib.figure  # noqa: F401
+    gc.freeze()  # a fork that collects garbage copies no page of these
 
 
 def _serve() -> None:
