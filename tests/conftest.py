@@ -11,6 +11,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does: threads of small matrices only wait
+
 import numpy as np
 import pytest
 from hypothesis import settings
