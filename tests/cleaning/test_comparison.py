@@ -55,14 +55,15 @@ def test_on_its_own_ground_no_classic_filter_errs_less_though_it_knows_the_truth
 
 
 def test_without_truth_nothing_is_said_of_errors() -> None:
-    found = compare(MEASURED, causal=True)
+    measured = Recording(Z[:3000], rate_hz=RATE_HZ)
+    found = compare(measured, causal=True)
     assert all(contender.rms_error is None for contender in found.channels[0].contenders)
     assert {contender.rule for contender in found.channels[0].contenders} == {"", "equal noise", "equal lag"}
-    assert np.array_equal(found.cleaned.signal.samples, clean(MEASURED, causal=True).signal.samples)
+    assert np.array_equal(found.cleaned.signal.samples, clean(measured, causal=True).signal.samples)
 
 
 def test_levels_that_jump_are_compared_in_the_mode_that_lasts() -> None:
-    z = np.repeat(4 * RNG.normal(size=10), 2000) + RNG.normal(size=20_000)
+    z = np.repeat(4 * RNG.normal(size=10), 200) + RNG.normal(size=2000)
     found = compare(Recording(z, rate_hz=RATE_HZ), causal=True)
     assert found.cleaned.reports[0].modes
     removed = found.channels[0].contenders[0].noise_removed_db
@@ -80,21 +81,19 @@ def test_a_channel_that_passes_unchanged_has_no_rivals(z: Floats, causal: bool) 
     assert channel.contenders[0].noise_removed_db is None
 
 
-@pytest.mark.parametrize("odd", [np.nan, np.inf, -np.inf, 1e300])
-def test_no_filter_is_given_what_is_no_reading(odd: float) -> None:
-    z = Z.copy()
-    z[100] = odd
-    (channel,) = compare(Recording(z, rate_hz=RATE_HZ), truth=Recording(TRUTH, rate_hz=RATE_HZ), causal=True).channels
+def test_no_filter_is_given_what_is_no_reading() -> None:
+    z, truth = Z[:3000].copy(), Recording(TRUTH[:3000], rate_hz=RATE_HZ)
+    z[100:2000:500] = np.nan, np.inf, -np.inf, 1e300
+    (channel,) = compare(Recording(z, rate_hz=RATE_HZ), truth=truth, causal=True).channels
     errors = [contender.rms_error for contender in channel.contenders if contender.rms_error is not None]
     assert len(errors) == len(channel.contenders)
     assert max(errors) < 1
 
 
-@pytest.mark.parametrize("odd", [np.nan, np.inf, 1e300])
-def test_where_the_truth_is_not_known_no_error_is_told(odd: float) -> None:
+def test_where_the_truth_is_not_known_no_error_is_told() -> None:
     measured = Recording(Z[:2000], rate_hz=RATE_HZ)
-    some, none = TRUTH[:2000].copy(), np.full(2000, odd)
-    some[:700] = odd
+    some, none = TRUTH[:2000].copy(), np.resize([np.nan, np.inf, 1e300], 2000)
+    some[:700] = none[:700]
     (channel,) = compare(measured, truth=Recording(some, rate_hz=RATE_HZ), causal=True).channels
     errors = [contender.rms_error for contender in channel.contenders if contender.rms_error is not None]
     assert len(errors) == len(channel.contenders)

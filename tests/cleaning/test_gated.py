@@ -41,26 +41,15 @@ def rms(out: Cleaned, truth: Floats) -> float:
     return float(np.sqrt(np.mean((out.signal.samples[500:, 0] - truth[500:]) ** 2)))
 
 
-def worse_by(kind: str, seeds: range, causal: bool, rows: int) -> float:
-    """Return by which factor spikes enlarge the rms error, the median of some seeds."""
-    errors = []
-    for seed in seeds:
-        truth, (noise, bad) = truth_of(kind, seed, rows), spiked(seed, rows)
-        errors.append([rms(cleaned(truth + noise + extra, causal=causal), truth) for extra in (0.0, bad)])
-    return float(np.median([spiky / without for without, spiky in errors]))
-
-
-@pytest.mark.parametrize("causal", [True, False])
-@pytest.mark.parametrize("kind", ["walk", "sine", "constant"])
-def test_spikes_are_seen_through(kind: str, causal: bool) -> None:
-    assert worse_by(kind, range(1), causal, 20_000) <= MOST_WORSE
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("causal", [True, False])
-@pytest.mark.parametrize("kind", ["walk", "sine", "constant"])
-def test_spikes_are_seen_through_over_seeds(kind: str, causal: bool) -> None:
-    assert worse_by(kind, range(1, 4), causal, 20_000) <= MOST_WORSE
+@pytest.mark.parametrize(
+    ("kind", "causal", "seed"),
+    [("walk", True, 0), ("walk", False, 1), ("sine", True, 2), ("sine", False, 3), ("constant", True, 4),
+     ("constant", False, 5)],
+)  # fmt: skip
+def test_spikes_are_seen_through(kind: str, causal: bool, seed: int) -> None:
+    truth, (noise, bad) = truth_of(kind, seed, 8000), spiked(seed, 8000)
+    without, spiky = (rms(cleaned(truth + noise + extra, causal=causal), truth) for extra in (0.0, bad))
+    assert spiky <= MOST_WORSE * without
 
 
 @pytest.mark.parametrize("size", [1e4, 1e6, 1e9])
@@ -126,18 +115,14 @@ def test_without_rejects_the_gate_changes_no_bit() -> None:
     assert np.array_equal(gated.sigma.samples, free.sigma.samples)
 
 
-RECORDINGS = ["comma2k19/accelerometer.csv", "comma2k19/can_speed.csv"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("causal", [True, False])
-@pytest.mark.parametrize("file", RECORDINGS)
-def test_real_motion_is_not_cut(file: str, causal: bool) -> None:
+@pytest.mark.parametrize("file", ["comma2k19/accelerometer.csv", "comma2k19/can_speed.csv"])
+def test_real_motion_is_not_cut(file: str) -> None:
+    """By a causal filter; test_real_recordings.py has the smoother."""
     path = DATA / file
     if not path.exists():
         pytest.skip(f"the recordings are not beside the project ({file})")
     table = np.loadtxt(path, delimiter=",", skiprows=1)
-    out = clean(Recording(table[:, 1:], times_s=table[:, 0]), causal=causal)
+    out = clean(Recording(table[:, 1:], times_s=table[:, 0]), causal=True)
     for verdicts in out.verdicts.values():
         assert np.mean(verdicts == Verdict.SPIKE) < 1e-3
 

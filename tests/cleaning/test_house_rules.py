@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,12 @@ def same_bytes(one: Cleaned, other: Cleaned) -> bool:
     return all(a.tobytes() == b.tobytes() for a, b in pairs)
 
 
+@cache
+def cleaned(causal: bool) -> Cleaned:
+    """Clean as it is, tuned anew."""
+    return clean(record(Z), causal=causal)
+
+
 @pytest.mark.parametrize("causal", MODES)
 def test_what_comes_out_has_the_shape_names_units_and_times_of_what_went_in(causal: bool) -> None:
     given_record = record(Z)
@@ -86,7 +93,7 @@ def test_the_input_stays_as_it_is(causal: bool) -> None:
 def test_cleaning_twice_gives_identical_bytes(causal: bool) -> None:
     recipe = RECIPES[causal]
     assert same_bytes(clean(record(Z), recipe), clean(record(Z), recipe))
-    assert same_bytes(clean(record(Z), causal=causal), clean(record(Z), recipe))
+    assert same_bytes(cleaned(causal), clean(record(Z), recipe))
     assert tune(record(Z), causal=causal).to_toml() == recipe.to_toml()
 
 
@@ -97,7 +104,7 @@ def test_a_recipe_from_its_text_gives_identical_bytes(causal: bool) -> None:
 
 
 @given(shift=st.floats(-1000, 1000), causal=st.booleans())
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_an_offset_in_is_an_offset_out(shift: float, causal: bool) -> None:
     recipe = without_limits(RECIPES[causal])
     out, shifted = clean(record(Z), recipe), clean(record(Z + shift), recipe)
@@ -106,7 +113,7 @@ def test_an_offset_in_is_an_offset_out(shift: float, causal: bool) -> None:
 
 
 @given(power=st.integers(-30, 30), sign=st.sampled_from([-1.0, 1.0]), causal=st.booleans())
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_another_unit_in_is_another_unit_out(power: int, sign: float, causal: bool) -> None:
     factor = sign * 2.0**power
     recipe = without_limits(RECIPES[causal])
@@ -130,7 +137,7 @@ def test_another_unit_in_is_another_unit_out(power: int, sign: float, causal: bo
 
 @pytest.mark.parametrize("causal", MODES)
 def test_tuning_too_follows_the_unit_and_not_the_offset(causal: bool) -> None:
-    out, other = clean(record(Z), causal=causal), clean(record(1000 * Z + 50), causal=causal)
+    out, other = cleaned(causal), clean(record(1000 * Z + 50), causal=causal)
     for one, two in zip(out.recipe.channel, other.recipe.channel, strict=True):
         assert (one.model, one.order) == (two.model, two.order)
         if one.noise_std is not None:
@@ -138,7 +145,7 @@ def test_tuning_too_follows_the_unit_and_not_the_offset(causal: bool) -> None:
 
 
 @given(row=st.integers(0, ROWS - 1), causal=st.booleans(), value=st.sampled_from([np.nan, np.inf, -np.inf, 1e101]))
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_one_hole_stays_one_hole(row: int, causal: bool, value: float) -> None:
     """Beside the first readings of a causal run, which have no past, every sample is told."""
     z = Z.copy()
@@ -156,11 +163,11 @@ def test_one_hole_stays_one_hole(row: int, causal: bool, value: float) -> None:
         np.testing.assert_allclose(signal[:row, 1], whole.signal.samples[:row, 1], rtol=1e-12, atol=1e-12)
 
 
-@given(order=st.permutations(range(4)), causal=st.booleans())
-@settings(max_examples=15)
-def test_the_order_of_channels_does_not_matter(order: list[int], causal: bool) -> None:
+@pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 2, 0, 3)])
+@pytest.mark.parametrize("causal", MODES)
+def test_the_order_of_channels_does_not_matter(causal: bool, order: tuple[int, ...]) -> None:
     names, units = tuple(NAMES[i] for i in order), tuple(UNITS[i] for i in order)
-    out, turned = clean(record(Z), causal=causal), clean(record(Z[:, order], names, units), causal=causal)
+    out, turned = cleaned(causal), clean(record(Z[:, order], names, units), causal=causal)
     assert turned.signal.names == names
     assert turned.signal.samples.tobytes() == np.ascontiguousarray(out.signal.samples[:, order]).tobytes()
     assert turned.sigma.samples.tobytes() == np.ascontiguousarray(out.sigma.samples[:, order]).tobytes()
@@ -169,7 +176,7 @@ def test_the_order_of_channels_does_not_matter(order: list[int], causal: bool) -
 
 @pytest.mark.parametrize("causal", MODES)
 def test_one_channel_alone_comes_out_as_among_others(causal: bool) -> None:
-    out = clean(record(Z), causal=causal)
+    out = cleaned(causal)
     for name in NAMES:
         alone = clean(record(Z), causal=causal, channels=[name])
         assert np.array_equal(alone.signal.samples[:, 0], out.signal.channel(name), equal_nan=True)
@@ -191,7 +198,7 @@ def test_a_causal_estimate_does_not_know_the_future() -> None:
 
 @pytest.mark.parametrize("causal", MODES)
 def test_a_constant_passes_with_no_uncertainty_told(causal: bool) -> None:
-    out = clean(record(Z), causal=causal)
+    out = cleaned(causal)
     assert np.array_equal(out.signal.channel("constant"), Z[:, 2])
     assert np.isnan(out.sigma.channel("constant")).all()
     assert out.reports[2].model == "constant"

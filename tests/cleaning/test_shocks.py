@@ -12,7 +12,7 @@ from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
 
-ROWS = 5000
+ROWS = 3000
 GAITMAP = Path(__file__).parents[2].parent / "shared" / "data" / "gaitmap" / "imu_sample.csv"
 
 
@@ -47,9 +47,12 @@ def struck() -> Floats:
 MOTIONS = {
     **{
         f"drop of {size:g} in {1e3 * width_s:g} ms at {rate_hz:g} Hz": dropped(rate_hz, width_s, size)
-        for rate_hz in (5000.0, 20_000.0)
-        for width_s in (0.002, 0.011)
-        for size in (50.0, 1000.0)
+        for rate_hz, width_s, size in (
+            (5000.0, 0.002, 50.0),
+            (5000.0, 0.011, 1000.0),
+            (20_000.0, 0.002, 1000.0),
+            (20_000.0, 0.011, 50.0),
+        )  # each pair of two of them
     },
     "smooth reversals": reversed_by_hand(True),
     "jerky reversals": reversed_by_hand(False),
