@@ -7,6 +7,7 @@ import pickle
 import struct
 import zipfile
 import zlib
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -16,6 +17,7 @@ from scipy.io import savemat
 
 from becalm.errors import BecalmError, InputError
 from becalm.files.registry import read_tables
+from robot_logs import read_through
 
 COUNT = 60
 VALUES = np.random.default_rng(1).standard_normal((COUNT, 3))
@@ -124,7 +126,7 @@ def test_npz_is_never_unpickled(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_members_that_would_fill_the_memory_are_refused(tmp_path: Path) -> None:
-    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         header = io.BytesIO()
         np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (1 << 26,)})
         with archive.open("x.npy", "w") as file:
@@ -199,11 +201,5 @@ def test_damaged_files_give_tables_or_a_sentence(name: str, tmp_path: Path) -> N
         if random.random() < 0.1:
             data = data[: random.integers(1, len(data))]
         (tmp_path / name).write_bytes(data)
-        try:
-            tables = read_tables(tmp_path / name)
-            for table in tables:
-                for block in table.blocks(table.names):
-                    assert block.num_rows <= 100_000
-                table.rows.close()
-        except BecalmError:
-            continue
+        with suppress(BecalmError):
+            assert all(len(table) <= 100_000 for table in read_through(tmp_path / name))

@@ -109,9 +109,9 @@ def test_arrays_of_other_lengths_stay_apart(form: str, tmp_path: Path) -> None:
     path = tmp_path / FILES[form]
     arrays = {"t_imu": TIME, "imu_acc": ACC, "gps_t": np.arange(40) / 10, "gps_speed": RANDOM.standard_normal(40)}
     SAVERS[form](path, arrays | {"bias": np.ones((3, 3))})
+    assert read(path, channels=["gps_speed"]).rate_hz == pytest.approx(10.0)
     found = {len(table.rows.schema) - 1: table for table in read_tables(path)}
     assert {channels: table.count for channels, table in found.items()} == {3: COUNT, 1: 40}
-    assert read(path, channels=["gps_speed"]).rate_hz == pytest.approx(10.0)
     assert any("bias" in note for note in found[1].notes)
 
 

@@ -200,7 +200,7 @@ def _ulog(path: Path) -> None:
 
 def _ulog_topics(path: Path) -> None:
     kind = part("F", b"a:uint64_t timestamp;float[65000] b;")
-    ulog(path, kind, *(topic(number, "a") for number in range(1000)))
+    ulog(path, kind, *(topic(number, "a") for number in range(100)))
 
 
 def _drone(path: Path) -> None:

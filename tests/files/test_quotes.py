@@ -34,7 +34,10 @@ def with_cells(cells: dict[int, str], column: int = 2) -> list[list[str]]:
     return rows
 
 
-@pytest.fixture(params=["whole", "blocks of 16 MB", "blocks of 1000 bytes", "blocks of 61 bytes"])
+WAYS = ["whole", "blocks of 16 MB", "blocks of 1000 bytes", "blocks of 61 bytes"]
+
+
+@pytest.fixture(params=WAYS)
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Read whole, and in blocks of several sizes."""
     name = str(request.param)
@@ -93,9 +96,13 @@ STRAYS: dict[str, tuple[str, str]] = {
 }
 
 
-@pytest.mark.parametrize(("text", "says"), STRAYS.values(), ids=STRAYS.keys())
-def test_a_stray_quote_is_refused_with_its_row_and_line(text: str, says: str, way: str, tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [(name, way) for k, name in enumerate(STRAYS) for way in (WAYS[0], WAYS[1 + k % 3])],
+    indirect=["way"],
+)
+def test_a_stray_quote_is_refused_with_its_row_and_line(name: str, way: str, tmp_path: Path) -> None:
+    path, (text, says) = tmp_path / "log.csv", STRAYS[name]
     path.write_bytes(text.encode())
     line = len(re.findall(r"\r\n|\n|\r", text[: re.search(r'"(?:hello|2[.,]25)', text).start()])) + 1  # type: ignore[union-attr]
     message = refusal(path)
@@ -185,10 +192,9 @@ NOTES = {
 }
 
 
-@pytest.mark.parametrize("column", [0, 1, 2])
-@pytest.mark.parametrize("note", NOTES.values(), ids=NOTES.keys())
-def test_notes_of_several_lines_are_read(note: str, column: int, way: str, tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
+@pytest.mark.parametrize(("number", "name"), list(enumerate(NOTES)))
+def test_notes_of_several_lines_are_read(number: int, name: str, way: str, tmp_path: Path) -> None:
+    path, note, column = tmp_path / "log.csv", NOTES[name], (number + WAYS.index(way)) % 3
     quoted = '"' + note.replace('"', '""') + '"'
     order = [[2, 0, 1], [0, 2, 1], [0, 1, 2]][column]
     rows = [[row[i] for i in order] for row in with_cells({100: quoted, 101: quoted, 1800: quoted})]

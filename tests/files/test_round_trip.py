@@ -141,6 +141,8 @@ def test_a_group_without_an_instant_gets_none_from_another(ending: str, tmp_path
 def test_what_was_read_back_can_be_written_again(ending: str, tmp_path: Path, tables: Tables) -> None:
     first = tables(write(tmp_path / f"a{ending}", fast(), slow()))
     blocks = [next(iter(one.blocks(one.names))) for one in first]
+    for one in first:
+        one.rows.close()
     again = tables(write(tmp_path / f"b{ending}", *blocks))
     assert [one.rows.schema for one in again] == [one.rows.schema for one in first]
     for one, block in zip(again, blocks, strict=True):

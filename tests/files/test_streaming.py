@@ -45,6 +45,9 @@ LATE: dict[str, str] = {
     "decimal commas late": lines("time_s;a", "{i};7", 300, "300;2,25\n"),
     "long whole numbers": "t_ns,a\n" + "".join(f"{1_646_670_915_123_456_789 + 10**7 * i},{i % 3}\n" for i in range(99)),
     "long whole numbers behind commas": lines("time_s,a,id", "{t},{v},9007199254740{i:03d}", 300),
+    "long whole numbers after zeros": lines("time_s,a,t_ns", "{t},{v},0", 900, "200,1,1700000000123456789\n"),
+    "long whole numbers after nothing": lines("time_s,a,t_ns", "{t},{v},", 300, "200,1,1700000000123456789\n"),
+    "decimal commas after nothing": lines("time_s;a;b", "{i};7;", 300, "300;2;2,25\n"),
     "quotes late": lines("time_s,a,n", "{t},{v},x", 99, '12.5,0.5,"a, b"\n', "12.625,0.5,y\n"),
     "line ends in cells": lines("time_s,a,n", '{t},{v},"x\ny"', 99),
     "words late": lines("time_s,a,b", "{t},{v},1.5", 300, "37.5,1,off\n", "37.625,1,2\n"),
@@ -111,6 +114,20 @@ def test_csv_in_blocks_is_csv_whole(text: str, packed: bool, tmp_path: Path, req
     whole = read_or_refused(path)
     request.getfixturevalue("small_blocks")
     assert_same(read_or_refused(path), whole)
+
+
+@pytest.mark.parametrize(
+    ("case", "column", "last"),
+    [
+        ("long whole numbers after zeros", "t_ns", 1_700_000_000_123_456_789),
+        ("long whole numbers after nothing", "t_ns", 1_700_000_000_123_456_789),
+        ("decimal commas after nothing", "b", 2.25),
+    ],
+)
+def test_what_the_first_rows_do_not_show_is_read_exactly(case: str, column: str, last: float, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(LATE[case], encoding="utf-8")
+    assert read_source(path).table.column(column)[-1].as_py() == last
 
 
 @pytest.mark.parametrize("codec", ["utf-8-sig", "utf-16", "cp1252", "utf-16-be"])

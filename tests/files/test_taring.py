@@ -213,7 +213,7 @@ def test_what_no_sensor_gives_is_not_in_the_zero(wild: float, tmp_path: Path) ->
     assert tare.reading == pytest.approx(np.delete(NOISY, 150)[100:299].mean(), abs=1e-6)
 
 
-QUIET = "The zero of 'pull' cannot be measured from 1 s to 3 s, as its tare says: "
+QUIET = "The zero of 'pull' cannot be measured in its tare interval, 1 s to 3 s: "
 REFUSED = {
     "a drift": (NOISY + 0.01 * T, QUIET + "The stretch is not quiet: it drifts by"),
     "a knock": (NOISY + np.where(np.abs(T - 2) < 0.1, np.sin(200 * T), 0.0), QUIET + "The stretch is not quiet"),

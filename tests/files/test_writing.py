@@ -42,7 +42,7 @@ def cleaned(path: Path, options: ReadOptions | None = None) -> pa.Table:
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     values=st.lists(
         st.tuples(*[st.floats(allow_nan=True, allow_infinity=True, width=64)] * 2), min_size=3, max_size=12
