@@ -46,10 +46,9 @@ def terms(readings: Floats) -> NoiseTerms:
     return noise_terms(allan_deviation(readings, RATE))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_n_and_k_are_recovered_from_a_million_readings(seed: int) -> None:
+def test_n_and_k_are_recovered_from_a_million_readings() -> None:
     """N within 2 %, K within 15 %."""
-    found = terms(record(2**20, seed, white=0.1, walk=0.01))
+    found = terms(record(2**20, 0, white=0.1, walk=0.01))
     assert found.white.value == pytest.approx(0.1, rel=0.02)
     assert found.random_walk.value == pytest.approx(0.01, rel=0.15)
     assert np.isnan(found.quantisation.value)
@@ -72,12 +71,12 @@ CASES: dict[str, tuple[Callable[[int], Floats], float]] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
-def test_standard_errors_are_those_of_a_hundred_records(name: str) -> None:
-    """The mean is unbiased, and errors are 0.5 to 1.4 of what is claimed: 2 % of form may be unused."""
+def test_standard_errors_are_those_of_forty_records(name: str) -> None:
+    """The mean is unbiased, and errors are 0.5 to 1.4 of what is claimed; forty tell them to 16 % and 11 %."""
     draw, true = CASES[name]
-    found = [getattr(terms(draw(seed)), name) for seed in range(100)]
+    found = [getattr(terms(draw(seed)), name) for seed in range(40)]
     told = [term for term in found if np.isfinite(term.value)]
-    assert len(told) >= 95
+    assert len(told) >= 38
     pulls = np.array([(term.value - true) / term.standard_error for term in told])
     assert abs(pulls.mean()) < 0.4
     assert 0.5 < pulls.std() < 1.4

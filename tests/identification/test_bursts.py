@@ -42,8 +42,7 @@ def rms_away(error: Floats) -> float:
     return float(np.sqrt(np.mean(error[away] ** 2)))
 
 
-@pytest.mark.parametrize("causal", [False, True])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("seed", "causal"), [(0, False), (1, False), (2, True)])
 def test_a_shock_changes_nothing_elsewhere(seed: int, causal: bool) -> None:
     noise, signal = NOISE * np.random.default_rng(seed + 30).normal(size=ROWS), slow(seed)
     calm, _ = cleaned(signal + noise, causal)

@@ -94,7 +94,7 @@ def test_the_root_of_two() -> None:
 @pytest.mark.parametrize("bandwidth", [1e-6, 0.01, 0.3, 1.0, 5.0])
 def test_r_is_the_folded_density(poles: int, bandwidth: float) -> None:
     """The sum of all images, term by term; what is left out beyond them is below the tolerance."""
-    images = np.arange(-3_000_000, 3_000_001.0)
+    images = np.arange(-1_000_000, 1_000_001.0)
     folded = np.sum(1 / (1 + (images / bandwidth) ** (2 * poles)))
     assert noise_variance(3.0, 1.0, bandwidth, poles) == pytest.approx(9.0 * folded, rel=1e-5)
 

@@ -124,8 +124,7 @@ def test_a_few_readings_that_can_be_foretold_tell_no_noise() -> None:
     assert choose(NOISE[:40], np.append(elapsed, np.ones(5)), causal=True).kind == "motion"
 
 
-@pytest.mark.parametrize("causal", [True, False])
-@pytest.mark.parametrize("rows", [5, 8])
+@pytest.mark.parametrize(("rows", "causal"), [(5, True), (5, False), (8, True)])
 def test_short_stretches_tell_what_they_can(rows: int, causal: bool) -> None:
     elapsed = np.where(np.arange(ROWS) % rows == 0, 5000.0, 1.0)
     choice = choose(NOISE, elapsed, causal)

@@ -40,15 +40,12 @@ def robust_error(z: Floats, truth: Floats, causal: bool) -> float:
 
 
 @pytest.mark.parametrize("causal", [True, False])
-@pytest.mark.parametrize("name", ["random walk", "slow sine", "constant"])
-def test_one_in_ten_of_8_sigma_costs_little(name: str, causal: bool) -> None:
-    """Up to 1.5 times the error without them: the median of three records."""
-    ratios = []
-    for seed in range(3):
-        truth, good, wild = record(name, seed)
-        z = good + 8 * wild * np.random.default_rng(seed).choice([-1.0, 1.0], ROWS)
-        ratios.append(robust_error(z, truth, causal) / robust_error(good, truth, causal))
-    assert np.median(ratios) < 1.5
+@pytest.mark.parametrize(("seed", "name"), [(0, "random walk"), (1, "slow sine"), (2, "constant")])
+def test_one_in_ten_of_8_sigma_costs_little(seed: int, name: str, causal: bool) -> None:
+    """Up to 1.5 times the error without them."""
+    truth, good, wild = record(name, seed)
+    z = good + 8 * wild * np.random.default_rng(seed).choice([-1.0, 1.0], ROWS)
+    assert robust_error(z, truth, causal) < 1.5 * robust_error(good, truth, causal)
 
 
 def test_wild_readings_are_told_from_tame_ones() -> None:

@@ -11,7 +11,7 @@ from becalm.identification.trust.tuning_spread import independence_steps
 from becalm.identification.wishes.gain_of_waiting import waiting_curve
 from walks import clean, draw
 
-ROWS = 400_000
+ROWS = 200_000
 
 
 @pytest.mark.parametrize("causal", [True, False])

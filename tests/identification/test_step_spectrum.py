@@ -55,11 +55,18 @@ def by_definition(trial: StepTrial, R: float, Q: float) -> tuple[float, float]:
     return lag, float(np.sum(size[1:] + size[:-1]) / 2 * trial.rate_hz / SEGMENT)
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
-@pytest.mark.parametrize("spectrum", ["amplitude", "power"])
-@pytest.mark.parametrize("ratio", [0.1, 10.0, 1e4])
-def test_the_cost_is_that_of_its_definition(sensor: Sensor, spectrum: SpectrumKind, ratio: float) -> None:
-    record = 5 + 0.05 * np.random.default_rng(1).normal(size=3000)
+@pytest.mark.parametrize(
+    ("ratio", "sensor", "spectrum"),
+    [
+        (0.1, "accelerometer", "amplitude"),
+        (0.1, "gyroscope", "power"),
+        (10.0, "accelerometer", "power"),
+        (10.0, "gyroscope", "amplitude"),
+        (1e4, "gyroscope", "power"),
+    ],
+)
+def test_the_cost_is_that_of_its_definition(ratio: float, sensor: Sensor, spectrum: SpectrumKind) -> None:
+    record = 5 + 0.05 * np.random.default_rng(1).normal(size=2500)
     trial = StepTrial(record, 300.0, sensor, spectrum, initial_covariance=ONES)
     cost = trial.cost(2.5e-3, ratio * 2.5e-3)
     lag, noise = by_definition(trial, 2.5e-3, ratio * 2.5e-3)
@@ -99,8 +106,7 @@ def test_a_louder_record_and_a_higher_step_cost_as_their_units_say() -> None:
         assert loud.reached_after_s == one.reached_after_s
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("P0", [None, ONES], ids=["from the first readings", "as in the paper"])
+@pytest.mark.parametrize(("seed", "P0"), [(0, None), (1, ONES)], ids=["from the first readings", "as in the paper"])
 def test_the_printed_optimum_of_the_gyroscope(seed: int, P0: Floats | None) -> None:
     """Table 2 has 1027.5; its noise was nearly white."""
     found = tune_by_step(white("gyroscope", seed, initial_covariance=P0), TABLE_1["gyroscope"])
@@ -134,7 +140,7 @@ def test_the_power_density_has_its_minimum_five_decades_away() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_the_simplex_ends_somewhere_on_the_floor_of_the_valley(sensor: Sensor) -> None:
-    trial = white(sensor)
+    trial = StepTrial(white(sensor).record[:20_000], 2e3, sensor)
     line = tune_by_step(trial)
     ends = [tune_by_simplex(trial, R, Q) for R, Q in ((TABLE_1[sensor], 1e-8), (1.0, 1.0), (1e-3, 1e3))]
     for end in ends:

@@ -232,8 +232,9 @@ PERIODIC = {
 }
 
 
-@pytest.mark.parametrize("causal", [False, True])
-@pytest.mark.parametrize(("shape", "noise"), PERIODIC.values(), ids=PERIODIC)
+@pytest.mark.parametrize(
+    ("shape", "noise", "causal"), [(*PERIODIC["saw"], False), (*PERIODIC["harmonics"], True)], ids=PERIODIC
+)
 def test_tones_of_a_wave_with_many_harmonics_make_nothing_worse(
     shape: Callable[[Floats], Floats], noise: float, causal: bool
 ) -> None:
