@@ -69,3 +69,15 @@ def test_a_record_with_few_rests_says_how_many() -> None:
 def test_a_sensor_of_two_axes_is_refused() -> None:
     with pytest.raises(SensorError, match="2 channels came"):
         find_poses(Recording(np.zeros((100, 2)), rate_hz=100.0))
+
+
+def test_a_frozen_axis_has_no_rests_and_is_named() -> None:
+    rng = np.random.default_rng(1)
+    poses = np.repeat(rng.normal(0.0, 9.8, (12, 3)), 1001, axis=0) + rng.normal(0.0, 0.01, (12_012, 3))
+    moved = np.concatenate([np.r_[rest, rng.normal(0.0, 5.0, (300, 3))] for rest in np.split(poses, 12)])
+    assert len(find_rests(Recording(moved, rate_hz=100.0)).means) == 12
+    moved[:, 1] = 0.1  # the means of its blocks differ in their last bits
+    frozen = Recording(moved, names=["x", "y", "z"], rate_hz=100.0)
+    assert not len(find_rests(frozen).means)
+    with pytest.raises(SensorError, match="'y' never change"):
+        find_poses(frozen)

@@ -50,12 +50,12 @@ def test_an_estimate_is_told_where_it_is_plausible_or_near_what_was_read(
 def test_a_hole_begins_with_its_second_row_or_the_first_of_all(rows: list[tuple[float, int]], cut: int) -> None:
     sigma, verdicts = np.array(rows, float).reshape(-1, 2).T
     all_rows = EstimatedRows(np.zeros(len(sigma)), sigma, np.empty((0, len(sigma))), verdicts.astype(np.int8))
-    watch, found = Sentinel(LIMITS, unknown_from=1.0), []
+    watch, found = Sentinel(LIMITS, hole_sigma=1.0), []
     watch.push(np.where(verdicts > 0, np.nan, 0.0))
     for part in (slice(None, cut), slice(cut, None)):
         found.append(watch.mark_implausible(all_rows.rows(part)))
         saved = watch.saved()
-        watch = Sentinel(LIMITS, unknown_from=1.0)
+        watch = Sentinel(LIMITS, hole_sigma=1.0)
         watch.restore(saved)
     told = np.concatenate([part.verdicts for part in found])
     for k in range(len(sigma)):
@@ -67,7 +67,7 @@ def test_a_hole_goes_on_behind_an_estimate_that_ran_away() -> None:
     verdicts = np.array([Verdict.USED, Verdict.MISSING, Verdict.MISSING, Verdict.MISSING], np.int8)
     rows = EstimatedRows(np.array([0.0, 1.0, 60.0, 9.0]), np.full(4, 2.0), np.empty((0, 4)), verdicts)
     for cut in range(5):
-        watch = Sentinel(LIMITS, unknown_from=1.0)
+        watch = Sentinel(LIMITS, hole_sigma=1.0)
         watch.push(np.array([0.0, np.nan, np.nan, np.nan]))
         found = [watch.mark_implausible(rows.rows(part)).verdicts for part in (slice(None, cut), slice(cut, None))]
         assert np.concatenate(found).tolist() == [Verdict.USED, Verdict.MISSING, Verdict.RUNAWAY, Verdict.HOLE]

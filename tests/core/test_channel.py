@@ -366,7 +366,7 @@ def test_faults_are_told_of_a_hole_too() -> None:
     rng = np.random.default_rng(4)
     z, elapsed = rng.normal(size=400), np.ones(400)
     z[100:200], z[300], elapsed[50] = 0.25, np.inf, 6.0
-    one = channel(motion(1, 0.1), limits=Limits(stuck_readings=10), unknown_from=0.5)
+    one = channel(motion(1, 0.1), limits=Limits(stuck_readings=10), hole_sigma=0.5)
     timing = np.where(elapsed > 2.5, np.int8(Verdict.GAP), np.int8(Verdict.USED))
     found = one.process(z, elapsed, timing)
     assert (found.verdict[112:200] == Verdict.HOLE).all()

@@ -154,3 +154,17 @@ def test_a_missing_driver_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(nidaqmx, "Task", absent)
     with pytest.raises(UsageError, match="get NI-DAQmx from"):
         NiSource(Address.parsed("ni:Dev1/ai0?rate=1000")).open("")
+
+
+def test_a_long_block_has_room_and_its_beginning_is_read_at_the_end(source: NiSource) -> None:
+    patient = NiSource(Address.parsed("ni:Dev1/ai0:1?rate=1000&rows=20000"))
+    patient.open("")
+    task = StandIn.made[-1]
+    assert task.told["samps_per_chan"] >= 2 * 20_000
+    task.avail_samp_per_chan = 900
+    assert patient.read(0.001) is None
+    rest = patient.read(0.0)  # as the reader does before it stops
+    assert rest is not None
+    assert len(rest) == 900
+    assert patient.read(0.0) is None
+    patient.close()

@@ -32,7 +32,7 @@ def with_alarms(
     limits : LimitsRecipe or None
         Limits of the channel; None stays None.
     tuning : Tuning
-        Filter of the channel, in steps.
+        Parameters of the channel's model; times in steps.
     normalised : (N,) float array
         Innovations of the filter on its tuning record, divided by their standard deviations; NaN where no reading was
         used.

@@ -118,5 +118,5 @@ def _settings(recipe: ChannelRecipe, step_s: float) -> ChannelSettings:
             0.0 if timing is None else timing.included_std,
             systematic_std(recipe.calibration, recipe.limits),
         ),
-        recipe.unknown_from,
+        recipe.hole_sigma,
     )

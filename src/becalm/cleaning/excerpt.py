@@ -118,7 +118,7 @@ class _PostProcessing:
     def __init__(self, recipe: ChannelRecipe, used: Filter, step_s: float) -> None:
         is_smoothed = used.lag is None
         self._holes = Holes(recipe.hole, recipe.own_steps(step_s)) if is_smoothed and recipe.hole else None
-        self._sentinel = Sentinel(limits_of(recipe.limits), recipe.unknown_from)
+        self._sentinel = Sentinel(limits_of(recipe.limits), recipe.hole_sigma)
         self._timing = None if recipe.timing is None else TimingNoise(recipe.timing, used.noise_std, step_s)
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         self._verdicts = np.empty(0, np.int8)

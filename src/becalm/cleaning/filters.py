@@ -165,7 +165,7 @@ class FilteredChannel:
         self._filter = Filter(recipe, step_s, lag)
         ahead = outlier_test_rows(recipe.limits, lag)
         self.sensor, self.counts = SensorWatch(recipe.limits, step_s, ahead=ahead), Counter[Verdict]()
-        self._sentinel = Sentinel(limits_of(recipe.limits), recipe.unknown_from)
+        self._sentinel = Sentinel(limits_of(recipe.limits), recipe.hole_sigma)
         self._uncertainty = Uncertainty(recipe.tuning_spread, recipe.calibration, recipe.limits)
         timing = recipe.timing
         self._timing = None if timing is None else TimingNoise(timing, self._filter.noise_std, step_s)

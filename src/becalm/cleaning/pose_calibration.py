@@ -1,4 +1,4 @@
-"""Find the rests of an accelerometer that lay in many poses, to calibrate it."""
+"""Find the intervals at rest of an accelerometer that lay in many poses, to calibrate it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _BLOCKS = 8  # number of blocks of a rest: their means give the standard error o
 
 
 def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
-    """Find the rests of a triaxial sensor, with the mean reading of each axis.
+    """Find the intervals at rest of a triaxial sensor, with the mean reading of each axis.
 
     Parameters
     ----------
@@ -36,19 +36,20 @@ def find_rests(recording: Recording, shortest_s: float = SHORTEST_S) -> Rests:
         If `shortest_s` is not positive.
     """
     if len(recording.names) != _AXES:
-        raise SensorError(f"{len(recording.names)} channels came; a triaxial sensor has three. Select these.")
-    means, stds = [], []
+        raise SensorError(
+            f"{len(recording.names)} channels came; a triaxial sensor has three. Select them (--channels)."
+        )
+    means, standard_errors = [], []
     for start, stop in detect_rests(recording, shortest_s).stretches:
         rest = recording.samples[start:stop]
         rest = rest[np.isfinite(rest).all(axis=1)]
         if len(rest) < _BLOCKS:
             continue
         blocks = np.array([block.mean(axis=0) for block in np.array_split(rest, _BLOCKS)])
-        std = blocks.std(axis=0, ddof=1) / np.sqrt(_BLOCKS)
-        if (std > 0).all():
+        if (np.ptp(rest, axis=0) > 0).all():  # not the deviation of blocks: rounding lets equal means differ
             means.append(rest.mean(axis=0))
-            stds.append(std)
-    return Rests(np.reshape(means, (-1, _AXES)), np.reshape(stds, (-1, _AXES)))
+            standard_errors.append(blocks.std(axis=0, ddof=1) / np.sqrt(_BLOCKS))
+    return Rests(np.reshape(means, (-1, _AXES)), np.reshape(standard_errors, (-1, _AXES)))
 
 
 def find_poses(recording: Recording) -> Rests:
@@ -57,9 +58,13 @@ def find_poses(recording: Recording) -> Rests:
     Raises
     ------
     SensorError
-        If there are not three channels, or fewer than ten rests.
+        If there are not three channels, the readings of one never change, or there are fewer than ten rests.
     """
     rests = find_rests(recording)
+    for name, readings in zip(recording.names, recording.samples.T, strict=True):
+        finite = readings[np.isfinite(readings)]
+        if len(finite) and np.ptp(finite) == 0:
+            raise SensorError(f"The readings of {name!r} never change; check its wiring, and record again.")
     if len(rests.means) < FEWEST_POSES:
         raise SensorError(
             f"{len(rests.means)} rests were found, but {FEWEST_POSES} are needed: "

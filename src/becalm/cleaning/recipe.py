@@ -196,7 +196,7 @@ class ChannelRecipe(FrozenSettings):
         return 1.0 if self.rate_hz is None else max(1.0, 1 / (self.rate_hz * step_s))
 
     @property
-    def unknown_from(self) -> float:
+    def hole_sigma(self) -> float:
         """Return the sigma, in unit, from which on a row without a reading has no estimate; inf without a limit."""
         return np.inf if self.fill or self.spread_std is None else _UNKNOWN_SHARE * self.spread_std
 

@@ -11,7 +11,7 @@ from becalm.files.groups import holds, listed
 from becalm.files.read_options import ReadOptions, RequestOrigin
 from becalm.files.roles import refuse_no_numbers, unit_of
 from becalm.files.source import RawTable
-from becalm.files.taring import with_tares
+from becalm.files.taring import measure_tares
 from becalm.files.timing.time_column import named_column
 from becalm.files.unit_conversion import Conversion, conversion
 from becalm.files.unit_spelling import parse_header
@@ -47,7 +47,7 @@ def with_sensors(tables: Sequence[RawTable], options: ReadOptions) -> tuple[tupl
     InputError
         If a column does not hold numbers, or the time of a tare interval cannot be interpreted.
     SensorError
-        If a zero cannot be measured in the given interval: see `with_tares`.
+        If a zero cannot be measured in the given interval: see `measure_tares`.
     """
     matches = [_match(tables, record) for record in options.sensors]
     for table in tables:
@@ -131,7 +131,7 @@ def _new_name(table: RawTable, column: str, unit: str) -> str:
 def _convert(table: RawTable, matches: Sequence[MatchedSensor], options: ReadOptions) -> RawTable:
     if not matches:
         return table
-    sensed = with_tares(table, [_with_thermometer(table, one, matches) for one in matches], options)
+    sensed = measure_tares(table, [_with_thermometer(table, one, matches) for one in matches], options)
     own = {name for one in sensed for name in one.columns}
     units = {name: unit for name, unit in table.units.items() if name not in own}
     units |= {name: one.record.unit for one in sensed for name in one.names}

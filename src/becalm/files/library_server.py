@@ -19,13 +19,13 @@ from becalm.errors import BecalmError
 from becalm.files.library_reader import file_bytes
 from becalm.files.source import RawTable
 
-_LEAST_BYTES = 2 << 30  # limit of memory for an empty file, in bytes
-_BYTES_PER_BYTE = 64  # additional memory per byte of the file, since data may be packed, and held several times
-_LONGEST_S, _LEAST_BYTES_PER_S = 3600.0, 1e5  # limit of CPU time; bytes of the file that add 1 s
+_BASE_MEMORY_BYTES = 2 << 30  # limit of memory for an empty file
+_MEMORY_PER_FILE_BYTE = 64  # more bytes for each byte of the file: data may be compressed, and copied several times
+_LONGEST_S, _LEAST_BYTES_PER_S = 3600.0, 1e5  # limit of CPU time, and 1 s more for so many bytes of the file
 
 
-class _PrefetchedBlock(NamedTuple):
-    """The expected next request, an iterator over later blocks, and the block that answers it, if already read."""
+class _ReadPass(NamedTuple):
+    """A pass over rows: the next expected request, later blocks, and the block for that request, if already read."""
 
     request: dict[str, Any]
     blocks: Iterator[pa.Table]
@@ -39,7 +39,7 @@ class _Server:
         self._answers = answers
         self._path = ""
         self._tables: tuple[RawTable, ...] = ()
-        self._prefetched: _PrefetchedBlock | None = None
+        self._prefetched: _ReadPass | None = None
 
     def answer(self, request: dict[str, Any]) -> None:
         """Answer a request: open a file, or read rows of a table; an empty request closes the file."""
@@ -48,14 +48,14 @@ class _Server:
                 self._close()
                 self._send({})
             elif "module" in request:
-                self._send({"tables": [_described(table) for table in self._open(request)]})
+                self._send({"tables": [_table_header(table) for table in self._open(request)]})
             else:
                 self._send_rows(self._rows(request))
                 self._prefetch()
         except BecalmError as cause:
             self._send({"error": type(cause).__name__, "says": str(cause)})
         except MemoryError:
-            says = f"{self._path} needs too much memory; it is damaged, or made to fill it. Copy or download it again."
+            says = f"{self._path} needs too much memory; it is damaged or malicious. Copy or download it again."
             self._send({"error": "InputError", "says": says})
         except Exception as cause:  # for example, the working folder was removed
             says = (
@@ -84,14 +84,14 @@ class _Server:
         if prefetched is None or prefetched.request != request:
             rows = self._tables[request["table"]].rows
             blocks = rows.blocks(request["names"], request["most"], request["start"])
-            prefetched = _PrefetchedBlock(request, blocks, next(blocks, None))
+            prefetched = _ReadPass(request, blocks, next(blocks, None))
         if prefetched.block is not None:
             start = request["start"] + prefetched.block.num_rows
             self._prefetched = prefetched._replace(request=request | {"start": start}, block=None)
         return prefetched.block
 
     def _prefetch(self) -> None:
-        """Read the next block before it is requested, while the parent process uses the last one."""
+        """Read the next block before it is requested, while the parent process uses the previous one."""
         prefetched, self._prefetched = self._prefetched, None
         if prefetched is not None:
             with suppress(Exception):  # the request for this block will read again, and report the error
@@ -109,7 +109,7 @@ class _Server:
             self._answers.flush()
 
 
-def _described(table: RawTable) -> dict[str, Any]:
+def _table_header(table: RawTable) -> dict[str, Any]:
     return {
         "schema": table.rows.schema.serialize().to_pybytes().hex(),
         "rows": table.rows.count,
@@ -133,9 +133,9 @@ def _set_limits(path: Path) -> None:
         return
     size = file_bytes(path)
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    most = _LEAST_BYTES + size + min(_BYTES_PER_BYTE * size, machine)
+    most_bytes = _BASE_MEMORY_BYTES + size + min(_MEMORY_PER_FILE_BYTE * size, machine)
     until_s = time.process_time() + _LONGEST_S + size / _LEAST_BYTES_PER_S
-    for what, limit in ((resource.RLIMIT_AS, most), (resource.RLIMIT_CPU, int(until_s))):
+    for what, limit in ((resource.RLIMIT_AS, most_bytes), (resource.RLIMIT_CPU, int(until_s))):
         _, hard = resource.getrlimit(what)
         resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 

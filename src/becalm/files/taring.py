@@ -21,14 +21,14 @@ from becalm.sensors.tare import MOST_READINGS, Tare, zero_of
 _IDENTITY = CalibrationCurve((0.0, 1.0))  # leaves readings unchanged
 
 
-def with_tares(table: RawTable, sensed: Sequence[MatchedSensor], options: ReadOptions) -> list[MatchedSensor]:
+def measure_tares(table: RawTable, sensors: Sequence[MatchedSensor], options: ReadOptions) -> list[MatchedSensor]:
     """Measure the zero offset of each sensor that has a tare interval, and return the sensors with their offsets.
 
     Parameters
     ----------
     table : RawTable
         The table as it is in the file.
-    sensed : sequence of MatchedSensor
+    sensors : sequence of MatchedSensor
         Its sensors.
     options : ReadOptions
         The options that select the table's time.
@@ -41,21 +41,24 @@ def with_tares(table: RawTable, sensed: Sequence[MatchedSensor], options: ReadOp
     InputError
         If the time of the rows cannot be interpreted.
     """
-    if all(one.record.tare_s is None for one in sensed):
-        return list(sensed)
-    as_read = [one if one.record.tare_s is None else _as_read(one) for one in sensed]
-    readings = replace(table, rows=CalibratedRows(table.rows, as_read, table.decimal))
-    if options.group not in (None, table.group):  # then these options describe the time of another table
+    if all(one.record.tare_s is None for one in sensors):
+        return list(sensors)
+    raw_sensors = [one if one.record.tare_s is None else _without_conversion(one) for one in sensors]
+    readings = replace(table, rows=CalibratedRows(table.rows, raw_sensors, table.decimal))
+    if options.group not in (
+        None,
+        table.group,
+    ):  # the options select another table, so its time options do not apply here
         options = replace(options, time=None, rate_hz=None)
     times = row_times(table, options)
     try:
-        return [one if one.record.tare_s is None else _tared(one, readings, times) for one in sensed]
+        return [one if one.record.tare_s is None else _measure_tare(one, readings, times) for one in sensors]
     finally:
         if times.stamps is not None:
             times.stamps.close()
 
 
-def _as_read(one: MatchedSensor) -> MatchedSensor:
+def _without_conversion(one: MatchedSensor) -> MatchedSensor:
     """Return a sensor whose conversion keeps raw readings unchanged, except that clipped ones become NaN."""
     bare = replace(
         one.record, conversion=_IDENTITY, unit=one.record.raw_unit, reading_size=1.0, result_size=1.0, temperature=None
@@ -63,7 +66,7 @@ def _as_read(one: MatchedSensor) -> MatchedSensor:
     return one._replace(record=bare, thermometer=None)
 
 
-def _tared(one: MatchedSensor, readings: RawTable, times: RowTimes) -> MatchedSensor:
+def _measure_tare(one: MatchedSensor, readings: RawTable, times: RowTimes) -> MatchedSensor:
     (channel,), (start_s, stop_s) = one.columns, one.record.tare_s or (0.0, 0.0)
     try:
         first, stop = rows_between(times, start_s, stop_s)
@@ -82,7 +85,7 @@ def _tared(one: MatchedSensor, readings: RawTable, times: RowTimes) -> MatchedSe
         return one._replace(record=apply_tare(one.record, tare), tare=tare)
     except SensorError as cause:
         raise SensorError(
-            f"The zero of {channel!r} cannot be measured from {start_s:g} s to {stop_s:g} s, as its tare says: {cause}"
+            f"The zero of {channel!r} cannot be measured in its tare interval, {start_s:g} s to {stop_s:g} s: {cause}"
         ) from cause
 
 

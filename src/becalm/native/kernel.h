@@ -73,7 +73,7 @@ typedef struct {
     real factor;              /* sigma with the uncertainty of the tuning, over sigma without this uncertainty */
     int64_t calibrated;       /* whether the sensitivity or the zero is uncertain */
     real relative_std, offset_std; /* standard uncertainty of the sensitivity, relative; of the zero, in unit */
-    real unknown_from;        /* a row without a measurement is a hole if its sigma is at least this, in unit */
+    real hole_sigma;        /* a row without a measurement is a hole if its sigma is at least this, in unit */
 } settings_t;
 
 /* The coefficients of a channel, computed once; the matrices of its steps are passed with every call. */

@@ -36,7 +36,7 @@ const field_t *channel_settings_fields(void) {
         R(plausible_high), W(repeats_are_one), R(blank), R(far_from_0), R(longest_gap), R(gap_spans), W(gap_measurements), W(gated),
         R(gate_threshold), W(gate_agree), W(gate_most), W(gate_level), W(drift_threshold), R(dead_variance), W(timed),
         R(step_s), R(time_std_s), R(time_variance), R(factor), W(calibrated), R(relative_std), R(offset_std),
-        R(unknown_from), END(settings_t),
+        R(hole_sigma), END(settings_t),
     };
 #undef R
 #undef W

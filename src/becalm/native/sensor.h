@@ -75,7 +75,7 @@ static inline void watch_rows(const settings_t *settings, const real R, sensor_t
         state->missed = missed;
         if ((signal < low || signal > high) && fabs(signal - state->entered) > high - low)
             signal = sigma = NOT_A_NUMBER, verdict = RUNAWAY;
-        else if (in_hole && sigma >= settings->unknown_from && !isnan(signal))
+        else if (in_hole && sigma >= settings->hole_sigma && !isnan(signal))
             signal = sigma = NOT_A_NUMBER, verdict = HOLE;
         state->counts[verdict & (VERDICTS - 1)]++;
         estimate->verdict[row] = (int8_t)verdict;

@@ -17,7 +17,7 @@ from becalm.report.embedding import asset, packed, script
 from becalm.report.fleet_order import TRAITS, summary, worst_first
 from becalm.report.fleet_rows import FleetRow, spaced
 
-_TONES = {  # CSS classes of properties in `TRAITS`; other properties have none
+_CSS_CLASSES = {  # CSS classes of properties in `TRAITS`; other properties have none
     "refused": "not",
     "does not fit": "not",
     "faulty": "not",
@@ -26,8 +26,8 @@ _TONES = {  # CSS classes of properties in `TRAITS`; other properties have none
     "sigma doubtful": "except",
     "fits": "fits",
 }
-_TEXTS = ("sensor", "channel", "unit", "reason", "faults", "says", "recipe", "outlying")
-_NUMBERS = ("health", "noise_std", "rate_hz")
+_TEXT_COLUMNS = ("sensor", "channel", "unit", "reason", "faults", "says", "recipe", "outlying")
+_NUMBER_COLUMNS = ("health", "noise_std", "rate_hz")
 _STYLES = ("figures.css", "page.css", "fleet/fleet.css")
 _SCRIPTS = ("colours.js", "numbers.js", *(f"fleet/{name}.js" for name in ("rows", "table", "strip", "main")))
 _MOST_NAMED = 6  # largest number of recipes that the page lists by name
@@ -101,7 +101,7 @@ def fleet_page(rows: Sequence[FleetRow], facts: FleetFacts) -> str:
 
 
 def _page_text(text: str) -> str:
-    """Return a text that UTF-8 can encode, and with no-break spaces in numbers such as 10 000."""
+    """Replace characters that UTF-8 cannot encode, and spaces between digit groups (10 000) by no-break spaces."""
     encodable = text.encode("utf-8", "replace").decode()
     return re.sub(r"(?<=\d) (?=\d{3}\b)", "\u202f", encodable)
 
@@ -141,7 +141,7 @@ def _filters(rows: Sequence[FleetRow]) -> list[_Filter]:
     """Return a button for each property that at least one row has, with the number of such rows."""
     counts = [sum(trait.holds(row) for row in rows) for trait in TRAITS]
     return [
-        _Filter(trait.name, trait.says, _TONES.get(trait.name, ""), _page_text(spaced(count)), bit)
+        _Filter(trait.name, trait.says, _CSS_CLASSES.get(trait.name, ""), _page_text(spaced(count)), bit)
         for bit, (trait, count) in enumerate(zip(TRAITS, counts, strict=True))
         if count
     ]
@@ -149,15 +149,15 @@ def _filters(rows: Sequence[FleetRow]) -> list[_Filter]:
 
 def _columns(rows: Sequence[FleetRow]) -> str:
     """Return rows as JSON, one array for each column; unknown values are null."""
-    columns: dict[str, list[object]] = {name: [getattr(row, name) for row in rows] for name in (*_TEXTS, "rows")}
-    columns |= {name: [_short(getattr(row, name)) for row in rows] for name in _NUMBERS}
+    columns: dict[str, list[object]] = {name: [getattr(row, name) for row in rows] for name in (*_TEXT_COLUMNS, "rows")}
+    columns |= {name: [_rounded(getattr(row, name)) for row in rows] for name in _NUMBER_COLUMNS}
     columns["usable"] = [_percent_down(row.usable_share) for row in rows]
     columns["traits"] = [sum(trait.holds(row) << bit for bit, trait in enumerate(TRAITS)) for row in rows]
-    traits = [{"name": trait.name, "tone": _TONES.get(trait.name, "")} for trait in TRAITS]
+    traits = [{"name": trait.name, "tone": _CSS_CLASSES.get(trait.name, "")} for trait in TRAITS]
     return json.dumps({"traits": traits, "columns": columns}, separators=(",", ":"), allow_nan=False)
 
 
-def _short(value: float | None) -> float | None:
+def _rounded(value: float | None) -> float | None:
     """Return a number rounded to six digits, more than the page shows; None if JSON cannot represent it."""
     return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
 

@@ -128,7 +128,7 @@ class ChannelSettings(NamedTuple):
     alarms: Alarms = NO_ALARMS
     gate: Gate | None = None
     widening: Widening = Widening()
-    unknown_from: float = np.inf  # a missing row whose sigma reaches this value is a hole, in unit
+    hole_sigma: float = np.inf  # a missing row whose sigma reaches this value is a hole, in unit
 
     @property
     def disturbed(self) -> bool:
@@ -190,7 +190,7 @@ def packed_settings(settings: ChannelSettings, gap_limit: GapLimit | None = None
         "calibrated": calibrated,
         "relative_std": widening.calibration[0] if widening.calibration else 0.0,
         "offset_std": widening.calibration[1] if widening.calibration else 0.0,
-        "unknown_from": settings.unknown_from,
+        "hole_sigma": settings.hole_sigma,
     }
     assert set(values) | _LIMIT_FIELDS | _GATE_FIELDS == set(packed.dtype.names or ()), (
         "a field of the C settings is not set"
@@ -203,7 +203,7 @@ def packed_settings(settings: ChannelSettings, gap_limit: GapLimit | None = None
 def model_settings(model: Model, gate: Gate | None) -> NDArray[np.void]:
     """Return the settings for a model of one channel, without monitoring, as C's struct."""
     packed = Limits().packed()
-    packed["longest_gap"] = packed["gap_spans"] = packed["unknown_from"] = np.inf
+    packed["longest_gap"] = packed["gap_spans"] = packed["hole_sigma"] = np.inf
     packed["factor"], packed["drift_threshold"] = 1.0, int(NEVER * PARTS)
     _fill_in_gate(packed, gate, model)
     if gate is None:

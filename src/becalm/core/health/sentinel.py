@@ -2,13 +2,13 @@
 
 In a causal channel `native/sensor.h` does this row by row.
 
-A runaway means an unexpected fault. An estimate is a runaway if it lies outside the plausible bounds and its distance
-from the last used reading is larger than the distance between the bounds. The bounds are those of the record on which
-the filter was tuned, extended by its range on both sides. The second condition allows for a sensor that was zeroed
-after the tuning.
+A runaway indicates a fault of the filter or of its recipe. An estimate is a runaway if it lies outside the plausible
+bounds and its distance from the last used reading is larger than the distance between the bounds. The bounds are those
+of the record on which the filter was tuned, extended by its range on both sides. The second condition allows for a
+sensor that was zeroed after the tuning.
 
-A hole begins with the second missing row in a row. After one missing reading, sigma may also be large during violent
-motion, but the estimate of that row is kept. The rows before the first reading count as missing.
+A hole begins at the second of two consecutive missing rows. The estimate of the first missing row is always kept: a
+large sigma there may only mean violent motion. The rows before the first reading count as missing.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Sentinel:
     ----------
     limits : Limits
         Limits with the plausible bounds; with infinite bounds, the default, every estimate is plausible.
-    unknown_from : float
+    hole_sigma : float
         Estimates within a hole are removed if sigma is at least this, in unit; with inf none are removed.
     """
 
-    def __init__(self, limits: Limits, unknown_from: float = np.inf) -> None:
-        self._low, self._high, self._unknown_from = limits.outliers.low, limits.outliers.high, unknown_from
+    def __init__(self, limits: Limits, hole_sigma: float = np.inf) -> None:
+        self._low, self._high, self._hole_sigma = limits.outliers.low, limits.outliers.high, hole_sigma
         self._last_used, self._missed, self._waiting = np.nan, True, np.empty(0)
 
     def push(self, usable: Floats) -> None:
@@ -63,7 +63,7 @@ class Sentinel:
     def _without_holes(self, rows: EstimatedRows, missing: Booleans) -> EstimatedRows:
         in_hole = missing & np.append(self._missed, missing[:-1])
         self._missed = bool(missing[-1])
-        return rows.without(in_hole & (rows.sigma >= self._unknown_from) & np.isfinite(rows.signal), Verdict.HOLE)
+        return rows.without(in_hole & (rows.sigma >= self._hole_sigma) & np.isfinite(rows.signal), Verdict.HOLE)
 
     def saved(self) -> dict[str, Floats]:
         """Return the state, as arrays."""

@@ -72,7 +72,7 @@ class ChannelReference(_ControllerReference):
 
     def __init__(self, settings: ChannelSettings) -> None:
         super().__init__(settings.limits)
-        self._channel, self._across = Channel(settings), Channel(settings._replace(unknown_from=np.inf))
+        self._channel, self._across = Channel(settings), Channel(settings._replace(hole_sigma=np.inf))
 
     def gap(self, rows: int) -> None:
         """Advance by `rows` rows without a reading, as one step."""

@@ -92,10 +92,10 @@ def refuse_strays(path: Path, body: Body, dialect: Dialect) -> None:
         If there is such a cell.
     """
     if _first_stray(body(), dialect):
-        raise ragged(path, body, dialect, "")
+        raise parse_error(path, body, dialect, "")
 
 
-def ragged(path: Path, body: Body, dialect: Dialect, cause: str) -> InputError:
+def parse_error(path: Path, body: Body, dialect: Dialect, cause: str) -> InputError:
     """Return the error for a text that pyarrow cannot parse.
 
     It names the first row with a stray quote or with a wrong number of cells; else it gives `cause`, pyarrow's message.

@@ -1,8 +1,7 @@
-"""Read a CSV file in memory: detect its layout, parse it with pyarrow, and name the cell that cannot be parsed."""
+"""Read a CSV file in memory: detect its layout, parse it with pyarrow, and report the row that cannot be parsed."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.files.csv.blocks import rows_of_text
-from becalm.files.csv.broken_rows import LastLine, ragged, refuse_strays, spans_lines, with_truncation_notes
+from becalm.files.csv.broken_rows import LastLine, parse_error, refuse_strays, spans_lines, with_truncation_notes
 from becalm.files.csv.rates import with_rate
 from becalm.files.csv.sniffing import Dialect, sniff
 from becalm.files.decoding import decode
@@ -21,7 +20,9 @@ from becalm.files.source import RawTable, TextLayout
 from becalm.files.text.cells import COMMA, MISSING, MISSING_CELL, NUMBER, TIME, to_numbers
 from becalm.files.text.csv_header import unique_names
 
-_EXACT_DIGITS = 15  # whole numbers of up to this many digits are exact in float64
+_EXACT = 1e15  # float64 is exact for whole numbers up to this, and for some larger ones
+_LARGEST_INT = 2.0**63
+NUMERIC = (NUMBER, MISSING_CELL)  # kinds of columns that are numbers, as far as the first rows show
 
 
 def read_csv(path: Path, data: bytes) -> RawTable:
@@ -64,29 +65,28 @@ def units_of(dialect: Dialect, names: Sequence[str]) -> dict[str, str]:
 
 def _parse(path: Path, body: bytes, dialect: Dialect, names: Sequence[str]) -> tuple[pa.Table, str]:
     try:
-        refuse_long_numbers(body, dialect)
-        table = _arrow(body, dialect, names, column_types(dialect, names))
+        table = exact(_arrow(body, dialect, names, column_types(dialect, names)))
     except pa.ArrowInvalid as cause:
-        if not is_conversion(cause):
-            raise ragged(path, lambda: [body], dialect, str(cause)) from cause
+        if not is_conversion_error(cause):
+            raise parse_error(path, lambda: [body], dialect, str(cause)) from cause
         table = _arrow_text(path, body, dialect, names)
     if spans_lines(table):
         refuse_strays(path, lambda: [body], dialect)
     decimal = dialect.decimal or _decimal_of(table, dialect)
     for position, kind in enumerate(dialect.kinds):
         if kind != TIME and pa.types.is_string(table.schema.field(position).type):
-            examined = TextNumbers(kind, decimal)
+            examined = NumericTypeDetector(kind, decimal)
             examined.add(table.column(position))
-            if (to := examined.type) is not None:
-                table = table.set_column(position, names[position], numbers_of(table.column(position), decimal, to))
+            if (found := examined.type) is not None:
+                numbers = numbers_of(table.column(position), decimal, found)
+                table = table.set_column(position, names[position], numbers)
     return table, decimal
 
 
 def column_types(dialect: Dialect, names: Sequence[str]) -> dict[str, pa.DataType]:
     """Return the type that pyarrow shall give to each column, judged by the first rows of the file."""
     return {
-        name: pa.float64() if kind in (NUMBER, MISSING_CELL) else pa.string()
-        for name, kind in zip(names, dialect.kinds, strict=True)
+        name: pa.float64() if kind in NUMERIC else pa.string() for name, kind in zip(names, dialect.kinds, strict=True)
     }
 
 
@@ -94,12 +94,17 @@ def _arrow(body: bytes, dialect: Dialect, names: Sequence[str], types: dict[str,
     import pyarrow.csv as arrow_csv
 
     size = max(1 << 20, len(body) // 16 + 1)
-    how = arrow_options(dialect, names, types, (b'"' in body, size))
+    how = arrow_options(dialect, names, types, newlines_in_cells=b'"' in body, block_bytes=size)
     return arrow_csv.read_csv(pa.BufferReader(body), **how)
 
 
 def arrow_options(
-    dialect: Dialect, names: Sequence[str], types: dict[str, pa.DataType], block: tuple[bool, int]
+    dialect: Dialect,
+    names: Sequence[str],
+    types: dict[str, pa.DataType],
+    *,
+    newlines_in_cells: bool,
+    block_bytes: int,
 ) -> dict[str, Any]:
     """Return the arguments for pyarrow's CSV reader.
 
@@ -111,16 +116,18 @@ def arrow_options(
         The names of the columns.
     types : dict of str to pyarrow.DataType
         The types of the columns.
-    block : (bool, int)
-        Whether cells may contain line ends; how many bytes are parsed at once.
+    newlines_in_cells : bool
+        Whether cells may contain line ends.
+    block_bytes : int
+        Number of bytes that are parsed at once.
     """
     import pyarrow.csv as arrow_csv
 
     return {
-        "read_options": arrow_csv.ReadOptions(column_names=list(names), block_size=block[1]),
+        "read_options": arrow_csv.ReadOptions(column_names=list(names), block_size=block_bytes),
         "parse_options": arrow_csv.ParseOptions(
             delimiter=dialect.separator or "\x1f",
-            newlines_in_values=block[0],
+            newlines_in_values=newlines_in_cells,
             ignore_empty_lines=dialect.separator != "",
         ),
         "convert_options": arrow_csv.ConvertOptions(
@@ -129,39 +136,41 @@ def arrow_options(
     }
 
 
-def is_conversion(cause: pa.ArrowInvalid) -> bool:
+def is_conversion_error(cause: pa.ArrowInvalid) -> bool:
     """Return whether pyarrow failed because a cell does not have the type of its column."""
     return "conversion error" in str(cause)
 
 
-def refuse_long_numbers(body: bytes, dialect: Dialect) -> None:
-    """Refuse to read as float64 whole numbers that are too long for it, such as nanoseconds since 1970.
-
-    Only the first 4096 bytes are searched.
+def exact(table: pa.Table) -> pa.Table:
+    """Return a table unless float64 may have rounded its whole numbers, such as nanoseconds since 1970.
 
     Raises
     ------
     pyarrow.ArrowInvalid
         The error of a failed conversion, so that the caller reads the columns as text and converts them itself.
     """
-    fraction = b"." if dialect.separator == "," else b".,"  # digits after one of these are not a whole number
-    long = rb"(?<![%b\d])\d{%d,}(?![.\d])" % (fraction, _EXACT_DIGITS + 1)
-    if {NUMBER, MISSING_CELL} & set(dialect.kinds) and re.search(long, body[:4096]):
-        raise pa.ArrowInvalid("conversion error: long whole numbers")
+    for column in table.columns:
+        if pa.types.is_floating(column.type):
+            ends = pc.min_max(column)
+            if max(-(ends["min"].as_py() or 0.0), ends["max"].as_py() or 0.0) >= _EXACT:
+                sizes = np.abs(column.to_numpy())
+                if np.any((sizes >= _EXACT) & (sizes < _LARGEST_INT)):
+                    raise pa.ArrowInvalid("conversion error: long whole numbers")
+    return table
 
 
 def _arrow_text(path: Path, body: bytes, dialect: Dialect, names: Sequence[str]) -> pa.Table:
     try:
         return _arrow(body, dialect, names, dict.fromkeys(names, pa.string()))
     except pa.ArrowInvalid as cause:
-        raise ragged(path, lambda: [body], dialect, str(cause)) from cause
+        raise parse_error(path, lambda: [body], dialect, str(cause)) from cause
 
 
 def _decimal_of(table: pa.Table, dialect: Dialect) -> str:
     """Return the decimal separator of all rows; used if the first rows have no fractions."""
     for position, kind in enumerate(dialect.kinds):
         column = table.column(position)
-        if kind == NUMBER and pa.types.is_string(column.type) and has_decimal_commas(column):
+        if kind in NUMERIC and pa.types.is_string(column.type) and has_decimal_commas(column):
             return ","
     return "."
 
@@ -172,8 +181,8 @@ def has_decimal_commas(column: pa.ChunkedArray) -> bool:
     return bool(pc.any(fractions).as_py())
 
 
-class TextNumbers:
-    """A test, block by block, whether a column of text holds numbers.
+class NumericTypeDetector:
+    """Examine a column of text block by block, and find its numeric type.
 
     Parameters
     ----------
@@ -186,8 +195,8 @@ class TextNumbers:
     def __init__(self, kind: str, decimal: str) -> None:
         self._kind, self._decimal = kind, decimal
         self.possible = True
-        self._some = False
-        self._whole = True
+        self._has_numbers = False
+        self._all_integers = True
         self._largest = 0.0
 
     def add(self, text: pa.ChunkedArray) -> None:
@@ -196,27 +205,29 @@ class TextNumbers:
             return
         numbers, bad = to_numbers(text.combine_chunks(), self._decimal)
         self.possible = not bad.any()
-        self._some = self._some or numbers.null_count < len(numbers)
+        self._has_numbers = self._has_numbers or numbers.null_count < len(numbers)
         values = np.asarray(numbers.fill_null(0.0))
         finite = np.where(np.isfinite(values), values, 0.0)
         self._largest = max(self._largest, float(np.abs(finite).max(initial=0.0)))
-        self._whole = self._whole and bool(np.all(finite == np.round(finite))) and _whole(text, numbers) is not None
+        self._all_integers = (
+            self._all_integers and bool(np.all(finite == np.round(finite))) and _to_int64(text, numbers) is not None
+        )
 
     @property
     def type(self) -> pa.DataType | None:
         """Return int64 for whole numbers with 16 digits or more, float64 for other numbers, None for text."""
-        if not self.possible or not (self._some or self._kind in (NUMBER, MISSING_CELL)):
+        if not self.possible or not (self._has_numbers or self._kind in NUMERIC):
             return None
-        return pa.int64() if self._whole and self._largest >= 10.0**_EXACT_DIGITS else pa.float64()
+        return pa.int64() if self._all_integers and self._largest >= _EXACT else pa.float64()
 
 
 def numbers_of(text: pa.ChunkedArray, decimal: str, kind: pa.DataType) -> pa.Array:
     """Convert a column of text to numbers of type `kind`."""
     numbers = to_numbers(text.combine_chunks(), decimal)[0]
-    return _whole(text, numbers) if pa.types.is_integer(kind) else numbers
+    return _to_int64(text, numbers) if pa.types.is_integer(kind) else numbers
 
 
-def _whole(text: pa.ChunkedArray, numbers: pa.Array) -> pa.Array | None:
+def _to_int64(text: pa.ChunkedArray, numbers: pa.Array) -> pa.Array | None:
     """Convert text to int64 without rounding; return None if some cells are not whole numbers."""
     trimmed = pc.utf8_trim_whitespace(text.combine_chunks())
     try:

@@ -12,16 +12,17 @@ import pyarrow as pa
 
 from becalm.errors import InputError
 from becalm.files.csv.blocks import OtherEncodingError, TextFile, rows_of_text
-from becalm.files.csv.broken_rows import LastLine, ragged, refuse_strays, spans_lines, with_truncation_notes
+from becalm.files.csv.broken_rows import LastLine, parse_error, refuse_strays, spans_lines, with_truncation_notes
 from becalm.files.csv.rates import with_rate
 from becalm.files.csv.reader import (
-    TextNumbers,
+    NUMERIC,
+    NumericTypeDetector,
     arrow_options,
     column_types,
+    exact,
     has_decimal_commas,
-    is_conversion,
+    is_conversion_error,
     numbers_of,
-    refuse_long_numbers,
     text_layout,
     units_of,
     without_padding,
@@ -29,7 +30,7 @@ from becalm.files.csv.reader import (
 from becalm.files.csv.sniffing import Dialect, sniff
 from becalm.files.rows import SpooledRows
 from becalm.files.source import RawTable
-from becalm.files.text.cells import NUMBER, TIME
+from becalm.files.text.cells import TIME
 from becalm.files.text.csv_header import unique_names
 
 _PARSED_BYTES = 1 << 20  # bytes that pyarrow parses at once
@@ -64,15 +65,14 @@ class _Spooling:
     def table(self) -> RawTable:
         types = column_types(self._dialect, self._names)
         try:
-            refuse_long_numbers(next(self._body()), self._dialect)
             rows = self._spooled(types)
         except pa.ArrowInvalid as cause:
-            if not is_conversion(cause):
-                raise self._ragged(cause) from cause
+            if not is_conversion_error(cause):
+                raise self._parse_error(cause) from cause
             try:
                 rows = self._spooled(dict.fromkeys(self._names, pa.string()))
             except pa.ArrowInvalid as second:
-                raise self._ragged(second) from second
+                raise self._parse_error(second) from second
         try:
             decimal = self._dialect.decimal or self._decimal_of(rows)
             rows = self._with_numbers(rows, decimal)
@@ -94,7 +94,7 @@ class _Spooling:
         try:
             for table in self._parsed(types):
                 lines_in_cells = lines_in_cells or spans_lines(table)
-                rows.add(table)
+                rows.add(exact(table))
             if lines_in_cells:
                 refuse_strays(self._path, self._body, self._dialect)
         except BaseException:
@@ -110,14 +110,16 @@ class _Spooling:
         for block in body:
             if b'"' in block:
                 stream = pa.PythonFile(_Stream(chain([block], body)), "r")
-                how = arrow_options(self._dialect, self._names, types, (True, _quoted_block(block)))
+                how = arrow_options(
+                    self._dialect, self._names, types, newlines_in_cells=True, block_bytes=_quoted_block(block)
+                )
                 yield from map(_one_batch, arrow_csv.open_csv(stream, **how))
                 return
-            how = arrow_options(self._dialect, self._names, types, (False, _PARSED_BYTES))
+            how = arrow_options(self._dialect, self._names, types, newlines_in_cells=False, block_bytes=_PARSED_BYTES)
             yield arrow_csv.read_csv(pa.BufferReader(block), **how)
 
-    def _ragged(self, cause: pa.ArrowInvalid) -> InputError:
-        return ragged(self._path, self._body, self._dialect, str(cause))
+    def _parse_error(self, cause: pa.ArrowInvalid) -> InputError:
+        return parse_error(self._path, self._body, self._dialect, str(cause))
 
     def _texts(self, rows: SpooledRows) -> dict[str, str]:
         """Return the columns of text that may be numbers, with their kinds in the first rows."""
@@ -125,13 +127,13 @@ class _Spooling:
         return {name: kind for name, kind in kinds if kind != TIME and pa.types.is_string(rows.schema.field(name).type)}
 
     def _decimal_of(self, rows: SpooledRows) -> str:
-        names = [name for name, kind in self._texts(rows).items() if kind == NUMBER]
+        names = [name for name, kind in self._texts(rows).items() if kind in NUMERIC]
         blocks = rows.blocks(names, max(1, rows.count)) if names else iter(())
         return "," if any(has_decimal_commas(column) for block in blocks for column in block.columns) else "."
 
     def _with_numbers(self, rows: SpooledRows, decimal: str) -> SpooledRows:
         """Return the rows with columns of text converted to numbers where possible; if any is, close the given rows."""
-        columns = {name: TextNumbers(kind, decimal) for name, kind in self._texts(rows).items()}
+        columns = {name: NumericTypeDetector(kind, decimal) for name, kind in self._texts(rows).items()}
         for block in rows.blocks(list(columns), max(1, rows.count)) if columns else ():
             for name, numbers in columns.items():
                 numbers.add(block.column(name))

@@ -62,7 +62,7 @@ class NiSource:
             raise UsageError("ni: needs channels and a rate in hertz; write ni:Dev1/ai0:3?rate=1000.")
         self._channels, self._column_names = address.rest, address.names("columns")
         self._rate_hz = address.number("rate", 0.0, least=SLOWEST_HZ, greatest=FASTEST_HZ)
-        self._volts = address.number("range", 10.0, least=1e-3, greatest=1e4)
+        self._range_v = address.number("range", 10.0, least=1e-3, greatest=1e4)
         self._wiring = _WIRINGS[address.chosen("wiring", tuple(_WIRINGS), "default")]
         self._block_rows = int(
             address.number("rows", max(1, round(_BLOCK_S * self._rate_hz)), least=1, greatest=_MOST_ROWS)
@@ -73,7 +73,7 @@ class NiSource:
         self._factors = np.ones(0)  # from volts
         self._task: Any = None
         self._reader: Any = None
-        self._began_s, self._count = 0.0, 0
+        self._start_s, self._count = 0.0, 0
 
     def open(self, position: str) -> None:
         """Start the device.
@@ -95,10 +95,10 @@ class NiSource:
             self._task.ai_channels.add_ai_voltage_chan(
                 self._channels,
                 terminal_config=constants.TerminalConfiguration[self._wiring],
-                min_val=-self._volts,
-                max_val=self._volts,
+                min_val=-self._range_v,
+                max_val=self._range_v,
             )
-            buffer = max(_LEAST_BUFFER, round(_BUFFER_S * self._rate_hz))
+            buffer = max(_LEAST_BUFFER, round(_BUFFER_S * self._rate_hz), 2 * self._block_rows)
             self._task.timing.cfg_samp_clk_timing(
                 self._rate_hz, sample_mode=constants.AcquisitionType.CONTINUOUS, samps_per_chan=buffer
             )
@@ -116,10 +116,10 @@ class NiSource:
                     f"ni: {self._channels} does not support these settings: {_first_line(cause)}"
                 ) from cause
             raise AwayError(f"The device of {self._channels} cannot be reached: {_first_line(cause)}") from cause
-        self._began_s, self._count = time.time(), 0
+        self._start_s, self._count = time.time(), 0
 
     def read(self, timeout_s: float) -> Block | None:
-        """Return the rows in the buffer; None if they are fewer than a block after `timeout_s`.
+        """Return the rows in the buffer; None if there are fewer than a block after `timeout_s`, see `_wait`.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class NiSource:
         except errors.Error as cause:
             raise AwayError(f"The device of {self._channels} stopped: {_first_line(cause)}") from cause
         rate_hz = self.rate_hz or self._rate_hz
-        time_s = self._began_s + np.arange(self._count, self._count + ready) / rate_hz
+        time_s = self._start_s + np.arange(self._count, self._count + ready) / rate_hz
         self._count += ready
         return Block(
             self._names, self._units, time_s, np.ascontiguousarray(data.T) * self._factors, arrived_s=time.monotonic()
@@ -156,12 +156,15 @@ class NiSource:
                 task.close()
 
     def _wait(self, timeout_s: float) -> int:
-        """Return the number of rows that can be read; 0 if they are fewer than a block after `timeout_s`."""
+        """Return the number of rows that can be read; 0 if they are fewer than a block after `timeout_s`.
+
+        A timeout of 0 is the last call before the end: all rows count then, even fewer than a block.
+        """
         until = time.monotonic() + timeout_s
         while (ready := int(self._task.in_stream.avail_samp_per_chan)) < self._block_rows:
             left_s = until - time.monotonic()
             if left_s <= 0:
-                return 0
+                return 0 if timeout_s > 0 else ready
             time.sleep(min(left_s, max(1e-3, self._block_rows / self._rate_hz / 4)))
         return min(ready, _MOST_ROWS)
 

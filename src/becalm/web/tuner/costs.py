@@ -17,7 +17,7 @@ from becalm.identification.likelihood_surface import surface
 
 MOST_READINGS = 20_000  # largest number of rows that a map uses
 
-_STRETCHES = 4  # of a longer record, a map uses this number of stretches
+_STRETCHES = 4  # number of stretches that a map uses of a longer record
 
 
 class CostMap(NamedTuple):
@@ -38,7 +38,7 @@ def cost_map(rows: ChannelRows, channel: ChannelRecipe) -> CostMap:
     rows : ChannelRows
         Readings of the channel; of a long record the map uses four stretches of 5000 rows.
     channel : ChannelRecipe
-        Present setting. The map is that of its kinematic model alone, without tones or further modes.
+        Present setting. The map includes tones and coloured noise, which scale with the noise, but not further modes.
 
     Raises
     ------

@@ -34,7 +34,7 @@ class TunerSession:
         self._wire = Wire(websocket)
         self._pictures = PictureSender(shared, self._wire)
         self._tasks: set[asyncio.Task[None]] = set()
-        self._mapping: asyncio.Task[None] | None = None
+        self._cost_map_task: asyncio.Task[None] | None = None
         self._last_change = 0  # number of the last message that changed a setting
 
     async def run(self) -> None:
@@ -70,7 +70,7 @@ class TunerSession:
         await self.send_state()
 
     async def send_state(self, requester: TunerSession | None = None) -> None:
-        """Send the page all settings, and a new picture unless `requester`, which has requested one, is this page."""
+        """Send the page all settings; also a new picture, unless this page is `requester`, which has requested one."""
         if requester is not self:
             self._pictures.request_picture()
         last_change = self._last_change
@@ -109,9 +109,9 @@ class TunerSession:
             case messages.Turn():
                 await self._turn(message)
             case messages.Map():
-                if self._mapping is not None:
-                    self._mapping.cancel()
-                self._mapping = self._start(
+                if self._cost_map_task is not None:
+                    self._cost_map_task.cancel()
+                self._cost_map_task = self._start(
                     lambda: self._wire.report_errors(lambda: self._pictures.map(message), message.number)
                 )
             case messages.Compare():
@@ -123,8 +123,8 @@ class TunerSession:
         if self._shared.is_open(file, group, rate_hz):
             await self.send_all()
             return
-        self._pictures.drop_request()
         await self._shared.open(file, group, rate_hz)
+        self._pictures.drop_request()
         await self._shared.broadcast(TunerSession.send_all, self)
 
     async def _turn(self, message: messages.Turn) -> None:
@@ -164,12 +164,12 @@ class TunerSession:
         has_new_options = isinstance(message, messages.Restore) or view_model.options is not before
         await self._shared.broadcast(TunerSession.send_all if has_new_options else TunerSession.send_state, self)
 
-    def _start(self, doing: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
+    def _start(self, work: Callable[[], Coroutine[Any, Any, None]]) -> asyncio.Task[None]:
         """Start a task, which is cancelled when the page is closed."""
 
         async def quietly() -> None:
             with suppress(WebSocketDisconnect):
-                await doing()
+                await work()
 
         task = asyncio.create_task(quietly())
         self._tasks.add(task)
