@@ -200,13 +200,13 @@ def channel(draw: st.DataObject) -> None:
     COUNTED["channel, " + ("causal" if lag == 0 else "smoothed" if lag is None else "lagged") + modes] += 1
     first, second = open_channel(recipe, step_s, lag), open_channel(recipe, step_s, lag)
     first.push(given_it.z, given_it.elapsed)
-    held = first.saved()
+    held = first.state_dict()
     places = draw.draw(st.lists(st.tuples(st.integers(0, 1 << 14), st.integers(0, 255)), max_size=3))
     if held is None:
         return
-    second.restore(held)  # an undamaged state must be accepted
+    second.load_state_dict(held)  # an undamaged state must be accepted
     try:
-        second.restore(damaged(held, places))
+        second.load_state_dict(damaged(held, places))
         second.push(given_it.z, given_it.elapsed)
         COUNTED["channel, restored"] += 1
     except (BecalmError, ValueError, KeyError):

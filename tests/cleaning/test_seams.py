@@ -84,17 +84,17 @@ def same(one: EstimatedRows, other: EstimatedRows) -> bool:
 
 
 @pytest.mark.parametrize("name", CHANNELS)
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 1 << 30))
 def test_what_is_saved_goes_on_to_the_bit(name: str, seed: int) -> None:
     z, elapsed = readings(seed, 4 * CUT)
     whole = open_channel(CHANNELS[name], STEP_S, 0)
     pushed(whole, z[: 2 * CUT], elapsed[: 2 * CUT])
-    held, stood = whole.saved(), whole.comparable_state()
+    held, stood = whole.state_dict(), whole.comparable_state()
     other = open_channel(CHANNELS[name], STEP_S, 0)
     assert held is not None
     assert stood is not None
-    other.restore(held)
+    other.load_state_dict(held)
     restored = other.comparable_state()
     assert restored is not None
     assert same_state(stood, restored, alive=False)
@@ -102,7 +102,7 @@ def test_what_is_saved_goes_on_to_the_bit(name: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", CHANNELS)
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(seed=st.integers(0, 1 << 30), warm=st.integers(1, 8))
 def test_filters_that_stand_alike_say_the_same(name: str, seed: int, warm: int) -> None:
     """Whatever went before: one began with the record, one amid of it, and perhaps too late to stand alike."""
@@ -149,16 +149,16 @@ def test_a_filter_is_cut_while_its_readings_do_not_tell_a_slope_yet() -> None:
     z[10], z[CUT // 2 :] = 1.0, np.arange(CUT // 2)
     whole, other = open_channel(CHANNELS["slope"], STEP_S, 0), open_channel(CHANNELS["slope"], STEP_S, 0)
     whole.push(z[: CUT // 2], np.ones(CUT // 2))
-    held = whole.saved()
+    held = whole.state_dict()
     assert held is not None
-    other.restore(held)
+    other.load_state_dict(held)
     assert same(pushed(whole, z[CUT // 2 :], np.ones(CUT // 2)), pushed(other, z[CUT // 2 :], np.ones(CUT // 2)))
 
 
 def test_a_smoother_cannot_be_cut_so() -> None:
     channel = open_channel(CHANNELS["level"], STEP_S, None)
     channel.push(np.random.default_rng(3).normal(size=CUT), np.ones(CUT))
-    assert channel.saved() is None
+    assert channel.state_dict() is None
 
 
 def _between(z: Floats) -> tuple[float, float]:

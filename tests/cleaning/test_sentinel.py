@@ -35,9 +35,9 @@ def test_an_estimate_is_told_where_it_is_plausible_or_near_what_was_read(
     watch.push(readings)
     for part in (slice(None, cut), slice(cut, None)):
         found.append(watch.mark_implausible(told(signal[part], missing[part])))
-        saved = watch.saved()
+        saved = watch.state_dict()
         watch = Sentinel(LIMITS)
-        watch.restore(saved)
+        watch.load_state_dict(saved)
     last, verdicts = np.nan, np.concatenate([part.verdicts for part in found])
     for k, estimate in enumerate(signal):
         last = last if np.isnan(readings[k]) else readings[k]
@@ -54,9 +54,9 @@ def test_a_hole_begins_with_its_second_row_or_the_first_of_all(rows: list[tuple[
     watch.push(np.where(verdicts > 0, np.nan, 0.0))
     for part in (slice(None, cut), slice(cut, None)):
         found.append(watch.mark_implausible(all_rows.rows(part)))
-        saved = watch.saved()
+        saved = watch.state_dict()
         watch = Sentinel(LIMITS, hole_sigma=1.0)
-        watch.restore(saved)
+        watch.load_state_dict(saved)
     told = np.concatenate([part.verdicts for part in found])
     for k in range(len(sigma)):
         missing = [verdicts[row] in (Verdict.MISSING, Verdict.CLIPPED) for row in (k - 1, k) if row >= 0]

@@ -37,8 +37,8 @@ def judged_soon(z: Floats, limits: Limits, ahead: int, cuts: list[int]) -> Codes
     """Judge a record that is cut so, each row by so many after it; each part goes on from what was saved before it."""
     held, parts = LookAhead(limits, ahead), []
     for a, b in pairwise([0, *cuts, len(z)]):
-        saved, held = held.saved(), LookAhead(limits, ahead)
-        held.restore(saved)
+        saved, held = held.state_dict(), LookAhead(limits, ahead)
+        held.load_state_dict(saved)
         parts.append(held.push(z[a:b], np.ones(b - a)))
     assert sum(len(part[0]) for part in parts) == max(len(z) - ahead, 0), "no row waits for longer"
     rows, _, codes = (np.concatenate(arrays) for arrays in zip(*parts, held.finish(), strict=True))

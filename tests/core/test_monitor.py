@@ -213,5 +213,5 @@ def test_a_step_that_no_clock_gives_leaves_a_state_that_can_be_restored(odd: flo
     one.push(noise(100), np.where(rows == 61, odd, 1.0))
     other.push(noise(100), np.where(rows == 61, usual, 1.0))
     restored = InnovationMonitor(ALARMS)
-    restored.restore(one.saved())
-    assert restored.saved()["monitor_state"].tobytes() == other.saved()["monitor_state"].tobytes()
+    restored.load_state_dict(one.state_dict())
+    assert restored.state_dict()["monitor_state"].tobytes() == other.state_dict()["monitor_state"].tobytes()

@@ -402,7 +402,7 @@ def test_a_causal_rule_tells_the_same_wherever_the_record_is_cut(z: Floats, as_o
     whole, first, second = Faults(limits), Faults(limits), Faults(limits)
     codes = whole.push(z, np.ones(len(z)))
     told = first.push(z[:cut], np.ones(len(z[:cut])))
-    second.restore({name: array.copy() for name, array in first.saved().items()})
+    second.load_state_dict({name: array.copy() for name, array in first.state_dict().items()})
     assert np.array_equal(np.append(told, second.push(z[cut:], np.ones(len(z[cut:])))), codes)
 
 
@@ -449,4 +449,4 @@ def test_rows_that_wait_and_are_not_those_of_a_lag_are_refused(name: str, damage
     ahead = LookAhead(limits, 3)
     ahead.push(noise(rows=5), np.ones(5))
     with pytest.raises(ModelError, match="waiting rows"):
-        LookAhead(limits, 3).restore(ahead.saved() | {f"ahead_{name}": damaged})
+        LookAhead(limits, 3).load_state_dict(ahead.state_dict() | {f"ahead_{name}": damaged})

@@ -50,16 +50,16 @@ class ChannelCleaner(Protocol):
         """Set the history before the first row that will be pushed."""
         ...
 
-    def saved(self) -> dict[str, Any] | None:
+    def state_dict(self) -> dict[str, Any] | None:
         """Return the state of a causal filter as arrays; None for other filters, or while rows wait for later ones."""
         ...
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the state that `saved` returned."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned."""
         ...
 
     def comparable_state(self) -> dict[str, Floats] | None:
-        """Return the part of the state that later rows depend on, for comparison; None if `saved` returns None."""
+        """Return the part of the state that later rows depend on, for comparison; None if `state_dict` returns None."""
         ...
 
     @property
@@ -135,26 +135,26 @@ class MotionChannel(FilteredChannel):
         self._flow.set_history(before.reading, before.readings, before.steps)
         self.sensor.set_history(before)
 
-    def saved(self) -> dict[str, Any] | None:
+    def state_dict(self) -> dict[str, Any] | None:
         """Return the state of a causal filter as arrays; None for other filters, or while rows wait for later ones."""
-        state = self._flow.saved() if self._lag == 0 and isinstance(self._flow, RestartingFlow) else None
+        state = self._flow.state_dict() if self._lag == 0 and isinstance(self._flow, RestartingFlow) else None
         if state is None:
             return None
-        timing = {} if self._timing is None else self._timing.saved()
-        return state | self.sensor.saved() | self._sentinel.saved() | timing
+        timing = {} if self._timing is None else self._timing.state_dict()
+        return state | self.sensor.state_dict() | self._sentinel.state_dict() | timing
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the state that `saved` returned."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned."""
         assert isinstance(self._flow, RestartingFlow), "only the state of a `RestartingFlow` can be saved"
-        self._flow.restore(arrays)
-        self.sensor.restore(arrays)
-        self._sentinel.restore(arrays)
+        self._flow.load_state_dict(arrays)
+        self.sensor.load_state_dict(arrays)
+        self._sentinel.load_state_dict(arrays)
         if self._timing is not None:
-            self._timing.restore(arrays)
+            self._timing.load_state_dict(arrays)
 
     def comparable_state(self) -> dict[str, Floats] | None:
-        """Return the part of the state that later rows depend on, for comparison; None if `saved` returns None."""
-        state = self.saved()
+        """Return the part of the state that later rows depend on, for comparison; None if `state_dict` returns None."""
+        state = self.state_dict()
         if state is None:
             return None
         timing = {} if self._timing is None else {"timing": state["timing_slopes"]}
@@ -230,15 +230,15 @@ class CausalChannelCleaner:
         self._channel.set_history(before)
         self._monitor.set_history(before.readings, before.rows, before.steps)
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state as arrays."""
-        return self._channel.state_dict() | self._monitor.saved()
+        return self._channel.state_dict() | self._monitor.state_dict()
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the state that `saved` returned."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned."""
         self._channel.load_state_dict(arrays)
         self._channel.filter.reset_counts()
-        self._monitor.restore(arrays)
+        self._monitor.load_state_dict(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
         """Return the part of the state that later rows depend on, for comparison."""
@@ -306,13 +306,13 @@ class UnchangedChannel:
         """Set the history before the first row that will be pushed."""
         self._sensor.set_history(before)
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later verdicts depend on, as arrays."""
-        return self._sensor.saved()
+        return self._sensor.state_dict()
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the state that `saved` returned."""
-        self._sensor.restore(arrays)
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned."""
+        self._sensor.load_state_dict(arrays)
 
     def comparable_state(self) -> dict[str, Floats]:
         """Return the part of the state that later verdicts depend on, for comparison."""

@@ -88,17 +88,17 @@ class Cleaner:
         for channel, own in zip(self._channels, before, strict=True):
             channel.set_history(own)
 
-    def saved(self) -> list[dict[str, Any]] | None:
-        """Return the state of each channel as arrays; None if `ChannelCleaner.saved` of any channel returns None."""
-        return _all_or_none([channel.saved() for channel in self._channels])
+    def state_dict(self) -> list[dict[str, Any]] | None:
+        """Return the state of each channel as arrays; None if that of any channel cannot be saved."""
+        return _all_or_none([channel.state_dict() for channel in self._channels])
 
-    def restore(self, arrays: Sequence[Mapping[str, Any]]) -> None:
-        """Restore the state that `saved` returned."""
+    def load_state_dict(self, arrays: Sequence[Mapping[str, Any]]) -> None:
+        """Restore the state that `state_dict` returned."""
         for channel, own in zip(self._channels, arrays, strict=True):
-            channel.restore(own)
+            channel.load_state_dict(own)
 
     def comparable_state(self) -> list[dict[str, Floats]] | None:
-        """Return the part of each channel's state that later rows depend on; None if `saved` returns None."""
+        """Return the part of each channel's state that later rows depend on; None if `state_dict` returns None."""
         return _all_or_none([channel.comparable_state() for channel in self._channels])
 
     def surely_alive(self) -> list[bool]:

@@ -262,20 +262,20 @@ class SensorWatch:
         """Return the estimates of the next rows, with the verdicts of this check merged into those of the filter."""
         return [part._replace(verdicts=self._all_verdicts(part.verdicts)) for part in rows]
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state as arrays."""
         waiting = {"watch_verdicts": self._verdicts, "watch_alarms": self._alarms, "watch_elapsed": self._elapsed}
-        ahead = {} if self._ahead is None else self._ahead.saved()
-        return self._faults.saved() | self.monitor.saved() | waiting | ahead
+        ahead = {} if self._ahead is None else self._ahead.state_dict()
+        return self._faults.state_dict() | self.monitor.state_dict() | waiting | ahead
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the state that `saved` returned."""
-        self._faults.restore(arrays)
-        self.monitor.restore(arrays)
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned."""
+        self._faults.load_state_dict(arrays)
+        self.monitor.load_state_dict(arrays)
         self._verdicts, self._alarms = arrays["watch_verdicts"], arrays["watch_alarms"]
         self._elapsed = arrays["watch_elapsed"]
         if self._ahead is not None:
-            self._ahead.restore(arrays)
+            self._ahead.load_state_dict(arrays)
 
     def comparable_state(self) -> dict[str, Any]:
         """Return the part of the state that later verdicts depend on, for comparison."""

@@ -43,12 +43,12 @@ class LiveChannel(Protocol):
         """Return the remaining rows. Afterwards only a state that was saved before this call can be continued."""
         ...
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state as arrays."""
         ...
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the state that `saved` returned."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned."""
         ...
 
 
@@ -94,20 +94,20 @@ class LiveFilteredChannel(FilteredChannel):
     def _counted(self, rows: list[EstimatedRows]) -> list[EstimatedRows]:
         return super()._counted([part for part in rows if len(part.signal)])
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state as arrays."""
-        timing = {} if self._timing is None else self._timing.saved()
-        others = self.sensor.saved() | self._sentinel.saved() | timing
-        return self._flow.saved() | others | {"counts": _to_array(self.counts)}
+        timing = {} if self._timing is None else self._timing.state_dict()
+        others = self.sensor.state_dict() | self._sentinel.state_dict() | timing
+        return self._flow.state_dict() | others | {"counts": _to_array(self.counts)}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the state that `saved` returned."""
-        self._flow.restore(arrays)
-        self.sensor.restore(arrays)
-        self._sentinel.restore(arrays)
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned."""
+        self._flow.load_state_dict(arrays)
+        self.sensor.load_state_dict(arrays)
+        self._sentinel.load_state_dict(arrays)
         self.counts = _from_array(arrays["counts"])
         if self._timing is not None:
-            self._timing.restore(arrays)
+            self._timing.load_state_dict(arrays)
 
 
 class LiveUnfilteredChannel:
@@ -128,13 +128,13 @@ class LiveUnfilteredChannel:
         """Return no rows: `push` returned all of them."""
         return []
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state as arrays."""
-        return self.sensor.saved() | {"counts": _to_array(self.counts)}
+        return self.sensor.state_dict() | {"counts": _to_array(self.counts)}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the state that `saved` returned."""
-        self.sensor.restore(arrays)
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the state that `state_dict` returned."""
+        self.sensor.load_state_dict(arrays)
         self.counts = _from_array(arrays["counts"])
 
 

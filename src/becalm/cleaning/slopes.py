@@ -48,12 +48,12 @@ class Slopes:
         self._last, self._slope = float(signal[-1]), float(slopes[-1])
         return slopes
 
-    def saved(self) -> Floats:
+    def state_dict(self) -> Floats:
         """Return the state as an array."""
         return np.array([self._last, self._slope])
 
-    def restore(self, state: Floats) -> None:
-        """Restore the state that `saved` returned."""
+    def load_state_dict(self, state: Floats) -> None:
+        """Restore the state that `state_dict` returned."""
         self._last, self._slope = state.tolist()
 
 
@@ -88,13 +88,16 @@ class TimingNoise:
         self.largest_share = max(self.largest_share, float(factor.max(initial=1.0)) - 1.0)
         return estimates._replace(sigma=factor * estimates.sigma)
 
-    def saved(self) -> dict[str, Floats]:
+    def state_dict(self) -> dict[str, Floats]:
         """Return the state as arrays."""
-        return {"timing_slopes": self._slopes.saved(), "timing_elapsed": np.concatenate([*self._elapsed, np.empty(0)])}
+        return {
+            "timing_slopes": self._slopes.state_dict(),
+            "timing_elapsed": np.concatenate([*self._elapsed, np.empty(0)]),
+        }
 
-    def restore(self, arrays: Mapping[str, Floats]) -> None:
-        """Restore the state that `saved` returned."""
-        self._slopes.restore(arrays["timing_slopes"])
+    def load_state_dict(self, arrays: Mapping[str, Floats]) -> None:
+        """Restore the state that `state_dict` returned."""
+        self._slopes.load_state_dict(arrays["timing_slopes"])
         self._elapsed = [arrays["timing_elapsed"]]
 
     def _take_elapsed(self, count: int) -> Floats:

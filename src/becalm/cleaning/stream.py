@@ -164,7 +164,7 @@ class StreamCleaner:
         for c, causal in self._causal.items():
             arrays |= {f"channel{c}.{name}": array for name, array in causal.state_dict().items()}
         for c, channel in self._others.items():
-            arrays |= {f"channel{c}.{name}": array for name, array in channel.saved().items()}
+            arrays |= {f"channel{c}.{name}": array for name, array in channel.state_dict().items()}
             if self.lag_rows:
                 arrays |= {f"ready{c}.{name}": array for name, array in self._ready[c].peek()._asdict().items()}
         return packed(arrays)
@@ -206,7 +206,7 @@ class StreamCleaner:
         for c, causal in self._causal.items():
             causal.load_state_dict(_without_prefix(f"channel{c}.", arrays))
         for c, channel in self._others.items():
-            channel.restore(_without_prefix(f"channel{c}.", arrays))
+            channel.load_state_dict(_without_prefix(f"channel{c}.", arrays))
             if self.lag_rows:
                 waiting = EstimatedRows(**_without_prefix(f"ready{c}.", arrays))
                 self._ready[c].add(with_modes(waiting, self._modes[c]))

@@ -132,7 +132,7 @@ class Online:
         if self._gate is not None:
             arrays["gate"] = np.array([self._gate.threshold, self._gate.agree, self._gate.at_most])
         buffer = io.BytesIO()
-        np.savez(buffer, version=np.array(_VERSION), **arrays, **self._filter.saved())
+        np.savez(buffer, version=np.array(_VERSION), **arrays, **self._filter.state_dict())
         return buffer.getvalue()
 
     def __reduce__(self) -> tuple[Callable[[bytes], Self], tuple[bytes]]:
@@ -168,7 +168,7 @@ class Online:
         imm = restored_imm(model, arrays)
         online = cls(imm or model, int(arrays["lag"]), gate)
         if not isinstance(online._filter, LiveImm):
-            online._filter.restore(arrays)
+            online._filter.load_state_dict(arrays)
         return online
 
 

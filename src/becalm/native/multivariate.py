@@ -192,7 +192,7 @@ class Multivariate:
         kernel.multivariate_lag(model, self.state.ctypes.data, ctypes.byref(record), lag, ready, *output)
         return signal, sigma
 
-    def saved(self) -> NDArray[np.uint8]:
+    def state_dict(self) -> NDArray[np.uint8]:
         """Return the bytes of the state, without the matrices A and g of the closed loop, which are computed again."""
         m, n = self._size
         kept = self.state[: -8 * n * (n + m)].copy()
@@ -200,7 +200,7 @@ class Multivariate:
         return kept
 
     def load(self, kept: NDArray[np.uint8]) -> None:
-        """Restore the result of `saved`.
+        """Restore the result of `state_dict`.
 
         Raises
         ------

@@ -151,13 +151,13 @@ class FixedLagSmoother:
         self._smoother.state, self.settled_row = state, settled
         return estimates
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
         waiting = {f"lag_{name}": array for name, array in self._waiting._asdict().items()}
         return self._smoother.state_dict() | waiting
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`; raise a ModelError if it does not fit this filter and lag."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`; raise a ModelError if it does not fit this filter and lag."""
         z, elapsed, verdicts = (np.array(arrays[f"lag_{name}"]) for name in Rows._fields)
         fits = z.dtype == elapsed.dtype == np.float64 and verdicts.dtype == np.int8
         if not (fits and z.shape == elapsed.shape == verdicts.shape == (z.size,)) or z.size > self.lag:
@@ -250,13 +250,13 @@ class FixedLagFlow:
         self._smoother.set_history(reading, readings, steps)
         self._has_rows = readings > 0
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
-        return self._smoother.saved() | {"lag_begun": np.array(int(self._has_rows))}
+        return self._smoother.state_dict() | {"lag_begun": np.array(int(self._has_rows))}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`; raise a ModelError if it does not fit this filter and lag."""
-        self._smoother.restore(arrays)
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`; raise a ModelError if it does not fit this filter and lag."""
+        self._smoother.load_state_dict(arrays)
         self._has_rows = bool(arrays["lag_begun"])
 
     def _estimated(self, estimates: Estimates) -> EstimatedRows:

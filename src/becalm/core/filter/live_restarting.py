@@ -25,12 +25,12 @@ class LiveFlow(Protocol):
         """Return estimates of the waiting rows from the rows so far."""
         ...
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
         ...
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`."""
         ...
 
 
@@ -56,11 +56,11 @@ class LiveRestartingFlow:
         """Return estimates of the waiting rows from the rows so far; this may change the state, so save it before."""
         return self._flow.finish()
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
-        return self._flow.saved() | {"gaps": self._gaps.saved()}
+        return self._flow.state_dict() | {"gaps": self._gaps.state_dict()}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`."""
-        self._gaps.restore(arrays["gaps"])
-        self._flow.restore(arrays)
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`."""
+        self._gaps.load_state_dict(arrays["gaps"])
+        self._flow.load_state_dict(arrays)

@@ -100,15 +100,15 @@ class OnlineChannel:
         estimates = self._smoother.estimate_waiting()
         return estimates.signal[:, np.newaxis], estimates.sigma[:, np.newaxis]
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state, as arrays."""
         counts = {"begun": np.array(self._has_rows), "unwaited": np.array(self._rows_to_skip)}
         if self._smoother is not None:
-            return counts | self._smoother.saved()
+            return counts | self._smoother.state_dict()
         return counts | {"live": saved(self._settings, self._state)}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`.
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class OnlineChannel:
         """
         self._has_rows, self._rows_to_skip = bool(arrays["begun"]), int(arrays["unwaited"])
         if self._smoother is not None:
-            self._smoother.restore(arrays)
+            self._smoother.load_state_dict(arrays)
             if self._rows_to_skip < 0 or self._rows_to_skip + self._smoother.waiting != self.lag:
                 raise ModelError("The snapshot's waiting rows do not fit its lag; pass what snapshot() returned.")
         else:

@@ -59,12 +59,12 @@ class OnlineMultivariate:
         self._kernel.state = state
         return estimates
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state, as arrays."""
-        return {"live": self._kernel.saved(), "waiting": self._waiting, "unwaited": np.array(self._rows_to_skip)}
+        return {"live": self._kernel.state_dict(), "waiting": self._waiting, "unwaited": np.array(self._rows_to_skip)}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`.
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`.
 
         Raises
         ------

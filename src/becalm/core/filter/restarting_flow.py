@@ -41,12 +41,12 @@ class PartialFlow(Protocol):
         """End the part; return the rows that were waiting."""
         ...
 
-    def saved(self) -> dict[str, Any] | None:
+    def state_dict(self) -> dict[str, Any] | None:
         """Return the state that later rows depend on, as arrays; None while rows wait."""
         ...
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`."""
         ...
 
     def set_level(self, reading: float) -> None:
@@ -111,20 +111,20 @@ class RestartingFlow:
         estimates = self._flow.push(incomplete[0], incomplete[1]) if incomplete.shape[1] else []
         return estimates + self._flow.finish()
 
-    def saved(self) -> dict[str, Any] | None:
+    def state_dict(self) -> dict[str, Any] | None:
         """Return the state that later rows depend on, as arrays; None while rows wait."""
-        flow_state = None if self._incomplete.shape[1] else self._flow.saved()
+        flow_state = None if self._incomplete.shape[1] else self._flow.state_dict()
         if flow_state is None:
             return None
         counts = np.array([self._stretch or 0, len(self._finished)])
-        return flow_state | {"parted_gaps": self._gaps.saved(), "parted_told": counts}
+        return flow_state | {"parted_gaps": self._gaps.state_dict(), "parted_told": counts}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`."""
         stretch, finished = arrays["parted_told"].tolist()
         self._stretch, self._finished = stretch or None, [_Part(0, 0, 0.0, None, {})] * finished
-        self._gaps.restore(arrays["parted_gaps"])
-        self._flow.restore(arrays)
+        self._gaps.load_state_dict(arrays["parted_gaps"])
+        self._flow.load_state_dict(arrays)
 
     def set_level(self, reading: float) -> None:
         """Set the level, which is subtracted from readings, to the record's first reading; call it before any push."""
@@ -133,7 +133,7 @@ class RestartingFlow:
     def set_history(self, reading: float, readings: int, steps: float) -> None:
         """Set the history before the first row: the record's first reading, the number of readings, and of steps."""
         self.set_level(reading)
-        self._gaps.restore(np.array([steps, steps, float(readings)]))
+        self._gaps.load_state_dict(np.array([steps, steps, float(readings)]))
 
     @property
     def log_likelihood(self) -> float:
@@ -214,12 +214,12 @@ class GapDetector:
             else:
                 begin += _ROWS_AT_ONCE
 
-    def saved(self) -> Floats:
+    def state_dict(self) -> Floats:
         """Return the state (3,): time of the last row and of the last reading, in steps, and the number of readings."""
         return np.array([self._now, self._last, float(self._readings)])
 
-    def restore(self, state: Floats) -> None:
-        """Restore the result of `saved`."""
+    def load_state_dict(self, state: Floats) -> None:
+        """Restore the result of `state_dict`."""
         self._now, self._last, self._readings = float(state[0]), float(state[1]), int(state[2])
 
     def _advance_evenly(self, rows: int) -> bool:

@@ -177,13 +177,13 @@ class Faults:
         self._rows, self._ticks = rows, round(steps * _TIME)
         self._state["least"], self._state["most"] = least, most
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later verdicts depend on, as arrays, without the faults detected so far."""
         counts, state = np.array([self._rows, self._ticks]), np.frombuffer(self._state.tobytes(), np.int8)
         return {"faults_state": state, "faults_told": counts, "faults_offsets": self._rhythm.offsets}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`; raise a ModelError if it does not fit this channel."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`; raise a ModelError if it does not fit this channel."""
         state = restored(arrays["faults_state"], LIMITS)
         if state is None:
             raise ModelError("The readings in the snapshot are not valid: pass what snapshot() returned.")

@@ -65,13 +65,13 @@ class LookAhead:
         self._mark(whole=True)
         return self._take(len(self._elapsed))
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
         waiting = {"ahead_z": self._z, "ahead_elapsed": self._elapsed, "ahead_codes": self._codes}
         return waiting | {"ahead_returned": np.array([self._returned])}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`; raise a ModelError if it does not fit this lag."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`; raise a ModelError if it does not fit this lag."""
         z, elapsed, codes, count = (np.array(arrays[f"ahead_{name}"]) for name in ("z", "elapsed", "codes", "returned"))
         fits = z.dtype == elapsed.dtype == np.float64 and codes.dtype == np.int8 and count.dtype == np.int64
         if not (fits and count.shape == (1,) and z.shape == codes.shape == (z.size,) and 0 <= count[0] <= REACH):

@@ -382,14 +382,14 @@ class InnovationMonitor:
         self._rows = state["rows"] = rows
         state["hop_count"], state["now"] = innovations % HOP, steps
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later alarms depend on, as arrays, without the faults detected so far."""
         flags = np.array([self._rows, int(self._silent)])
         watched = {"monitor_state": np.frombuffer(self._watch.state.tobytes(), np.int8)}
         return watched | {"monitor_hops": self._hops, "monitor_told": flags, "monitor_powers": self.powers}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`; raise a ModelError if it does not fit this monitor."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`; raise a ModelError if it does not fit this monitor."""
         state = restored(arrays["monitor_state"], WATCHED)
         hops = arrays["monitor_hops"]
         if (

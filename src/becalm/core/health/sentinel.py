@@ -65,11 +65,11 @@ class Sentinel:
         self._missed = bool(missing[-1])
         return rows.without(in_hole & (rows.sigma >= self._hole_sigma) & np.isfinite(rows.signal), Verdict.HOLE)
 
-    def saved(self) -> dict[str, Floats]:
+    def state_dict(self) -> dict[str, Floats]:
         """Return the state, as arrays."""
         return {"sentinel": np.append([self._last_used, float(self._missed)], self._waiting)}
 
-    def restore(self, arrays: Mapping[str, Floats]) -> None:
-        """Restore the result of `saved`."""
+    def load_state_dict(self, arrays: Mapping[str, Floats]) -> None:
+        """Restore the result of `state_dict`."""
         last_used, missed = arrays["sentinel"][:2]
         self._last_used, self._missed, self._waiting = float(last_used), bool(missed), arrays["sentinel"][2:]

@@ -91,7 +91,7 @@ class WaitingRows:
         """Return the state, as arrays."""
         return {"waiting_notes": self._notes, "waiting_turn": np.array(float(self._turn))}
 
-    def restore(self, arrays: Mapping[str, Floats]) -> None:
+    def load_state_dict(self, arrays: Mapping[str, Floats]) -> None:
         """Restore the result of `snapshot`; check shapes and types, because C does not.
 
         Raises
@@ -157,15 +157,15 @@ class FixedLagImmFlow(ImmFlowBase):
         self._waiting.estimate_waiting(self.switching.matrices(lengths), self._filter.state, steps, buffers)
         return [self._filter.estimates_from(buffers, self._verdicts)]
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
         waiting = {"flow_elapsed": self._elapsed, "flow_verdicts": self._verdicts}
-        return super().saved() | self._waiting.snapshot() | waiting
+        return super().state_dict() | self._waiting.snapshot() | waiting
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`; raise a ModelError if it does not fit these modes and this lag."""
-        super().restore(arrays)
-        self._waiting.restore(arrays)
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`; raise a ModelError if it does not fit these modes and this lag."""
+        super().load_state_dict(arrays)
+        self._waiting.load_state_dict(arrays)
         self._elapsed, self._verdicts = arrays["flow_elapsed"], arrays["flow_verdicts"]
 
     def _take(self, z: Floats, elapsed: Floats, verdicts: Codes) -> EstimatedRows:

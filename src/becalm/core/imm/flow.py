@@ -141,7 +141,7 @@ def comparable_state(saved: Mapping[str, Any], gap_limit: GapLimit) -> dict[str,
     Parameters
     ----------
     saved : mapping of str to array
-        The result of `RestartingFlow.saved`.
+        The result of `RestartingFlow.state_dict`.
     gap_limit : GapLimit
         The gaps that the filter bridges.
     """

@@ -55,12 +55,12 @@ class ForwardImm:
         total = max(float(self._shares.sum()), 1.0)
         return {mode.name: float(share) / total for mode, share in zip(self.switching.modes, self._shares, strict=True)}
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays."""
         return {"flow_modes": np.frombuffer(self.state.tobytes(), np.int8)}
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`; raise a ModelError if it does not fit these modes."""
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`; raise a ModelError if it does not fit these modes."""
         state = restored(self.switching.matrices(np.ones(1)), arrays["flow_modes"])
         if state is None:
             raise ModelError("The snapshot's state does not fit its modes; pass what snapshot() returned.")
@@ -149,13 +149,13 @@ class ImmFlowBase:
         """Return the log-likelihood of all measurements so far; the first does not count."""
         return self._filter.log_likelihood
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return the state that later rows depend on, as arrays; only for a filter or a fixed-lag smoother."""
-        return dict(self._filter.saved())
+        return dict(self._filter.state_dict())
 
-    def restore(self, arrays: Mapping[str, Any]) -> None:
-        """Restore the result of `saved`; raise a ModelError if it does not fit these modes."""
-        self._filter.restore(arrays)
+    def load_state_dict(self, arrays: Mapping[str, Any]) -> None:
+        """Restore the result of `state_dict`; raise a ModelError if it does not fit these modes."""
+        self._filter.load_state_dict(arrays)
 
     def set_level(self, reading: float) -> None:
         """Set the level, which is subtracted from readings, to the record's first reading; call it before any push."""

@@ -52,7 +52,7 @@ class LiveImm:
         probabilities = mu if mu[0] > 0 else self._matrices.start[:, 0]
         return dict(zip(self._names, probabilities.tolist(), strict=True))
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return modes and state as arrays, from which `restored_imm` restores the filter with its model."""
         modes = {"bank_names": np.array(self._names), "bank_state": np.frombuffer(self._state.tobytes(), np.int8)}
         return modes | {f"bank_{name}": array for name, array in self._matrices._asdict().items()}

@@ -51,14 +51,14 @@ class LiveFixedLagImm(LiveImm):
         signal, sigma = np.hstack([self._due, [buffers.signal, buffers.sigma]])
         return signal[:, np.newaxis], sigma[:, np.newaxis]
 
-    def saved(self) -> dict[str, Any]:
+    def state_dict(self) -> dict[str, Any]:
         """Return modes and state as arrays, from which `restored_imm` restores the smoother with its model."""
         moves = {"waiting_due": self._due, "waiting_unwaited": np.array(float(self._rows_to_skip))}
-        return super().saved() | self._waiting.snapshot() | moves
+        return super().state_dict() | self._waiting.snapshot() | moves
 
-    def restore(self, arrays: Mapping[str, Floats]) -> None:
+    def load_state_dict(self, arrays: Mapping[str, Floats]) -> None:
         """Restore the waiting rows; raise a ModelError if they do not fit these modes and this lag."""
-        self._waiting.restore(arrays)
+        self._waiting.load_state_dict(arrays)
         due, rows_to_skip = arrays["waiting_due"].copy(), float(arrays["waiting_unwaited"])
         fits = due.ndim == 2 and len(due) == 2 and due.dtype == np.float64
         fits = fits and rows_to_skip in range(self._waiting.lag + 1)
@@ -116,5 +116,5 @@ def restored_imm(model: Model, arrays: Mapping[str, Any]) -> LiveImm | None:
     if not lag:
         return LiveImm(model, names, matrices, state)
     late = LiveFixedLagImm(model, names, matrices, state, lag)
-    late.restore(arrays)
+    late.load_state_dict(arrays)
     return late

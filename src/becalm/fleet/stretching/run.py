@@ -136,24 +136,24 @@ def _causal(work: _Work, write: Write) -> tuple[Seams | None, tuple[ChannelRepor
         with Cleaner(work.recipe, work.source.clock.step_s) as before:
             if not _warm_up(work, before):
                 return None, ()
-            start, left = before.comparable_state(), before.saved()
+            start, left = before.comparable_state(), before.state_dict()
         if start is None or left is None:
             return None, ()
     with Cleaner(work.recipe, work.source.clock.step_s) as own:
         if left is not None:
-            own.restore(left)
+            own.load_state_dict(left)
         _, first, stop, _ = work.stretch
         chunks = work.source.chunks(first, stop, work.rows)
         for answer in iter_clean_chunks(own, work.recipe, chunks, ends=work.is_last):
             write(answer)
-        seams = Seams(_pack(start), _pack(own.comparable_state()), _pack(own.saved()), tuple(own.surely_alive()))
+        seams = Seams(_pack(start), _pack(own.comparable_state()), _pack(own.state_dict()), tuple(own.surely_alive()))
         return seams, own.reports()
 
 
 def _warm_up(work: _Work, cleaner: Cleaner) -> bool:
     """Set filters to their state before a stretch; return False if there are too few rows before it for a warm-up."""
     if work.stretch.state is not None:
-        cleaner.restore([unpacked(blob) for blob in work.stretch.state])
+        cleaner.load_state_dict([unpacked(blob) for blob in work.stretch.state])
         return True
     margin, first = margin_of(work.recipe, work.source.clock.step_s), work.stretch.first
     begin = warm_up_start(work.source, work.recipe, margin, first, first)
