@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import becalm
+from becalm.cleaning.pipeline import Cleaned
 from becalm.cleaning.recipe import Recipe
 from becalm.cleaning.stream import StreamCleaner
 from becalm.cleaning.tuning import Wishes
@@ -34,9 +36,19 @@ def holed(highest_hz: float) -> becalm.Recording:
     return becalm.Recording(z, names=["a"], rate_hz=RATE_HZ)
 
 
+@cache
+def cleaned(causal: bool) -> Cleaned:
+    return becalm.clean(holed(10.0), causal=causal)
+
+
+@cache
+def filling(causal: bool) -> Recipe:
+    return becalm.tune(holed(10.0), causal=causal, wishes=Wishes(fill=True))
+
+
 @pytest.mark.parametrize("causal", [False, True])
 def test_of_a_hole_too_long_nothing_is_told_but_at_its_ends(causal: bool) -> None:
-    out = becalm.clean(holed(10.0), causal=causal)
+    out = cleaned(causal)
     signal, sigma, verdicts = out.signal.samples[:, 0], out.sigma.samples[:, 0], out.verdicts["a"]
     holes = verdicts == Verdict.HOLE
     assert holes[HOLE].mean() > 0.5
@@ -61,7 +73,7 @@ def test_before_the_first_reading_of_all_the_first_row_too_is_unknown() -> None:
 @pytest.mark.parametrize("causal", [False, True])
 def test_its_guess_is_within_what_was_read_and_its_sigma_is_the_spread(causal: bool) -> None:
     recording = holed(10.0)
-    out = becalm.clean(recording, becalm.tune(recording, causal=causal, wishes=Wishes(fill=True)))
+    out = becalm.clean(recording, filling(causal))
     signal, sigma = out.signal.samples[HOLE, 0], out.sigma.samples[HOLE, 0]
     read = recording.samples[np.isfinite(recording.samples)]
     assert read.min() <= signal.min()
@@ -83,9 +95,8 @@ def test_what_the_model_knows_is_told_across_a_gap(causal: bool) -> None:
 
 
 def test_a_stream_tells_what_a_causal_file_does() -> None:
-    recording = holed(10.0)
-    recipe = becalm.tune(recording, causal=True)
-    file = becalm.clean(recording, recipe)
+    recording, file = holed(10.0), cleaned(True)
+    recipe = file.recipe
     stream = StreamCleaner(recipe, 1 / RATE_HZ)
     told = [
         stream.push(recording.samples[at : at + 700], np.ones(len(recording.samples[at : at + 700])))
@@ -99,7 +110,7 @@ def test_a_stream_tells_what_a_causal_file_does() -> None:
 
 
 def test_a_recipe_keeps_the_spread_and_the_wish() -> None:
-    recipe = becalm.tune(holed(10.0), wishes=Wishes(fill=True))
+    recipe = filling(False)
     assert recipe.channel[0].fill
     assert recipe.channel[0].spread_std == pytest.approx(1.0, rel=0.2)
     assert Recipe.from_toml(recipe.to_toml()) == recipe

@@ -40,6 +40,11 @@ def coloured() -> Recording:
     return Recording(MOTION + noise, names=["force"], units=["N"], rate_hz=RATE_HZ)
 
 
+@pytest.fixture(scope="module")
+def rested(coloured: Recording) -> Recipe:
+    return tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),)))
+
+
 @pytest.mark.parametrize("causal", [False, True])
 def test_named_tones_are_taken_off(humming: Recording, causal: bool) -> None:
     recipe = tune(humming, causal=causal, wishes=Wishes(removed_hz=(50.0, 150.0)))
@@ -72,24 +77,20 @@ def test_noise_told_at_rest_is_taken_off_though_it_is_coloured(coloured: Recordi
     assert rms(error) < 0.6 * rms(blind)
 
 
-def test_rest_may_lie_in_another_recording(coloured: Recording) -> None:
+def test_rest_may_lie_in_another_recording(coloured: Recording, rested: Recipe) -> None:
     moving = Recording(coloured.samples[4000:], names=["force"], units=["N"], rate_hz=RATE_HZ)
     told = tune(moving, wishes=Wishes(still_s=((0.0, REST_S),), rest=coloured))
-    assert (
-        told.channel[0].coloured_noise
-        == tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),))).channel[0].coloured_noise
-    )
+    assert told.channel[0].coloured_noise == rested.channel[0].coloured_noise
 
 
-def test_coloured_noise_of_another_rate_is_refused(coloured: Recording) -> None:
-    told = tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),)))
+def test_coloured_noise_of_another_rate_is_refused(coloured: Recording, rested: Recipe) -> None:
     slower = Recording(coloured.samples, names=["force"], units=["N"], rate_hz=500.0)
     with pytest.raises(RecipeError, match=r"coloured noise was identified at 1000 Hz and is not valid at 500 Hz; tune"):
-        clean(slower, told)
+        clean(slower, rested)
 
 
-def test_coloured_noise_that_grows_is_refused(coloured: Recording) -> None:
-    text = tune(coloured, wishes=Wishes(still_s=((0.0, REST_S),))).to_toml()
+def test_coloured_noise_that_grows_is_refused(coloured: Recording, rested: Recipe) -> None:
+    text = rested.to_toml()
     (line,) = [line for line in text.splitlines() if line.startswith("coefficients")]
     with pytest.raises(RecipeError, match="coloured noise does not make a valid filter: coefficients"):
         clean(coloured, Recipe.from_toml(text.replace(line, "coefficients = [1.5]")))
@@ -153,13 +154,13 @@ TONES = {
 
 @pytest.mark.parametrize(("one", "other", "says"), TONES.values(), ids=TONES)
 def test_tones_that_make_no_filter_are_refused(
-    one: tuple[float, float], other: tuple[float, float], says: str, coloured: Recording
+    one: tuple[float, float], other: tuple[float, float], says: str, coloured: Recording, rested: Recipe
 ) -> None:
-    recipe = tune(coloured)
+    (plain,) = [channel.model_copy(update={"coloured_noise": None}) for channel in rested.channel]
     tones = tuple(
         ToneRecipe(frequency_hz=frequency, bandwidth_hz=width, process_noise_density=1.0)
         for frequency, width in (one, other)
     )
-    edited = recipe.model_copy(update={"channel": (recipe.channel[0].model_copy(update={"tone": tones}),)})
+    edited = rested.model_copy(update={"channel": (plain.model_copy(update={"tone": tones}),)})
     with pytest.raises(RecipeError, match=says):
         clean(coloured, edited)
