@@ -41,8 +41,8 @@ def recording(z: Floats) -> Recording:
 
 @cache
 def cleaned(name: str, mode: str) -> Cleaned:
-    how = {"causal": mode == "causal", "lag_s": 0.2 if mode == "lagged" else None}
-    return clean(recording(readings(WILD[name])), **how)
+    lag_s = 0.2 if mode == "lagged" else None
+    return clean(recording(readings(WILD[name])), causal=mode == "causal", lag_s=lag_s)
 
 
 @pytest.mark.parametrize("name", WILD)
