@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from becalm.studies.car import CANCELLER, MEASURED, OWN, PRINTED, TRUTH, CarStud
 from becalm.studies.car_drive import SENSITIVITY_V_PER_G, SHARES, simulate
 from becalm.studies.car_figures import sheets
 from becalm.studies.car_filters import computed_noise_gain, printed_model, response, settled_gain
-from becalm.studies.car_page import page, run
+from becalm.studies.car_page import page
 from becalm.studies.car_real import slope_of_speed, study_real_car
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN
@@ -137,16 +136,6 @@ class TestPage:
         (along,) = curves(figures[1])
         np.testing.assert_array_equal(along.y, found.estimates[MEASURED][:, 1])
         assert [curve.name for curve in curves(figures[3])] == [PRINTED, OWN, TRUTH]
-
-    @pytest.mark.slow
-    def test_page_and_figures_are_written(self, tmp_path: Path) -> None:
-        """Channel by channel too."""
-        text = run(tmp_path / "made", tmp_path)
-        assert (tmp_path / "made" / "car.md").read_text(encoding="utf-8") == text
-        assert "channel by channel" in text
-        drawn = {path.name for path in (tmp_path / "made").glob("*.svg")}
-        assert len(drawn) == (6 if find_spec("matplotlib") else 0)
-        assert all(f"]({name})" in text for name in drawn)
 
 
 class TestRealCar:
