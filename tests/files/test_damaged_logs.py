@@ -11,7 +11,7 @@ from becalm.errors import BecalmError
 from robot_logs import EPOCH_NS, bag1, bag2, drone, json_log, mutant, read_through
 from test_real_files import real
 
-MORE_MUTANTS = 500
+MORE_MUTANTS = 350
 
 
 def _stored(storage: str) -> Callable[[Path], Path]:
