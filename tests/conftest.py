@@ -18,6 +18,9 @@ import pytest
 from hypothesis import settings
 
 from forked import can_fork, command
+from spark_settings import quick_spark, run_here, spark_environment
+
+__all__ = ["quick_spark", "run_here", "spark_environment"]
 
 settings.register_profile("becalm", deadline=None)  # a shared machine stands still at times: that fails no test
 settings.load_profile("becalm")

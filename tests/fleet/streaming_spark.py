@@ -25,7 +25,7 @@ __all__ = ["committed", "told_in"]
 
 
 @pytest.fixture(scope="module")
-def spark() -> Iterator[SparkSession]:
+def spark(quick_spark: None) -> Iterator[SparkSession]:
     """Give Spark in this process."""
     with session("local[2]", {"spark.sql.shuffle.partitions": "2", "spark.default.parallelism": "2"}) as running:
         yield running

@@ -27,7 +27,7 @@ DEADLY = "sensor=3"
 
 
 @pytest.fixture(scope="module")
-def spark() -> Iterator[SparkSession]:
+def spark(quick_spark: None) -> Iterator[SparkSession]:
     """Give Spark that tries nothing twice."""
     with session("local[2,1]") as running:
         yield running

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from threading import Thread
@@ -22,15 +22,14 @@ from becalm.errors import InputError, UsageError
 from becalm.fleet.recipes import open_book
 from becalm.fleet.sensor_cleaning import clean_whole
 from becalm.fleet.session import session
-from made import Lake, job_of, read_parts, recipe_of, same, table_of, walk, write_parts
+from made import Lake, Run, job_of, read_parts, recipe_of, same, table_of, walk, write_parts
 
-pytestmark = [pytest.mark.slow, pytest.mark.spark]
+pytestmark = [pytest.mark.slow, pytest.mark.spark, pytest.mark.usefixtures("quick_spark")]
 
 CLUSTER = "local-cluster[2,1,1024]"
+EXECUTOR, WORKER = "CoarseGrainedExecutorBackend", r"-m \w*pyspark\.daemon"
 SENSORS, ROWS = 24, 40_000
 LONG = "sensor=long"
-
-CommandLine = Callable[..., subprocess.Popen[str]]
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +57,12 @@ def whole(lake: Lake) -> Path:
     return out
 
 
-def command(lake: Lake, out: Path, master: str = CLUSTER) -> list[str]:
+def command(lake: Lake, out: Path, master: str) -> list[str]:
     words = ["fleet", "clean", lake.root, "-o", out, "--recipe", lake.recipe, "--stretch", 65536, "--master", master]
     return [sys.executable, "-m", "becalm", *map(str, words)]
 
 
-def begun(lake: Lake, out: Path, master: str = CLUSTER) -> subprocess.Popen[str]:
+def begun(lake: Lake, out: Path, master: str = "local[2]") -> subprocess.Popen[str]:
     """Start a job in a group of processes of its own."""
     return subprocess.Popen(
         command(lake, out, master), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
@@ -81,11 +80,11 @@ def marks(out: Path) -> int:
     return len(list(out.glob("*/_becalm.json")))
 
 
-def wait_until(out: Path, count: int) -> None:
-    until = time.monotonic() + 200
-    while marks(out) < count and time.monotonic() < until:
-        time.sleep(0.05)
-    assert marks(out) >= count
+def wait_until(process: subprocess.Popen[str], out: Path, count: int) -> None:
+    """Wait until so many sensors are finished, while others are not."""
+    while marks(out) < count and process.poll() is None:
+        time.sleep(0.02)
+    assert process.poll() is None, process.communicate()[0]
 
 
 def as_it_would_have_been(lake: Lake, out: Path, whole: Path) -> None:
@@ -127,35 +126,27 @@ def rows_of(place: Path) -> int | None:
         return None
 
 
-def test_a_cluster_gives_the_same_files(lake: Lake, whole: Path, tmp_path: Path) -> None:
-    told = finished(begun(lake, tmp_path / "out"))
-    assert "sensor=rubbish: " in told
-    as_it_would_have_been(lake, tmp_path / "out", whole)
-    again = finished(begun(lake, tmp_path / "out", "local[1]"))
-    assert f"{SENSORS + 1} were finished before" in again
-
-
-@pytest.mark.parametrize(
-    ("victim", "pattern"),
-    [("executor", r"CoarseGrainedExecutorBackend"), ("worker", r"pyspark[./]daemon"), ("both", r"Executor|daemon")],
-)
-def test_killed_workers_change_nothing(lake: Lake, whole: Path, tmp_path: Path, victim: str, pattern: str) -> None:
-    process, out = begun(lake, tmp_path / "out"), tmp_path / "out"
-    wait_until(out, 3)
-    victims = list(processes(pattern, process.pid))[: 1 if victim == "executor" else None]
-    assert killed(victims), victim
-    finished(process)
+def test_killed_workers_of_a_cluster_change_nothing(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    """Executors, workers and both are killed in one job, one kind after the other, while sensors are finished."""
+    process, out = begun(lake, tmp_path / "out", CLUSTER), tmp_path / "out"
+    for count, pattern, most in (
+        (2, EXECUTOR, 1),
+        (8, WORKER, None),
+        (14, f"{EXECUTOR}|{WORKER}", None),
+    ):
+        wait_until(process, out, count)
+        assert killed(list(processes(pattern, process.pid))[:most]), pattern
+    assert "sensor=rubbish: " in finished(process)
     as_it_would_have_been(lake, out, whole)
 
 
-def test_a_killed_job_is_taken_up_again(lake: Lake, whole: Path, tmp_path: Path) -> None:
-    """The driver is killed three times; what was finished stays, and no half sensor is ever read."""
+def test_whatever_ends_a_job_the_next_one_takes_it_up(lake: Lake, whole: Path, tmp_path: Path) -> None:
+    """What was finished stays, no half sensor is ever read, and no process is left."""
     out = tmp_path / "out"
-    for count in (2, 9, 16):
+    for count, end in ((2, killed_group), (6, interrupted), (10, terminated), (14, without_its_jvm)):
         process = begun(lake, out)
-        wait_until(out, count)
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+        wait_until(process, out, count)
+        end(process)
         read = [rows_of(place) for place in out.glob("sensor=*")]
         assert len([rows for rows in read if rows is not None]) >= count - 2  # two that were at it have marks too
         assert {rows for rows in read if rows is not None} <= {ROWS, 8 * ROWS}
@@ -164,25 +155,20 @@ def test_a_killed_job_is_taken_up_again(lake: Lake, whole: Path, tmp_path: Path)
     as_it_would_have_been(lake, out, whole)
 
 
-def test_without_its_jvm_a_job_ends_in_a_sentence_and_is_taken_up_again(
-    lake: Lake, whole: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    process = begun(lake, out, "local[2]")
-    wait_until(out, 2)
+def killed_group(process: subprocess.Popen[str]) -> None:
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+
+
+def without_its_jvm(process: subprocess.Popen[str]) -> None:
     assert killed(processes("SparkSubmit", process.pid))
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 2, told
     assert "becalm: Spark gave the job up (" in told
     assert "Make room" not in told
-    finished(begun(lake, out, "local[2]"))
-    as_it_would_have_been(lake, out, whole)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_job_and_all_of_its_processes(lake: Lake, tmp_path: Path, number: signal.Signals) -> None:
-    process = begun(lake, tmp_path / "out")
-    wait_until(tmp_path / "out", 2)
+def interrupted(process: subprocess.Popen[str], number: signal.Signals = signal.SIGINT) -> None:
     process.send_signal(number)
     told, _ = process.communicate(timeout=60)
     assert process.returncode == 128 + number, told
@@ -192,6 +178,10 @@ def test_a_signal_ends_a_job_and_all_of_its_processes(lake: Lake, tmp_path: Path
     while (left := list(processes("", process.pid))) and time.monotonic() < until:
         time.sleep(0.2)
     assert not left
+
+
+def terminated(process: subprocess.Popen[str]) -> None:
+    interrupted(process, signal.SIGTERM)
 
 
 def _another_session() -> None:
@@ -214,8 +204,9 @@ def test_a_session_is_of_this_machine_alone(tmp_path: Path) -> None:
         assert spark.range(3).count() == 3  # whoever came later has not stopped it
 
 
-def test_what_spark_cannot_do_is_said(lake: Lake, tmp_path: Path) -> None:
-    ran = subprocess.run(command(lake, tmp_path / "out", "nonsense"), capture_output=True, text=True, check=False)
+def test_what_spark_cannot_do_is_said(lake: Lake, tmp_path: Path, run: Run) -> None:
+    words = command(lake, tmp_path / "out", "nonsense")
+    ran = run(*words[3:])
     assert (ran.returncode, ran.stdout) == (2, "")
     assert "--master nonsense is not a Spark master; give local[4], spark://HOST:7077 or yarn" in ran.stderr
     assert "Exception" not in ran.stderr
@@ -227,12 +218,8 @@ def test_what_spark_cannot_do_is_said(lake: Lake, tmp_path: Path) -> None:
     assert "Traceback" not in ran.stderr
 
 
-def test_a_file_never_seen_by_its_name(lake: Lake, tmp_path: Path) -> None:
+def test_a_file_never_seen_by_its_name(lake: Lake, whole: Path, tmp_path: Path, run: Run) -> None:
     """A recipe made on one machine runs on another: what comes out of a file comes out of a lake."""
     one = tmp_path / "one.parquet"
-    subprocess.run(
-        [sys.executable, "-m", "becalm", "clean", str(lake.root / LONG), "-o", str(one), "--verdicts", "--recipe",
-         str(lake.recipe)], capture_output=True, check=False,
-    )  # fmt: skip
-    finished(begun(lake, tmp_path / "out", "local[2]"))
-    assert same(read_parts(tmp_path / "out" / LONG), pq.read_table(one))
+    run("clean", lake.root / LONG, "-o", one, "--verdicts", "--recipe", lake.recipe)
+    assert same(read_parts(whole / LONG), pq.read_table(one))

@@ -281,9 +281,9 @@ def test_names_of_all_kinds_leave_recipes_that_can_be_read(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.spark
-def test_on_spark_it_is_the_same(done: Done, run: Run, tmp_path: Path) -> None:
+def test_on_spark_it_is_the_same(done: Done, run_here: Run, tmp_path: Path) -> None:
     pytest.importorskip("pyspark", reason="it runs on Spark: pip install pyspark")
-    ran = run("fleet", "tune", done.lake, "-o", "recipes", "--master", "local[2]", "--json")
+    ran = run_here("fleet", "tune", done.lake, "-o", "recipes", "--master", "local[2]", "--json")
     assert ran.returncode == 4, ran.stderr  # one sensor is refused
     for name in (f"{PUMP}.toml", f"{VALVE}.toml", "sensors.jsonl"):
         assert (tmp_path / "recipes" / name).read_text() == (done.recipes / name).read_text()
@@ -293,6 +293,6 @@ def test_on_spark_it_is_the_same(done: Done, run: Run, tmp_path: Path) -> None:
     assert f"{DAMAGED}: " in ran.stderr
     assert f"{PUMP}/sensor=5, v: Its noise is 3" in ran.stderr
     assert "--recipes recipes" in ran.stderr
-    again = run("fleet", "tune", done.lake, "-o", "recipes")
+    again = run_here("fleet", "tune", done.lake, "-o", "recipes", "--master", "local[2]")
     assert again.returncode == 2
     assert "--replace" in again.stderr

@@ -29,21 +29,16 @@ def lake(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.spark
-def test_what_is_there_is_streamed_and_what_comes_later_follows(lake: Path, run: Run) -> None:
-    words = ("fleet", "stream", lake, "-o", "out", "--recipe", "r.toml", "--time", "time_s", "--once")
-    for count in (900, 1500):
-        ran = run(*words, "--master", "local[1]")
+def test_what_is_there_is_streamed_and_what_comes_later_follows(lake: Path, run: Run, run_here: Run) -> None:
+    """In a process of its own, then in this one."""
+    words = ("fleet", "stream", lake, "--recipe", "r.toml", "--time", "time_s", "--once", "--master", "local[1]")
+    for count, becalm_run in ((900, run), (1500, run_here)):
+        ran = becalm_run(*words, "-o", "out")
         assert ran.returncode == 0, ran.stderr
         assert len(becalm.read(lake.parent / "out" / "kind=readings" / "sensor=left")) == count
         later = table_of(9 + np.arange(600) / 100, a=walk(3, 600))
         pq.write_table(later, lake / "sensor=left" / "b.parquet")
-
-
-@pytest.mark.slow
-@pytest.mark.spark
-def test_a_stream_into_its_own_lake_leaves_nothing_there(lake: Path, run: Run) -> None:
-    words = ("fleet", "stream", lake, "-o", lake / "out", "--recipe", "r.toml", "--time", "time_s", "--once")
-    ran = run(*words, "--master", "local[1]")
+    ran = run_here(*words, "-o", lake / "out")
     assert ran.returncode == 2
     assert "would be read again" in ran.stderr
     assert not (lake / "out").exists()

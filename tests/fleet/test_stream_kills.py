@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 
 import becalm
+import fleet_stream_kills
 from fleet_stream_kills import FILE_ROWS, NAMES, RATE_HZ, RECIPE, SENSORS, killed
 from fleet_stream_runs import KINDS, StreamRun, committed, told_in, write_rows
 from live_runs import readings
 from streaming_spark import until
 
-pytestmark = [pytest.mark.slow, pytest.mark.spark]
+pytestmark = [pytest.mark.slow, pytest.mark.spark, pytest.mark.usefixtures("quick_spark")]
 
 
-def test_whoever_is_killed_nothing_is_lost_and_nothing_told_twice(tmp_path: Path) -> None:
+def test_whoever_is_killed_nothing_is_lost_and_nothing_told_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fleet_stream_kills, "_MOST_FILES", 900)  # of which one comes every 0.7 s
     found = killed(tmp_path, len(KINDS))
     assert found.says == "the same to the bit, every row once, in order"
     assert found.kills == dict.fromkeys(KINDS, 1)

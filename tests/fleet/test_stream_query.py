@@ -14,7 +14,7 @@ import pytest
 import becalm
 from becalm.cleaning.recipe import Recipe
 from becalm.errors import InputError, OutputError, UsageError
-from becalm.fleet.stream import LiveBook, SensorPlan, StreamPlan, cleaned, run, wait
+from becalm.fleet.stream import LiveBook, SensorPlan, cleaned, run, wait
 from becalm.fleet.stream.blocks import SensorRows
 from becalm.live.address import Address
 from made import recipe_of
@@ -35,12 +35,16 @@ pytestmark = [pytest.mark.slow, pytest.mark.spark]
 __all__ = ["spark", "stage"]
 
 
-def test_a_lake_is_streamed_to_the_bit_whenever_its_files_come(stage: Stage) -> None:
-    rows = {f"{k:03d}": rows_of(900, k) for k in range(3)}
+def test_a_lake_is_streamed_to_the_bit_whenever_its_files_come(stage: Stage, spark: SparkSession) -> None:
+    """Beside rubbish, which stops nobody; settings of the session stay."""
+    before, rows = dict(spark.conf.getAll), {f"{k:03d}": rows_of(900, k) for k in range(3)}
+    stage.write("sensor=bad/0.parquet", SensorRows(np.zeros(50), np.full((50, 2), np.inf)))
+    (stage.lake / "sensor=bad" / "1.parquet").write_bytes(b"rubbish")
     for number in range(3):
         for sensor, whole in rows.items():
             ending = "parquet" if number else "PARQUET"
-            stage.write(f"sensor={sensor}/part-{9 - number}.{ending}", cut(whole, [300, 600])[number])
+            how = {"stamps": pa.timestamp("ns", "UTC")} if sensor == "002" else {}
+            stage.write(f"sensor={sensor}/part-{9 - number}.{ending}", cut(whole, [300, 600])[number], **how)
         if number:
             stage.once()
     for sensor, whole in rows.items():
@@ -53,12 +57,15 @@ def test_a_lake_is_streamed_to_the_bit_whenever_its_files_come(stage: Stage) -> 
     recording = becalm.read(stage.out / "kind=readings" / "sensor=001")
     assert len(recording) == 900
     np.testing.assert_array_equal(recording.channel("a"), by_stream(rows["001"]).signal[:, 0])
+    events = told_in(stage.out, "bad", "events")
+    assert set(events["event"].to_pylist()) == {"garbled", "repeated"}
+    assert any("1.parquet is not a Parquet file" in says for says in events["says"].to_pylist())
+    assert dict(spark.conf.getAll) == before
 
 
 def test_blocks_stay_blocks(stage: Stage) -> None:
     rows = rows_of(600)
     stage.write("sensor=s/part-0.parquet", part(rows, slice(0, 300)), block=50)
-    stage.once()
     stage.write("sensor=s/part-1.parquet", part(rows, slice(300, 600)), block=70)
     stage.once()
     table = told_in(stage.out, "s")
@@ -67,52 +74,42 @@ def test_blocks_stay_blocks(stage: Stage) -> None:
     assert_same_bits(said_in(flat), by_stream(rows))
 
 
-def test_seconds_and_another_key_do_too(stage: Stage) -> None:
+def test_seconds_and_another_key_do_too_and_a_name_too_long_for_a_folder_stops_nobody(stage: Stage) -> None:
     rows = rows_of(300)
-    columns = {"pump": [7] * 300, "t": rows.time_s, "b": rows.values[:, 1]}
+    columns = {"pump": ["7", "s" * 300] * 150, "t": rows.time_s, "b": rows.values[:, 1]}
     stage.recipe.write_text(recipe_of("b").to_toml(), encoding="utf-8")
     stage.lake.mkdir()
     pq.write_table(pa.table(columns), stage.lake / "x.parquet")
     stage.once(key="pump", time="t")
     (place,) = (stage.out / "kind=readings").rglob("*.parquet")
     assert place.parent.name == "pump=7"
-    table = pq.read_table(place, partitioning=None)
-    np.testing.assert_array_equal(table["t"].to_numpy(), rows.time_s)
-    np.testing.assert_array_equal(table["b"].to_numpy(), by_stream(rows).signal[:, 1])
+    table, own = pq.read_table(place, partitioning=None), part(rows, slice(0, None, 2))
+    np.testing.assert_array_equal(table["t"].to_numpy(), own.time_s)
+    np.testing.assert_array_equal(table["b"].to_numpy(), by_stream(own).signal[:, 1])
+    (log,) = (stage.out / "kind=events" / "pump=__HIVE_DEFAULT_PARTITION__").glob("*.parquet")
+    (event,) = pq.read_table(log, partitioning=None).to_pylist()
+    assert (event["event"], event["event_rows"]) == ("refused", 150)
+    assert "The sensor name that begins with 'ssss" in event["says"]
 
 
 def test_another_recipe_takes_over_while_it_runs(stage: Stage) -> None:
-    first, second, third = cut(rows_of(1200), [300, 600])
-    stage.write("sensor=s/0.parquet", first)
-    stage.once()
-    stage.recipe.write_text(OTHER.to_toml(), encoding="utf-8")
-    for number, rows in enumerate((second, third)):
-        stage.write(f"sensor=s/{number + 1}.parquet", rows)
+    for number, rows in enumerate(cut(rows_of(1200), [300])):
+        stage.write(f"sensor=s/{number}.parquet", rows)
         stage.once()
+        stage.recipe.write_text(OTHER.to_toml(), encoding="utf-8")
     table = told_in(stage.out, "s")
     assert len(set(table["recipe"].to_pylist())) == 2
     assert "recipe" in told_in(stage.out, "s", "events")["event"].to_pylist()
     np.testing.assert_allclose(said_in(table).signal[-100:], by_stream(rows_of(1200), OTHER).signal[-100:], rtol=1e-6)
 
 
-def test_rubbish_stops_nobody(stage: Stage) -> None:
-    stage.write("sensor=good/0.parquet", rows_of(200))
-    stage.write("sensor=bad/0.parquet", SensorRows(np.zeros(50), np.full((50, 2), np.inf)))
-    (stage.lake / "sensor=bad" / "1.parquet").write_bytes(b"rubbish")
-    stage.once()
-    assert_same_bits(said_in(told_in(stage.out, "good")), by_stream(rows_of(200)))
-    events = told_in(stage.out, "bad", "events")
-    assert set(events["event"].to_pylist()) == {"garbled", "repeated"}
-    assert any("1.parquet is not a Parquet file" in says for says in events["says"].to_pylist())
-
-
-@pytest.mark.parametrize("zone", ["UTC", "Asia/Kolkata"])
-def test_rows_that_spark_has_already_are_filtered_for_any_sink(stage: Stage, spark: SparkSession, zone: str) -> None:
+def test_rows_that_spark_has_already_are_filtered_for_any_sink(stage: Stage, spark: SparkSession) -> None:
+    """In a zone of time that is not the default."""
     spark, rows = spark.newSession(), rows_of(300)
     for number, batch in enumerate(cut(rows, [100])):
         stage.write(f"sensor=00{number}/0.parquet", batch)
     frame = spark.readStream.schema("time timestamp, a double, b double, sensor string").parquet(str(stage.lake))
-    spark.conf.set("spark.sql.session.timeZone", zone)
+    spark.conf.set("spark.sql.session.timeZone", "Asia/Kolkata")
     told = cleaned(frame.withColumn("b", frame["b"].cast("decimal(30, 12)")), stage.plan().sensors)
     writer = told.writeStream.format("memory").queryName("told").trigger(availableNow=True)
     writer.option("checkpointLocation", str(stage.out)).start().awaitTermination()
@@ -132,23 +129,6 @@ def test_silence_is_said_while_the_stream_runs(stage: Stage, spark: SparkSession
         query.stop()
     assert events_of(stage.out, "s").count("back") == 1
     assert_same_bits(said_in(told_in(stage.out, "s")), by_stream(rows))
-
-
-def test_settings_of_the_session_stay(stage: Stage, spark: SparkSession) -> None:
-    before = dict(spark.conf.getAll)
-    stage.write("sensor=s/0.parquet", rows_of(50))
-    stage.once()
-    assert dict(spark.conf.getAll) == before
-
-
-def test_an_output_or_checkpoint_of_another_stream_is_refused(stage: Stage, spark: SparkSession) -> None:
-    stage.write("sensor=s/0.parquet", rows_of(50))
-    stage.once()
-    with pytest.raises(OutputError, match="holds another stream, or this one without its checkpoint"):
-        run(spark, stage.plan(checkpoint=str(stage.out.parent / "another")))
-    plan = StreamPlan(str(stage.lake), str(stage.out) + "2", stage.plan().sensors, str(stage.out / "_checkpoint"))
-    with pytest.raises(OutputError, match="belongs to a stream that does not write to"):
-        run(spark, plan)
 
 
 def test_an_output_in_its_lake_and_a_source_of_another_kind_are_refused(stage: Stage, spark: SparkSession) -> None:
@@ -172,15 +152,6 @@ def test_sources_that_are_not_there_are_told(stage: Stage, spark: SparkSession) 
         run(spark, stage.plan(source="kafka://127.0.0.1:9"))
     with pytest.raises(UsageError, match="no option 'topic'"):
         run(spark, stage.plan(source="kafka://127.0.0.1:9/pumps?topic=x"))
-
-
-def test_nanoseconds_become_microseconds(stage: Stage) -> None:
-    rows = rows_of(100)
-    stage.write("sensor=s/0.parquet", rows, stamps=pa.timestamp("ns", "UTC"))
-    stage.once()
-    table = told_in(stage.out, "s")
-    assert table["time"].type == pa.timestamp("us", "UTC")
-    assert_same_bits(said_in(table), by_stream(rows))
 
 
 def test_messages_need_their_columns(spark: SparkSession) -> None:
