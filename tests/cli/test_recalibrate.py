@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +16,7 @@ from becalm.core.arrays import Floats
 from becalm.files.opening import close
 from becalm.files.registry import read_tables
 from becalm.files.writing import open_output
+from forked import command
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 OLD = """
@@ -29,20 +32,29 @@ zero_uncertainty = 0.02
 NEW = OLD.replace("100.0", "80.0").replace("4.0", "0.8").replace("0.02", "0.01") + "bias_mv = 20.0\n"
 
 
-@pytest.fixture
-def clean(run: Run, tmp_path: Path) -> Path:
-    """Clean 600 rows with two spikes by the old sensors; return the readings."""
+@pytest.fixture(scope="module")
+def cleaned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Clean 600 rows with two spikes by the old sensors; return the folder."""
+    folder = tmp_path_factory.mktemp("cleaned")
     rng, t = np.random.default_rng(3), np.arange(600) / 100
     volts = 0.05 * np.sin(t) + np.cumsum(rng.normal(0, 1e-4, 600)) + rng.normal(0, 2e-3, 600)
     volts[[100, 400]] += 0.5
-    path = tmp_path / "raw.csv"
+    path = folder / "raw.csv"
     rows = "".join(f"{at:.2f},{v:.9f},{k}\n" for k, (at, v) in enumerate(zip(t, volts, strict=True)))
     path.write_text("time_s,a (V),row\n" + rows, encoding="utf-8")
-    (tmp_path / "old.toml").write_text(OLD, encoding="utf-8")
-    (tmp_path / "new.toml").write_text(NEW, encoding="utf-8")
-    ran = run("clean", path, "-o", "clean.csv", "--channels", "a", "--sensors", "old.toml")
+    (folder / "old.toml").write_text(OLD, encoding="utf-8")
+    (folder / "new.toml").write_text(NEW, encoding="utf-8")
+    words = ["clean", "raw.csv", "-o", "clean.csv", "--channels", "a", "--sensors", "old.toml"]
+    ran = command(words, folder, {**os.environ, "COLUMNS": "200"})
     assert ran.returncode in (0, 4), ran.stderr
-    return path
+    return folder
+
+
+@pytest.fixture
+def clean(cleaned: Path, tmp_path: Path) -> Path:
+    """Return the readings, beside a copy of all that was made of them."""
+    shutil.copytree(cleaned, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "raw.csv"
 
 
 def columns(path: Path) -> Floats:
