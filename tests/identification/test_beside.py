@@ -61,10 +61,10 @@ def error_of(tuning: Tuning, z: Floats, truth: Floats, causal: bool) -> float:
 @pytest.mark.parametrize("causal", [True, False])
 @pytest.mark.parametrize("order", ORDERS)
 def test_the_motion_is_found_beside_white_noise(order: int, causal: bool) -> None:
-    """Over five records of 20 000 readings: the cut-off of the motion that was drawn, and its order."""
+    """Over five records of 10 000 readings: the cut-off of the motion that was drawn, and its order."""
     density, orders, cutoffs = cutoff_to_ratio(order, 0.1), [], []
     for seed in range(5):
-        z = moved(order, density, 20_000, seed) + white(20_000, seed)
+        z = moved(order, density, 10_000, seed) + white(10_000, seed)
         found = tune_with_known_noise(even(z), 1.0, causal=causal)
         assert found.noise_variance == 1.0
         assert found.coloured is None
