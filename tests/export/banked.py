@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 
-from becalm.cleaning.figures import modes_in_seconds
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import LimitsRecipe, ModeRecipe, SwitchingRecipe
-from becalm.cleaning.steps import in_seconds
-from becalm.cleaning.stream import StreamCleaner
+from becalm.cleaning.channels.figures import modes_in_seconds
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import LimitsRecipe, ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipes.steps import in_seconds
+from becalm.cleaning.streaming.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.export.bundle import Bundle, Exported
 from becalm.identification.likelihood import Evidence, tune_motion
@@ -40,6 +40,13 @@ def told_of(name: str) -> ChannelRecipe:
 def bundle_of_bank(name: str, precision: str) -> Bundle:
     """Write a bank by its name."""
     return bundle(told_of(name), rate_hz=RATE_HZ, precision=precision)
+
+
+@cache
+def bundle_of_banks(precision: str, *names: str) -> Bundle:
+    """Write banks, all of them if none is named; their channels are called c0, c1, ... in that order."""
+    named = [told_of(name).model_copy(update={"name": f"c{k}"}) for k, name in enumerate(names or NAMES)]
+    return bundle(*named, rate_hz=RATE_HZ, precision=precision)
 
 
 def expected(told: ChannelRecipe, one: Exported, readings: Floats) -> Told:

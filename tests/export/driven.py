@@ -22,7 +22,7 @@ from becalm.export.proof.verifying import write_bundle
 from becalm.export.shared_parts import FOLDER
 from exported import need
 
-UNDEFINED = ("-O1", "-fsanitize=undefined", "-fno-sanitize-recover=all")
+UNDEFINED = ("-O0", "-fsanitize=undefined", "-fno-sanitize-recover=all")
 """Under which undefined behaviour ends the program."""
 
 _REAL: dict[str, Any] = {"float32": ctypes.c_float, "float64": ctypes.c_double, "q31": ctypes.c_int32}

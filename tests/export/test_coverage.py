@@ -8,16 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from banked import NAMES, bundle_of_bank
+from banked import bundle_of_bank, bundle_of_banks
 from becalm.export.bundle import Bundle
 from becalm.export.proof.verifying import write_bundle
 from carried import BOTH
 from exported import TONE, bundle, channel, need
 
 PRECISIONS = ("float32", "float64")
-QUICK = {("jumping 1", "float32"), ("limited", "float64")}
-"""What is tried first; the rest takes a minute."""
-
 WHOLE = ("level", "never", "hum", "gated slope", "gated railed")
 SETTLED = (
     channel("level", 1, 1e-3),
@@ -26,13 +23,6 @@ SETTLED = (
     channel("returning", 2, 0.05, damped_below_hz=0.1),
     channel("coloured", 2, 0.05, coloured_noise=BOTH["coloured"].coloured_noise),
 )
-
-
-def each(*names: str) -> pytest.MarkDecorator:
-    """Try names in both precisions."""
-    both = [(name, precision) for name in names for precision in PRECISIONS]
-    cases = [pytest.param(*case, marks=[] if case in QUICK else pytest.mark.slow) for case in both]
-    return pytest.mark.parametrize(("name", "precision"), cases)
 
 
 def made(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -61,9 +51,16 @@ def test_every_line_of_what_is_written_unasked_is_reached(precision: str, tmp_pa
     assert missed(bundle(*SETTLED, precision=precision), tmp_path) == []
 
 
-@each(*NAMES)
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_every_line_of_all_banks_is_reached(precision: str, tmp_path: Path) -> None:
+    """Each has its own lines in a bundle of all; what they share is reached by a bank alone."""
+    assert missed(bundle_of_banks(precision), tmp_path) == []
+
+
+@pytest.mark.parametrize(("name", "precision"), [("jumping 1", "float32"), ("limited", "float64")])
 def test_every_line_of_a_bank_is_reached(name: str, precision: str, tmp_path: Path) -> None:
-    assert missed(bundle_of_bank(name, precision), tmp_path) == []
+    assert missed(bundle_of_banks(precision, name), tmp_path) == []
 
 
 @pytest.mark.parametrize(
