@@ -9,16 +9,17 @@ import pytest
 from hypothesis import HealthCheck, Phase, assume, example, given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
-from becalm.cleaning.stream import StreamCleaner
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
+from becalm.cleaning.streaming.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.errors import ModelError, RecipeError
 from becalm.export.bundle import Exported
 from becalm.export.channel.kind import WholeChannel
 from becalm.export.number_type import Precision
 from becalm.export.vectors import STARTING
-from exported import built, bundle, channel, recipe_of, through
+from driven import driven_one
+from exported import bundle, channel, recipe_of
 
 ROWS = 4000  # after those that tell the state
 UNHURRIED = (HealthCheck.function_scoped_fixture, HealthCheck.too_slow)
@@ -196,8 +197,9 @@ def test_any_recipe_exports_and_agrees(
         assume(False)
     (one,) = made.channels
     readings = readings_for(one, told, seed)
-    signal, codes = through(built(made, tmp_path), one, readings)
-    given_it = one.kind.in_unit(one.kind.raw(readings, one.written), one.written)
+    held = driven_one(made, tmp_path, "-O0")
+    signal, codes = held.run(readings)
+    given_it = held.rounded(readings)
     want, became = wanted(one, told, given_it)
     np.testing.assert_array_equal(codes, became)
     if one.written.exact:

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import GateRecipe, ToneRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe, ToneRecipe
 from becalm.core.arrays import Floats
 from becalm.core.model.prior import flat_prior
 from becalm.errors import RecipeError
 from becalm.export.design import Design
 from becalm.export.number_type import FLOAT
 from becalm.export.proof.compiling import run
-from becalm.export.proof.verifying import verify
+from becalm.export.proof.verifying import compare, simulate_readings
 from becalm.export.word_length import start_error
-from exported import TONE, built, bundle, channel, live, recipe_of
+from exported import TONE, built, bundle, channel, live
 
 SLOW = channel("ax", 2, 0.05, tone=(TONE.model_copy(update={"frequency_hz": 0.5}),))
 GATED = channel("ax", 3, 1e-5, gate=GateRecipe(), tone=(TONE.model_copy(update={"frequency_hz": 2.0}),))
@@ -74,13 +74,13 @@ def first_signal(design: Design, z: Floats) -> Decimal:
         return Decimal(level + _exactly(design.output).dot(solved(Y, y))[0])
 
 
-@pytest.mark.slow
 def test_of_a_stream_that_rounds_first_rows_c_keeps_the_same_digits(tmp_path: Path) -> None:
     """A tone of 0.7 Hz beside a level, seen at 250 Hz: nine digits of the first rows are told by the readings."""
     tones = tuple(ToneRecipe(frequency_hz=hz, bandwidth_hz=2e-3, process_noise_density=1e-3) for hz in (17.0, 0.7))
     told = channel("ax", 1, 1e-4, tone=tones, gate=GateRecipe(), rate_hz=250.0)
     made = bundle(told, rate_hz=250.0, precision="float64")
-    (stream,) = verify(made, recipe_of(told, rate_hz=250.0), {}, tmp_path).compared
+    (one,) = made.channels
+    stream = compare(built(made, tmp_path), one, told, "drawn from its model", simulate_readings(one, 50_000))
     assert (stream.beside, stream.kept, stream.error) == ("becalm's stream", True, 0.0)
 
 
