@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import GateRecipe
-from driven import driven_one
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe
+from becalm.export.bundle import Bundle
+from becalm.export.proof.compiling import STRICT
+from becalm.export.proof.verifying import write_bundle
 from exported import HUM, LIMITS, MODES, SPAN, TONE, bundle, channel, need
 
 GATED = channel("ax", 2, 0.05, gate=GateRecipe())
@@ -53,23 +55,30 @@ BUNDLES = [
 ]
 
 
-def constants(compiled: Path) -> int:
-    """Return the bytes of all objects that the filters keep in program memory, by the symbols of a compiler."""
+def sizes(made: Bundle, folder: Path) -> tuple[int, int]:
+    """Return the bytes of a state, and of all objects in program memory, by the symbols of a compiler.
+
+    At -O0, where every table keeps its symbol.
+    """
+    need("cc")
     need("nm")
-    said = subprocess.run(["nm", "-S", str(compiled)], check=True, capture_output=True, text=True).stdout
-    lines = [line.split() for line in said.splitlines()]
-    return sum(int(words[1], 16) for words in lines if len(words) == 4 and words[2] in "rR")
+    place = write_bundle(made, folder)
+    (place / "sized.c").write_text('#include "drive.c"\nchar sized[sizeof(drive_ax_state)];\n', encoding="utf-8")
+    subprocess.run(["cc", *STRICT, "-O0", "-c", "sized.c"], cwd=place, check=True)
+    said = subprocess.run(["nm", "-S", "sized.o"], cwd=place, check=True, capture_output=True, text=True).stdout
+    symbols = [line.split()[1:] for line in said.splitlines() if len(line.split()) == 4]
+    (state,) = (int(size, 16) for size, _, name in symbols if name == "sized")
+    return state, sum(int(size, 16) for size, kind, _ in symbols if kind in "rR")
 
 
 @pytest.mark.parametrize(("kind", "told", "asked"), BUNDLES)
 def test_memory_is_what_is_said(
     kind: str, told: ChannelRecipe, asked: dict[str, Any], request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:
-    held = driven_one(bundle(told, **asked), tmp_path, "-O0")  # where every table keeps its symbol
-    (compiled,) = tmp_path.glob("*/driven.o")
-    assert type(held.one.kind).__name__ == kind
+    made = bundle(told, **asked)
+    (one,) = made.channels
+    assert type(one.kind).__name__ == kind
     name = request.node.callspec.id
-    assert not ("exact" in name and not held.one.written.exact)
-    assert not ("thinned" in name and held.one.written.exact)
-    assert held.size == held.one.written.state_bytes
-    assert constants(compiled) == held.one.written.table_bytes
+    assert not ("exact" in name and not one.written.exact)
+    assert not ("thinned" in name and one.written.exact)
+    assert sizes(made, tmp_path) == (one.written.state_bytes, one.written.table_bytes)
