@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe
 from becalm.export.bundle import Bundle
 from becalm.export.number_type import Precision
 from becalm.export.proof.verifying import write_bundle
@@ -37,9 +37,11 @@ def deviations(kind: str) -> set[str]:
     [(kind, precision) for kind in ("settled", "full") for precision in ("float32", "float64")] + [("fixed", "q31")],
 )
 def test_misra_reports_what_is_listed(kind: str, precision: Precision, tmp_path: Path) -> None:
+    """The files of `native` are the same in both precisions, and looked at in one."""
     need("cppcheck")
     folder = write_bundle(MADE[kind](precision), tmp_path)
-    ran = subprocess.run(["make", "-C", folder, "misra"], capture_output=True, text=True, check=False, timeout=300)
+    words = ["make", "-C", str(folder), "misra", *(["NATIVE="] if (kind, precision) == ("full", "float64") else [])]
+    ran = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
     assert ran.returncode == 0, ran.stderr
     by_rule = {rule: int(many) for many, rule in re.findall(r"(\d+) misra-c2012-([\d.]+)", ran.stdout)}
     report = (folder / "misra.txt").read_text()
