@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import becalm
 from becalm.classic.matching import best_of
 from becalm.classic.register import USUAL
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.channels.report import ChannelReport
 from becalm.metrics.truth import coverage, rms_error
 from pages import page_parser, publish
 

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from app_runs import CHROMIUM, QUIET
 from becalm.core.recording import Recording
-from becalm.files.writing import write
+from becalm.files.outputs.writing import write
 from live_page_runs import LiveApp, shown_live
 from live_runs import names_of, processor_time, readings, recipe_of, stolen_share
 from pages import page_parser, publish

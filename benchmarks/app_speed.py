@@ -32,9 +32,9 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from app_browser import in_browser
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.cleaning.recipe import Origin as TunedOn
-from becalm.cleaning.recipe_parts import GateRecipe, ToneRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
+from becalm.cleaning.recipes.recipe import Origin as TunedOn
+from becalm.cleaning.recipes.recipe_parts import GateRecipe, ToneRecipe
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import unframed
 from becalm.web.serving import Server, listen

@@ -21,8 +21,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, get_args
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import LimitsRecipe, ToneRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import LimitsRecipe, ToneRecipe
 from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.number_type import Precision
 from becalm.export.proof.verifying import write_bundle

@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ModeRecipe, SwitchingRecipe, ToneRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe, LimitsRecipe, ModeRecipe, SwitchingRecipe, ToneRecipe
 from becalm.errors import BecalmError
 from becalm.export.bundle import Bundle, ExportOptions, bundle_of
 from becalm.export.number_type import Precision

@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app_runs import CHROMIUM, QUIET
-from becalm.cleaning.faults import Fault
-from becalm.cleaning.judging import InnovationJudge, Judgement
-from becalm.report.fleet_page import FleetFacts, fleet_page
-from becalm.report.fleet_rows import FleetRow, faults_text
+from becalm.cleaning.channels.faults import Fault
+from becalm.cleaning.channels.judging import InnovationJudge, Judgement
+from becalm.report.fleet.fleet_page import FleetFacts, fleet_page
+from becalm.report.fleet.fleet_rows import FleetRow, faults_text
 from pages import page_parser, publish
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from becalm.core.arrays import Floats
 from becalm.fleet.stream.plan import FIRST_ROWS
 from becalm.live.block import Block, Output
-from becalm.live.learning_buffer import resolution_of
+from becalm.live.running.learning_buffer import resolution_of
 from becalm.live.stream import Stream
 from fleet_stream_runs import StreamRun, committed, told_in, write_rows
 from live_runs import names_of, readings, recipe_of

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from becalm.identification.several.step_spectrum import Sensor, StepTrial
 from becalm.identification.several.step_tuning import StepTuning, tune_by_simplex, tune_by_step
-from becalm.studies.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ
+from becalm.studies.imu.imu_records import HARMONICS_HZ, PRINTED, RATE_HZ
 from pages import page_parser, publish
 
 Floats = NDArray[np.float64]

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe, LimitsRecipe
 from becalm.live.messages.encoding import Encoder
 
 Floats = NDArray[np.float64]

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 import becalm
-from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.cleaning.streaming.stream import StreamCleaner, Streamed
 from becalm.core.reading_verdicts import LOST, Verdict
 from becalm.export.bundle import ExportOptions, bundle_of
 from becalm.export.proof.compiling import build

@@ -26,9 +26,9 @@ from typing import NamedTuple
 import numpy as np
 
 import becalm
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
-from becalm.cleaning.stream import StreamCleaner
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import ColouredNoiseRecipe, GateRecipe, ToneRecipe
+from becalm.cleaning.streaming.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError
 from becalm.export.bundle import Bundle, ExportOptions, bundle_of

@@ -17,9 +17,9 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 import becalm
-from becalm.cleaning.channels import ChannelCleaner, open_channel
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import (
+from becalm.cleaning.channels.channels import ChannelCleaner, open_channel
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
     GateRecipe,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import becalm
 from becalm.core.model.components import motion
 from becalm.identification.wishes.noise_against_lag import trade_off_curve
-from becalm.report.description import Axis, Curve, Figure, Layer, Look
+from becalm.report.data.description import Axis, Curve, Figure, Layer, Look
 from becalm.report.printing import Kind, printed, refuse_unprintable
 from pages import page_parser, publish
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from becalm.errors import UsageError
-from becalm.files.unit_conversion import conversion
-from becalm.files.unit_spelling import QUANTITIES, parse_header
+from becalm.files.units.unit_conversion import conversion
+from becalm.files.units.unit_spelling import QUANTITIES, parse_header
 
 HEADERS = (
     ("acc_x (g)", "m/s^2"),

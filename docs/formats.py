@@ -29,10 +29,11 @@ from format_units import units_table
 from real_recordings import DATA
 
 from becalm.errors import BecalmError
-from becalm.files import library_process, registry
+from becalm.files import registry
+from becalm.files.inputs.time_bases import open_file
+from becalm.files.libraries import library_process
 from becalm.files.library_reader import LibraryFile
 from becalm.files.source import RawTable
-from becalm.files.time_bases import open_file
 
 IDE = "endaq/test1.IDE"
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from real_recordings import DATA, Part, files, parts
 
 import becalm
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.channels.report import ChannelReport
 
 MODES = (("smoothed", False), ("causal", True))
 FAILED = "failed"

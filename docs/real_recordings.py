@@ -16,11 +16,11 @@ import pyarrow as pa
 
 import becalm
 from becalm.errors import InputError
-from becalm.files.opening import OpenSource, open_table
+from becalm.files.inputs.opening import OpenSource, open_table
+from becalm.files.inputs.time_bases import open_file
 from becalm.files.read_options import ReadOptions
 from becalm.files.roles import values_of
 from becalm.files.source import CHANNEL, RawTable
-from becalm.files.time_bases import open_file
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 

@@ -82,7 +82,8 @@ def _load() -> None:
     import scipy.signal  # noqa: F401
 
     from becalm.cleaning import pipeline  # noqa: F401
-    from becalm.cli import clean, compare, export, main, messages, noise, report_files  # noqa: F401
+    from becalm.cli import main, messages, report_files  # noqa: F401
+    from becalm.cli.commands import clean, compare, export, noise  # noqa: F401
     from becalm.files import source  # noqa: F401
     from becalm.report import page  # noqa: F401
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from becalm.identification.several.step_spectrum import StepTrial
 from becalm.identification.several.step_tuning import tune_by_step
-from becalm.studies.imu_records import PRINTED, RATE_HZ, white
-from becalm.studies.imu_responses import FIGURE_STRIDE, STEP, STEP_AT_S, NoiseSetting, compute_response
+from becalm.studies.imu.imu_records import PRINTED, RATE_HZ, white
+from becalm.studies.imu.imu_responses import FIGURE_STRIDE, STEP, STEP_AT_S, NoiseSetting, compute_response
 
 figure, all_axes = plt.subplots(1, 2, sharey=True)
 for axes, sensor in zip(all_axes, ("accelerometer", "gyroscope"), strict=True):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from becalm.cleaning.pipeline import clean
-    from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.recipes.recipe import Recipe
     from becalm.cleaning.tuning import Wishes, tune
     from becalm.core.filter.filtering import kalman_filter
     from becalm.core.filter.smoothing import kalman_smoother
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from becalm.core.model.model import Model
     from becalm.core.online import Online
     from becalm.core.recording import Recording
-    from becalm.files.opening import read
-    from becalm.files.writing import write
+    from becalm.files.inputs.opening import read
+    from becalm.files.outputs.writing import write
 
 __all__ = [
     "Model",
@@ -44,15 +44,15 @@ __all__ = [
 _MODULES = {
     "Model": "becalm.core.model.model",
     "Online": "becalm.core.online",
-    "Recipe": "becalm.cleaning.recipe",
+    "Recipe": "becalm.cleaning.recipes.recipe",
     "Recording": "becalm.core.recording",
     "Wishes": "becalm.cleaning.tuning",
     "clean": "becalm.cleaning.pipeline",
     "kalman_filter": "becalm.core.filter.filtering",
     "kalman_smoother": "becalm.core.filter.smoothing",
-    "read": "becalm.files.opening",
+    "read": "becalm.files.inputs.opening",
     "tune": "becalm.cleaning.tuning",
-    "write": "becalm.files.writing",
+    "write": "becalm.files.outputs.writing",
 }
 
 

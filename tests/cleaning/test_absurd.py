@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.pipeline import Cleaned, clean
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.cleaning.slopes import resonance_warning
+from becalm.cleaning.channels.slopes import resonance_warning
 from becalm.sensors.resonance import Resonance
 
 SENSOR = Resonance(1000.0, 0.02)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.steps import in_steps
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.steps import in_steps
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter

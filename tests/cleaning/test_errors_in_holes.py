@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import becalm
+from becalm.cleaning.channels.holes import Holes
 from becalm.cleaning.errors_in_holes import LENGTHS, choose_hidden_rows
-from becalm.cleaning.holes import Holes
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.recipe_parts import HoleRecipe
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.recipes.recipe_parts import HoleRecipe
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows

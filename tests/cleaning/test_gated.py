@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.pipeline import Cleaned, clean
-from becalm.cleaning.recipe import VERSION, ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.cleaning.recipes.recipe import VERSION, ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict

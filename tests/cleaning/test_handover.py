@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.handover import Handover, rows_to_forget
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.streaming.handover import Handover, rows_to_forget
+from becalm.cleaning.streaming.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
 from becalm.errors import ModelError, RecipeError
 

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.classic.causal import butterworth, moving_average
-from becalm.cleaning.channels import CausalChannelCleaner, MotionChannel
+from becalm.cleaning.channels.channels import CausalChannelCleaner, MotionChannel
 from becalm.cleaning.pipeline import Cleaned, clean
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.filter.smoothing import kalman_smoother

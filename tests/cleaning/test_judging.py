@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from becalm.cleaning.judging import DESCRIBED, InnovationJudge, Judgement
+from becalm.cleaning.channels.judging import DESCRIBED, InnovationJudge, Judgement
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import run_filter
 from becalm.core.model.components import motion

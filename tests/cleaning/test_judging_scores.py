@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.cleaning.judging import InnovationJudge, Judgement
+from becalm.cleaning.channels.judging import InnovationJudge, Judgement
 from becalm.core.arrays import Floats
 from becalm.metrics.whiteness import ScoreCount
 

@@ -8,8 +8,8 @@ from scipy.signal import butter, sosfiltfilt
 
 from becalm.cleaning.delays import delays
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Origin, Recipe
-from becalm.cleaning.steps import in_steps, lag_in_rows
+from becalm.cleaning.recipes.recipe import Origin, Recipe
+from becalm.cleaning.recipes.steps import in_steps, lag_in_rows
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.online import Online
 from becalm.core.reading_verdicts import Verdict

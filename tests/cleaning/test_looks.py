@@ -7,7 +7,7 @@ import pytest
 
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.pipeline import in_mode
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from becalm.cleaning.channels.figures import modes_in_seconds, modes_in_steps
 from becalm.cleaning.delays import delays
-from becalm.cleaning.figures import modes_in_seconds, modes_in_steps
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.steps import in_steps
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.recipes.steps import in_steps
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import order_one

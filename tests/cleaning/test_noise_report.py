@@ -12,7 +12,7 @@ from becalm.cleaning.noise_report import ChannelNoise, report_noise
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.errors import RecordingError, UsageError
-from becalm.files.opening import read
+from becalm.files.inputs.opening import read
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 RATE_HZ = 200.0

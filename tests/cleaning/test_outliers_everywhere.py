@@ -10,7 +10,7 @@ import pytest
 
 from becalm import Recording, clean, tune
 from becalm.cleaning.pipeline import Cleaned
-from becalm.cleaning.stream import StreamCleaner
+from becalm.cleaning.streaming.stream import StreamCleaner
 from becalm.core.arrays import Floats, Integers
 from becalm.core.reading_verdicts import Verdict
 

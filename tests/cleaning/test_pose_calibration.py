@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from becalm.cleaning.pose_calibration import find_poses, find_rests
+from becalm.cleaning.sensor_files.pose_calibration import find_poses, find_rests
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.errors import SensorError

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import CalibrationRecipe, ColouredNoiseRecipe, ToneRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import CalibrationRecipe, ColouredNoiseRecipe, ToneRecipe
 from becalm.errors import RecipeError
 
 positive = st.floats(min_value=0, exclude_min=True, allow_nan=False, allow_infinity=False)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.channels import ChannelCleaner, open_channel
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import (
+from becalm.cleaning.channels.channels import ChannelCleaner, open_channel
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import (
     ColouredNoiseRecipe,
     GateRecipe,
     LimitsRecipe,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from becalm.cleaning.sensor_file import due_warnings, load_sensors
+from becalm.cleaning.sensor_files.sensor_file import due_warnings, load_sensors
 from becalm.errors import SensorError
 from becalm.sensors.accelerometer import FullScale
 from becalm.sensors.bridge import Bridge

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from becalm.cleaning.channels.faults import SensorWatch, find_healthy
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.faults import SensorWatch, find_healthy
-from becalm.cleaning.limits_entry import limits_of, outlier_test_rows
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.cleaning.recipes.limits_entry import limits_of, outlier_test_rows
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import LimitsRecipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits

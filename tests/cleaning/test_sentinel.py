@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import becalm
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.stream import StreamCleaner
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.streaming.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.core.health.limits import Limits
 from becalm.core.health.outlier_rule import Outliers

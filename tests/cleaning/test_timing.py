@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import becalm
+from becalm.cleaning.channels.slopes import Slopes, TimingNoise
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.recipe_parts import TimingRecipe
-from becalm.cleaning.slopes import Slopes, TimingNoise
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.recipes.recipe_parts import TimingRecipe
 from becalm.cleaning.tuning import Wishes, time_std_of, tune, with_timing
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.rows import EstimatedRows

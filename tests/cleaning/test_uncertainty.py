@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import becalm
-from becalm.cleaning.recipe import VERSION, Recipe
-from becalm.cleaning.recipe_parts import CalibrationRecipe
+from becalm.cleaning.recipes.recipe import VERSION, Recipe
+from becalm.cleaning.recipes.recipe_parts import CalibrationRecipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.identification.wishes.dial import Dial

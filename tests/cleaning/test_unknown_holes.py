@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 import becalm
 from becalm.cleaning.pipeline import Cleaned
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.stream import StreamCleaner
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.streaming.stream import StreamCleaner
 from becalm.cleaning.tuning import Wishes
 from becalm.cli.main import app
 from becalm.core.arrays import Floats

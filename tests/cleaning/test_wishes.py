@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.recipe_parts import ToneRecipe
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.recipes.recipe_parts import ToneRecipe
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from becalm.cleaning.sensor_file import load_sensors
+from becalm.cleaning.sensor_files.sensor_file import load_sensors
 from becalm.core.arrays import Floats
 from becalm.sensors.record import convert_readings
 

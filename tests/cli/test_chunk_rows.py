@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 
 from becalm.core.arrays import BLOCK, Floats
 from becalm.files import OpenSource, open_source
-from becalm.files.chunked_cleaning import CHUNK_ROWS, rows_of_chunks
-from becalm.files.portions import TUNED_ROWS, TUNED_ROWS_UNEVEN, rows_to_tune_on
+from becalm.files.inputs.portions import TUNED_ROWS, TUNED_ROWS_UNEVEN, rows_to_tune_on
+from becalm.files.outputs.chunked_cleaning import CHUNK_ROWS, rows_of_chunks
 
 
 def opened(folder: Path, times: Floats) -> OpenSource:

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from becalm.files.opening import open_source
+from becalm.files.inputs.opening import open_source
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -12,7 +12,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import pytest
 
-from becalm.cli import demo
+from becalm.cli.commands import demo
 from becalm.installation import version
 from becalm.studies import drive as drive_simulation
 

@@ -146,8 +146,8 @@ def test_it_is_not_written_over_the_recipe_nor_over_a_file(recipe: Path, run: Ru
 def test_sections_filter_as_the_stream_does(recipe: Path, run: Run, tmp_path: Path) -> None:
     from scipy.signal import sosfilt, sosfilt_zi
 
-    from becalm.cleaning.recipe import Recipe
-    from becalm.cleaning.stream import StreamCleaner
+    from becalm.cleaning.recipes.recipe import Recipe
+    from becalm.cleaning.streaming.stream import StreamCleaner
 
     for form in ("sos", "json", "scipy"):
         assert run("export", recipe, "--to", form, "-o", f"r.{form}").returncode == 0

@@ -33,7 +33,7 @@ SLEEPY = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # who runs this may ignore it
-import becalm.files.chunked_cleaning as chunked_cleaning
+import becalm.files.outputs.chunked_cleaning as chunked_cleaning
 from becalm.cli.main import main
 chunked_cleaning.clean_chunks = lambda *_, **__: time.sleep(60)
 main()

@@ -15,9 +15,9 @@ import pyarrow as pa
 import pytest
 
 import becalm
-import becalm.cli.live
-from becalm.cleaning.recipe import Recipe
-from becalm.cli.live import LiveOptions, MonitoringOptions
+import becalm.cli.commands.live
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cli.commands.live import LiveOptions, MonitoringOptions
 from becalm.errors import UsageError
 from becalm.live.journal.reading import open_journal
 from live_processes import DEADLINE_S, begun, kept, rows_in, told_in, until
@@ -289,9 +289,9 @@ def test_datagrams_gather_where_only_a_commit_waits(
         raise UsageError("Enough.")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(becalm.cli.live, "open_source", refused)
-    settings = becalm.cli.live.settings_of(10, "block", "1s")
+    monkeypatch.setattr(becalm.cli.commands.live, "open_source", refused)
+    settings = becalm.cli.commands.live.settings_of(10, "block", "1s")
     asking, watching = LiveOptions(None, "2s", None, ()), MonitoringOptions(None, None, "-", "10s")
     with pytest.raises(UsageError, match="Enough"):
-        becalm.cli.live.run(source, sinks, asking, settings, watching)
+        becalm.cli.commands.live.run(source, sinks, asking, settings, watching)
     assert asked == [opened]

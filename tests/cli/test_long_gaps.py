@@ -12,7 +12,7 @@ import pyarrow.csv
 import pytest
 
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 

@@ -16,10 +16,11 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-from becalm.cli import noise, options
+from becalm.cli import options
+from becalm.cli.commands import noise
 from becalm.errors import UsageError
-from becalm.files import portions
-from becalm.files.opening import open_source
+from becalm.files.inputs import portions
+from becalm.files.inputs.opening import open_source
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 

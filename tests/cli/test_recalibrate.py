@@ -13,9 +13,9 @@ import pyarrow as pa
 import pytest
 
 from becalm.core.arrays import Floats
-from becalm.files.opening import close
+from becalm.files.inputs.opening import close
+from becalm.files.outputs.writing import open_output
 from becalm.files.registry import read_tables
-from becalm.files.writing import open_output
 from forked import command
 
 Run = Callable[..., subprocess.CompletedProcess[str]]

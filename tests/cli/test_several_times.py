@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from becalm.files.outputs.writing import open_output
 from becalm.files.registry import ENDINGS, read_tables, stores_several_times
-from becalm.files.writing import open_output
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
 SEVERAL = sorted({form: ending for ending, form in ENDINGS.items() if stores_several_times(form)}.values())

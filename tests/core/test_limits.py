@@ -11,7 +11,7 @@ from becalm.core.health.outlier_rule import verdicts_from_neighbours
 from becalm.core.health.saturation import SaturationLimits, find_saturation
 from becalm.core.reading_verdicts import Verdict
 from becalm.errors import UsageError
-from becalm.files.opening import read
+from becalm.files.inputs.opening import read
 from becalm.native.scans import EVERY_REPEAT
 from sensor_faults_records import DATA, REAL
 

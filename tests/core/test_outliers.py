@@ -426,7 +426,7 @@ def test_no_reading_of_a_real_motion_is_an_outlier(file: str) -> None:
     """Steps of a walker hit the ground with 100 times the noise."""
     if not (DATA / file).exists():
         pytest.skip(f"the recordings are not beside the project ({file})")
-    from becalm.files.opening import read
+    from becalm.files.inputs.opening import read
 
     recording = read(DATA / file, rate_hz=204.8 if "gaitmap" in file else None)
     for z in recording.samples.T:

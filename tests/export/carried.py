@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import ColouredNoiseRecipe, GateRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import ColouredNoiseRecipe, GateRecipe
 from becalm.core.arrays import Codes, Floats
 from becalm.core.model.autoregressive import from_partial_autocorrelations
 from becalm.export.number_type import DOUBLE, FLOAT

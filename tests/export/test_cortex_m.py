@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import GateRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe
 from becalm.export.proof.verifying import write_bundle
 from exported import MODES, TONE, WIDE_LIMITS, bundle, channel, need
 

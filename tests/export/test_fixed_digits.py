@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.errors import RecipeError
 from becalm.export.fixed.kind import FixedReference
 from becalm.export.fixed.text import GREATEST, factor_of, scale_of, schedule_in

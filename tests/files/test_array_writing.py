@@ -14,10 +14,10 @@ from scipy.io import loadmat
 from becalm.errors import OutputError
 from becalm.files import open_output
 from becalm.files.arrays import array_writer
-from becalm.files.opening import OpenSource
+from becalm.files.inputs.opening import OpenSource
+from becalm.files.outputs.tables import verdict_words
 from becalm.files.read_options import ReadOptions
 from becalm.files.registry import read_tables
-from becalm.files.tables import verdict_words
 
 ENDINGS = ["h5", "mat", "mf4", "npz"]
 COUNT = 7

@@ -13,9 +13,9 @@ from scipy.io import savemat
 
 from becalm.errors import InputError
 from becalm.files import ReadOptions, open_source, read
-from becalm.files.named_rates import hertz_of
 from becalm.files.registry import read_tables
 from becalm.files.source import RawTable
+from becalm.files.units.named_rates import hertz_of
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data"
 COUNT = 300

@@ -14,8 +14,8 @@ import pytest
 from scipy.io import savemat
 
 from becalm.errors import BecalmError, InputError
+from becalm.files.outputs.writing import open_output
 from becalm.files.registry import read_tables
-from becalm.files.writing import open_output
 from tdms_logs import SIGNAL, WAVE, channel
 from tdms_logs import written as tdms
 from test_array_dangers import MAKERS

@@ -10,8 +10,8 @@ import pytest
 from becalm.errors import InputError, UsageError
 from becalm.files.column_statistics import Column
 from becalm.files.groups import TIME, Group, chosen_table, tables
+from becalm.files.inputs.opening import OpenSource
 from becalm.files.library_reader import LibraryFile
-from becalm.files.opening import OpenSource
 from becalm.files.read_options import ReadOptions
 from becalm.files.source import FormatTime, RawTable
 

@@ -18,9 +18,9 @@ import pyarrow as pa
 import pytest
 
 from becalm.errors import InputError
-from becalm.files import library_process
-from becalm.files.library_process import read_in_subprocess
-from becalm.files.library_server import _Server
+from becalm.files.libraries import library_process
+from becalm.files.libraries.library_process import read_in_subprocess
+from becalm.files.libraries.library_server import _Server
 from becalm.files.registry import read_tables
 from mdf_logs import SIGNAL
 from mdf_logs import signal as mdf_signal

@@ -11,12 +11,12 @@ import pytest
 
 import becalm
 from becalm.errors import UsageError
-from becalm.files.opening import open_source, read_source
+from becalm.files.inputs.opening import open_source, read_source
+from becalm.files.inputs.time_bases import open_file
 from becalm.files.other_units import ColumnConversion, ConvertedRows
 from becalm.files.read_options import ReadOptions, RequestOrigin, RequiredUnits
 from becalm.files.rows import MemoryRows
-from becalm.files.time_bases import open_file
-from becalm.files.unit_conversion import Conversion
+from becalm.files.units.unit_conversion import Conversion
 
 G0 = 9.80665
 LOG = "time_s,Accelerometer X (g),force,note\n0.0,1,10,a\n0.1,,12,b\n0.2,-2.5,11,c\n0.3,0.5,13,d\n"

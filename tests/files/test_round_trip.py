@@ -19,11 +19,11 @@ from scipy.io import loadmat
 
 from becalm.errors import OutputError
 from becalm.files import open_output
-from becalm.files.opening import OpenSource
+from becalm.files.inputs.opening import OpenSource
+from becalm.files.outputs.tables import verdict_words
+from becalm.files.outputs.writing import write_table
 from becalm.files.read_options import ReadOptions
 from becalm.files.registry import ENDINGS, format_to_write, stores_several_times
-from becalm.files.tables import verdict_words
-from becalm.files.writing import write_table
 from tables_of_files import Tables
 
 SEVERAL = sorted({form: ending for ending, form in ENDINGS.items() if stores_several_times(form)}.values())

@@ -10,11 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from becalm.cleaning.sensor_file import load_sensors
+from becalm.cleaning.sensor_files.sensor_file import load_sensors
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.calibrated_source import with_sensors
-from becalm.files.opening import open_source, read_source
+from becalm.files.calibrated.calibrated_source import with_sensors
+from becalm.files.inputs.opening import open_source, read_source
 from becalm.files.read_options import ReadOptions
 from becalm.files.rows import MemoryRows
 from becalm.files.source import RawTable

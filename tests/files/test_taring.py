@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from becalm.cleaning.sensor_file import load_sensors
+from becalm.cleaning.sensor_files.sensor_file import load_sensors
 from becalm.core.arrays import Floats
 from becalm.errors import SensorError, UsageError
-from becalm.files.calibrated_source import with_sensors
-from becalm.files.opening import OpenSource, open_source
+from becalm.files.calibrated.calibrated_source import with_sensors
+from becalm.files.inputs.opening import OpenSource, open_source
 from becalm.files.read_options import ReadOptions
 from becalm.files.rows import MemoryRows
 from becalm.files.source import RawTable

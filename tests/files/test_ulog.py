@@ -11,7 +11,7 @@ from pyulog import ULog
 
 from becalm.errors import InputError
 from becalm.files import ReadOptions, read_source
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 from robot_logs import by_name, drone, part, topic, ulog, whole
 from test_real_files import real
 

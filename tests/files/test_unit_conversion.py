@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.errors import UsageError
-from becalm.files.unit_conversion import conversion
-from becalm.files.unit_spelling import QUANTITIES
+from becalm.files.units.unit_conversion import conversion
+from becalm.files.units.unit_spelling import QUANTITIES
 from becalm.identification.at_rest.datasheet import convert
 
 G0 = 9.80665
@@ -133,9 +133,12 @@ def test_no_two_quantities_are_one(name: str, unit: str) -> None:
 
 
 def test_equal_units_need_no_library() -> None:
-    code = "import sys; from becalm.files.unit_conversion import conversion; print(conversion('widgets', 'widgets'))"
+    code = "from becalm.files.units.unit_conversion import conversion; print(conversion('widgets', 'widgets'))"
     ran = subprocess.run(
-        [sys.executable, "-c", f"{code}; assert 'pint' not in sys.modules"], capture_output=True, text=True, check=True
+        [sys.executable, "-c", f"{code}; import sys; assert 'pint' not in sys.modules"],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert ran.stdout.strip() == "Conversion(factor=1.0, offset=0.0)"
 
@@ -143,7 +146,7 @@ def test_equal_units_need_no_library() -> None:
 def test_no_unit_is_told_twice() -> None:
     code = (
         "import logging; logging.basicConfig(level=logging.WARNING)\n"
-        "from becalm.files.unit_conversion import conversion; print(conversion('V', 'mV').factor)"
+        "from becalm.files.units.unit_conversion import conversion; print(conversion('V', 'mV').factor)"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (ran.stdout.strip(), ran.stderr) == ("1000.0", "")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from becalm.files.unit_spelling import looks_like_unit, parse_header
+from becalm.files.units.unit_spelling import looks_like_unit, parse_header
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from becalm.core.recording import Recording
 from becalm.errors import OutputError, RecordingError
 from becalm.files import ReadOptions, output_table, read, read_source, write, write_table
 from becalm.files.atomic_file import abandon, refuse_unwritable, replacing
-from becalm.files.writing import refuse_columns
+from becalm.files.outputs.writing import refuse_columns
 
 ENDINGS = ["csv", "csv.gz", "h5", "mat", "npz", "parquet"]
 LOG = 'time_s,note,force (kN),n\n0.000000,a,1.5,7\n0.009583,,2.5,8\n0.019196,NA,NA,7\n0.028809,"b, c",-1e-05,9\n'

@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
-from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Mode, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.lake import places_in

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Codes, Floats
 from becalm.errors import RecipeError
 from becalm.fleet.stream.blocks import Event, SensorRows
@@ -18,7 +18,7 @@ from becalm.fleet.stream.reading import Entry
 from becalm.fleet.stream.sensor import SensorStep, SensorStreamProcessor
 from becalm.fleet.stream.state import SensorState
 from becalm.live.block import Block
-from becalm.live.learning_buffer import resolution_of
+from becalm.live.running.learning_buffer import resolution_of
 from becalm.live.stream import Stream
 from made import RATE_HZ, recipe_of, walk
 

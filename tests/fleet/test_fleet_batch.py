@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import becalm
-from becalm.cleaning.recipe import Mode
+from becalm.cleaning.recipes.recipe import Mode
 from becalm.errors import InputError, UsageError
 from becalm.fleet.batch import BatchOptions, Fleet, clean
 from becalm.fleet.recipes import open_book

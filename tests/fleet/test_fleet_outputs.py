@@ -14,7 +14,7 @@ import pytest
 
 import becalm
 from becalm.errors import OutputError
-from becalm.files.chunked_cleaning import clean_chunks
+from becalm.files.outputs.chunked_cleaning import clean_chunks
 from becalm.fleet.batch import BatchOptions, Fleet, clean
 from becalm.fleet.job import Job
 from becalm.fleet.marks import CompletionMark

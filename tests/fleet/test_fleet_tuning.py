@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.signal import lfilter
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
 from becalm.fleet.batch import Fleet, clean

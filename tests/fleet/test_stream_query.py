@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import becalm
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.errors import InputError, OutputError, UsageError
 from becalm.fleet.stream import LiveBook, SensorPlan, cleaned, run, wait
 from becalm.fleet.stream.blocks import SensorRows

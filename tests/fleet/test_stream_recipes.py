@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from becalm.cleaning.handover import rows_to_forget
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.streaming.handover import rows_to_forget
 from becalm.errors import RecordingError
 from becalm.fleet.stream.blocks import SensorRows
 from becalm.fleet.stream.plan import SensorPlan

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Origin
+from becalm.cleaning.recipes.recipe import Origin
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import Timebase
 from becalm.errors import ModelError, UsageError

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from becalm.fleet.class_outliers import FACTOR, FEWEST, class_of, factors_apart, mark_outliers, times
 from becalm.fleet.outcome import Outcome, refused
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_rows import FleetRow
 
 
 def test_a_class_is_the_folder_that_sensors_are_in() -> None:

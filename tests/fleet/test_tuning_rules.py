@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe, LimitsRecipe, ToneRecipe
 from becalm.fleet.lake import SensorPlace
 from becalm.fleet.outcome import Outcome, refused
 from becalm.fleet.tuning.class_differences import reasons
@@ -19,7 +19,7 @@ from becalm.fleet.tuning.class_recipe import ClassRecipe, make_class_recipe, med
 from becalm.fleet.tuning.classes import chosen_of
 from becalm.fleet.tuning.limits import limits_of_class
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_rows import FleetRow
 
 LIMITS = LimitsRecipe(stuck_readings=6, even_time=True, drift_threshold=13.0, dead_variance=0.05)
 

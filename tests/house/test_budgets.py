@@ -60,7 +60,7 @@ def test_help_is_light() -> None:
     assert not heavy & set(HEAVY)
 
 
-@pytest.mark.parametrize("module", ["becalm.core.online", "becalm.cleaning.pipeline", "becalm.files.opening"])
+@pytest.mark.parametrize("module", ["becalm.core.online", "becalm.cleaning.pipeline", "becalm.files.inputs.opening"])
 def test_scipy_is_loaded_by_what_needs_it_alone(module: str) -> None:
     assert "scipy" not in loaded_by(f"import {module}")
 
@@ -71,7 +71,7 @@ def test_scipy_is_loaded_before_threads_would(call: str) -> None:
     made = """
 import concurrent.futures as futures, numpy as np
 from becalm import Recording, clean, tune
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
 class Pool(futures.ThreadPoolExecutor):
     def __init__(self, *args, **kwargs):
         assert "scipy.optimize" in sys.modules

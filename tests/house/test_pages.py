@@ -15,14 +15,15 @@ import pytest
 from blocks import DOCS, PAGES, ROOT, has_blocks, rewritten
 from commands import PAGE, written
 
-from becalm.cleaning import judging, steps
+from becalm.cleaning.channels import judging
+from becalm.cleaning.recipes import steps
 from becalm.core import reading_verdicts
 from becalm.core.filter import channel_settings as settings
 from becalm.core.filter import gate
 from becalm.core.health import monitor
 from becalm.core.model import prior
 from becalm.core.time import clock
-from becalm.files import opening
+from becalm.files.inputs import opening
 from becalm.identification import risk, tones
 from becalm.identification.modes import banks, switching
 from becalm.native import scans

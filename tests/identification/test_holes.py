@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from becalm.cleaning.channels.report import ChannelReport
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.report import ChannelReport
 from becalm.cleaning.tuning import Wishes, tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import motion_power

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.live.block import Block, Checkpoint, Head, Output

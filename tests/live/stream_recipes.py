@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import (
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import (
     CalibrationRecipe,
     ColouredNoiseRecipe,
     GateRecipe,
@@ -18,7 +18,7 @@ from becalm.cleaning.recipe_parts import (
     TimingRecipe,
     ToneRecipe,
 )
-from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.cleaning.streaming.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
 
 RATE_HZ = 100.0

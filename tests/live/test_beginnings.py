@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, InputError
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.commit_thread import StreamSinks
-from becalm.live.learning_buffer import Learner, LearningBuffer
-from becalm.live.runner import Runner
-from becalm.live.stream_start import StreamStarter
+from becalm.live.running.commit_thread import StreamSinks
+from becalm.live.running.learning_buffer import Learner, LearningBuffer
+from becalm.live.running.runner import Runner
+from becalm.live.running.stream_start import StreamStarter
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.watch import Watch
 from stand_ins import ListSource, MemoryKeeper, blocks_of, drive, recipe_of

@@ -11,7 +11,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
-from becalm.cli.journal import moment_of
+from becalm.cli.commands.journal import moment_of
 from becalm.errors import UsageError
 from becalm.live.block import Loss, LossKind
 from journals import HEAD, checkpoint_at, fill, journal_in, rows_of

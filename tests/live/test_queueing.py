@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from becalm.live.block import Block, Loss, LossKind
-from becalm.live.queueing import BlockQueue
+from becalm.live.running.queueing import BlockQueue
 from stand_ins import blocks_of, drive
 
 STOP = threading.Event()

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from becalm.cleaning.channels.faults import find_healthy
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.faults import find_healthy
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import GateRecipe, TimingRecipe
-from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe, TimingRecipe
+from becalm.cleaning.streaming.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
 from becalm.files import ReadOptions
-from becalm.files.chunked_cleaning import rows_of_chunks
-from becalm.files.opening import OpenSource
-from becalm.files.time_bases import open_file
+from becalm.files.inputs.opening import OpenSource
+from becalm.files.inputs.time_bases import open_file
+from becalm.files.outputs.chunked_cleaning import rows_of_chunks
 from becalm.live.address import Address
 from becalm.live.block import Output
 from becalm.live.protocols import EndOfStream

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from becalm.errors import InputError, UsageError
-from becalm.files.opening import open_source
+from becalm.files.inputs.opening import open_source
 from becalm.live.address import Address
 from becalm.live.block import Block
 from becalm.live.protocols import EndOfStream

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.live.block import Block
-from becalm.live.retuning import Retuning
+from becalm.live.running.retuning import Retuning
 from becalm.live.stream import Stream
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.watch import Watch

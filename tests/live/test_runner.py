@@ -13,17 +13,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, RecipeError, UsageError
 from becalm.live.block import Block, Checkpoint, Loss, LossKind, Output
 from becalm.live.buffered_sink import BufferedSink
-from becalm.live.commit_thread import StreamSinks
-from becalm.live.learning_buffer import Learner
 from becalm.live.protocols import AwayError, StorageFullError
-from becalm.live.runner import Runner
-from becalm.live.settings import Settings
-from becalm.live.stream_start import StreamStarter
+from becalm.live.running.commit_thread import StreamSinks
+from becalm.live.running.learning_buffer import Learner
+from becalm.live.running.runner import Runner
+from becalm.live.running.settings import Settings
+from becalm.live.running.stream_start import StreamStarter
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.watch import Watch
 from stand_ins import ListSource, MemoryKeeper, MemorySink, blocks_of, drive, recipe_of

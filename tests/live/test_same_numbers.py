@@ -9,8 +9,8 @@ import pytest
 
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.pipeline import clean, in_mode
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.streaming.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
 from stream_recipes import (

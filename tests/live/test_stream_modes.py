@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.handover import Handover
-from becalm.cleaning.stream import StreamCleaner
+from becalm.cleaning.streaming.handover import Handover
+from becalm.cleaning.streaming.stream import StreamCleaner
 from becalm.core.arrays import Floats
 from becalm.core.snapshot_bytes import packed, unpacked
 from stream_recipes import CAUSAL, KINDS, LAGGED, RATE_HZ, joined, recipe_of, rough, streamed, wander

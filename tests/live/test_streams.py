@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.stream import StreamCleaner, Streamed
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.streaming.stream import StreamCleaner, Streamed
 from becalm.core.arrays import Floats
 from becalm.core.model.components import motion as motion_of
 from becalm.core.model.components import oscillator

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from app_runs import CHROMIUM, QUIET
-from becalm.report.fleet_order import TRAITS, worst_first
-from becalm.report.fleet_page import FleetFacts, fleet_page
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_order import TRAITS, worst_first
+from becalm.report.fleet.fleet_page import FleetFacts, fleet_page
+from becalm.report.fleet.fleet_rows import FleetRow
 from browsing import Opened, settle
 from fleet_report import facts_of, simulated
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from becalm.core.recording import Recording
-from becalm.files.opening import read
+from becalm.files.inputs.opening import read
 from becalm.studies.drive import simulate
 from browsing import PLOT_OF, TICKS, Opened, settle
 from drawing import draw

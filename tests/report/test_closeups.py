@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
 from becalm.core.rows import EstimatedRows
-from becalm.report.closeup import Closeup, Farthest, Middle
+from becalm.report.data.closeup import Closeup, Farthest, Middle
 
 SHOWN = 600
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
-from becalm.report.envelope import Envelope, Means, Stretches, VerdictsByStretch
+from becalm.report.data.envelope import Envelope, Means, Stretches, VerdictsByStretch
 
 VALUES = st.lists(st.one_of(st.just(float("nan")), st.floats(-1e6, 1e6)), min_size=1, max_size=60)
 CODES = st.lists(st.integers(0, max(Verdict)), min_size=1, max_size=60)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from becalm.report.fleet_order import TRAITS
-from becalm.report.fleet_page import FleetFacts
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_order import TRAITS
+from becalm.report.fleet.fleet_page import FleetFacts
+from becalm.report.fleet.fleet_rows import FleetRow
 from browsing import settle
 from fleets import FINE, OpenFleet, browser, choose, fleet, open_fleet, search, shown, traits_of
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from becalm.report.fleet_page import fleet_page
+from becalm.report.fleet.fleet_page import fleet_page
 from browsing import settle
 from fleet_report import MOST_ANSWERS_MS, MOST_BYTES, MOST_OPENS_MS, facts_of, simulated, timed
 from fleets import OpenFleet, browser, choose, fleet, open_fleet, search, shown

@@ -16,12 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import becalm
-from becalm.cleaning.faults import Fault
-from becalm.cleaning.judging import Decision
+from becalm.cleaning.channels.faults import Fault
+from becalm.cleaning.channels.judging import Decision
 from becalm.core.reading_verdicts import Verdict
-from becalm.report.fleet_order import TRAITS, badness, summary, usual_noise, worst_first
-from becalm.report.fleet_page import FleetFacts, fleet_page
-from becalm.report.fleet_rows import LOSSES, FleetRow, faults_text, row_of
+from becalm.report.fleet.fleet_order import TRAITS, badness, summary, usual_noise, worst_first
+from becalm.report.fleet.fleet_page import FleetFacts, fleet_page
+from becalm.report.fleet.fleet_rows import LOSSES, FleetRow, faults_text, row_of
 from fleet_report import simulated
 
 FACTS = FleetFacts("lake", "cleaned", "2026-03-01T06:00:00+00:00", 5025.0, 12_345_678, ("default",))

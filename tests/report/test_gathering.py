@@ -9,7 +9,7 @@ from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
-from becalm.report.envelope import Envelope, Means
+from becalm.report.data.envelope import Envelope, Means
 from becalm.report.gathering import WIDTH, ChannelGathering, Gathering
 from drawing import draw
 

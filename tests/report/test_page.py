@@ -12,9 +12,9 @@ import pytest
 from becalm.cleaning.tuning import tune
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.report.description import Axis, Band, Curve, DrawnSurface, Figure
+from becalm.report.data.description import Axis, Band, Curve, DrawnSurface, Figure
+from becalm.report.data.payload import payload
 from becalm.report.page import MOST_PICTURED
-from becalm.report.payload import payload
 from drawing import Drawn, draw, figures_of
 
 LARGEST = 2_000_000  # bytes

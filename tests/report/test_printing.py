@@ -13,7 +13,7 @@ import pytest
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.report import printing
-from becalm.report.description import Axis, Band, Curve, DrawnSurface, Figure, Lane, Layer, Rule
+from becalm.report.data.description import Axis, Band, Curve, DrawnSurface, Figure, Lane, Layer, Rule
 from becalm.report.printing import COLOURS, OTHERS, Kind, printed
 
 X = np.linspace(0.0, 1.0, 5)

@@ -8,7 +8,7 @@ from scipy.signal import lfilter, welch
 
 from becalm.core.arrays import Floats
 from becalm.metrics.whiteness import smoothed_power
-from becalm.report.spectra import RunningSpectrum
+from becalm.report.data.spectra import RunningSpectrum
 
 RATE_HZ = 50.0
 

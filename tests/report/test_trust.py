@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from becalm.cleaning.judging import InnovationJudge
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.channels.judging import InnovationJudge
+from becalm.cleaning.channels.report import ChannelReport
 from becalm.metrics.whiteness import LaggedSums
-from becalm.report.description import Curve, Figure
-from becalm.report.envelope import Envelope, Means
+from becalm.report.data.description import Curve, Figure
+from becalm.report.data.envelope import Envelope, Means
 from becalm.report.innovation_figures import innovation_figures
 from becalm.report.pictures import Title
 

@@ -11,7 +11,7 @@ from becalm.cleaning.pipeline import in_mode
 from becalm.cleaning.tuning import tune
 from becalm.core.recording import Recording
 from becalm.report.channel import Pictured
-from becalm.report.description import Band, Curve, Figure, Lane
+from becalm.report.data.description import Band, Curve, Figure, Lane
 from becalm.report.pictures import Title, break_at_pauses
 from becalm.report.running import pictures_of
 from drawing import draw

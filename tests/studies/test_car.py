@@ -11,13 +11,13 @@ import pytest
 from becalm.core.filter.filtering import kalman_filter
 from becalm.identification.several.joint import tune_model
 from becalm.metrics.truth import rms_error
-from becalm.report.description import Curve, Figure
-from becalm.studies.car import CANCELLER, MEASURED, OWN, PRINTED, TRUTH, CarStudy, study
-from becalm.studies.car_drive import SENSITIVITY_V_PER_G, SHARES, simulate
-from becalm.studies.car_figures import sheets
-from becalm.studies.car_filters import computed_noise_gain, printed_model, response, settled_gain
-from becalm.studies.car_page import page
-from becalm.studies.car_real import slope_of_speed, study_real_car
+from becalm.report.data.description import Curve, Figure
+from becalm.studies.car.car import CANCELLER, MEASURED, OWN, PRINTED, TRUTH, CarStudy, study
+from becalm.studies.car.car_drive import SENSITIVITY_V_PER_G, SHARES, simulate
+from becalm.studies.car.car_figures import sheets
+from becalm.studies.car.car_filters import computed_noise_gain, printed_model, response, settled_gain
+from becalm.studies.car.car_page import page
+from becalm.studies.car.car_real import slope_of_speed, study_real_car
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN
 

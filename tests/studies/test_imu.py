@@ -12,8 +12,8 @@ import pytest
 from becalm.core.closed_forms import butterworth_noise_gain
 from becalm.identification.several.step_spectrum import Sensor
 from becalm.report import printing
-from becalm.studies import imu, imu_page, imu_switching, imu_valley
-from becalm.studies.imu_records import (
+from becalm.studies.imu import imu, imu_page, imu_switching, imu_valley
+from becalm.studies.imu.imu_records import (
     HARMONICS_HZ,
     PRINTED,
     RATE_HZ,
@@ -23,7 +23,7 @@ from becalm.studies.imu_records import (
     motionless,
     noise_parts,
 )
-from becalm.studies.imu_responses import FilterResponse, reached_ms
+from becalm.studies.imu.imu_responses import FilterResponse, reached_ms
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN
 

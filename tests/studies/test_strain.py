@@ -9,10 +9,10 @@ import pytest
 
 from becalm.core.arrays import Floats
 from becalm.core.filter.filtering import kalman_filter
-from becalm.studies import strain
 from becalm.studies.recordings import RECORDINGS
 from becalm.studies.sheets import NOT_DRAWN, draw
-from becalm.studies.strain import (
+from becalm.studies.strain import strain
+from becalm.studies.strain.strain import (
     NOISES,
     RUNS,
     SHOWN,
@@ -25,9 +25,9 @@ from becalm.studies.strain import (
     records,
     simulate,
 )
-from becalm.studies.strain_figures import sheets
-from becalm.studies.strain_gauge import AT_REST, LOADED, Gauge, measure_gauge, missing_recordings
-from becalm.studies.strain_methods import (
+from becalm.studies.strain.strain_figures import sheets
+from becalm.studies.strain.strain_gauge import AT_REST, LOADED, Gauge, measure_gauge, missing_recordings
+from becalm.studies.strain.strain_methods import (
     AVERAGE,
     AVERAGED,
     BECALM,
@@ -40,8 +40,8 @@ from becalm.studies.strain_methods import (
     STEP_S,
     MethodOutcome,
 )
-from becalm.studies.strain_model import Noise, likeliest, strain_model
-from becalm.studies.strain_page import page
+from becalm.studies.strain.strain_model import Noise, likeliest, strain_model
+from becalm.studies.strain.strain_page import page
 
 ASKED = dict(zip(NOISES, (0.0089, 0.0184, 0.0309), strict=True))
 NEAR = 3.5  # standard errors of the difference of two means of 20 runs

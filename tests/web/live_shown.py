@@ -17,11 +17,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from becalm.cleaning import recipe as recipes
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.cleaning.recipe_parts import ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipes import recipe as recipes
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
+from becalm.cleaning.recipes.recipe_parts import ModeRecipe, SwitchingRecipe
 from becalm.live.block import Head, Output
-from becalm.live.retuning import RetuneCallback
+from becalm.live.running.retuning import RetuneCallback
 from becalm.live.watching.meter import Meter
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import unframed

@@ -14,7 +14,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from becalm.cli.app import bytes_of
+from becalm.cli.commands.app import bytes_of
 from becalm.errors import UsageError
 from becalm.web.serving import listen
 from served import PATIENCE_S, until
@@ -186,7 +186,7 @@ def test_what_is_no_size_is_refused(text: str) -> None:
 def test_a_signal_is_heard_amid_a_wait_for_it() -> None:
     code = """
 import os, signal
-from becalm.cli.app import _catch_signals
+from becalm.cli.commands.app import _catch_signals
 stopped = _catch_signals()
 with stopped._cond:  # as whoever waits for it has it, for a moment
     os.kill(os.getpid(), signal.SIGINT)

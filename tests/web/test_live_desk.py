@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.errors import UsageError
 from becalm.live.watching.meter import Meter
 from becalm.web.livepage import live_dial as desks

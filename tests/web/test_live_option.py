@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from becalm.core.recording import Recording
-from becalm.files.writing import write
+from becalm.files.outputs.writing import write
 from becalm.web.access import LOOPBACK
 from live_shown import recipe_of
 

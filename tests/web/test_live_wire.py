@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.web.access import LOOPBACK
 from becalm.web.livepage import page
 from live_shown import EACH, NAMES, PATIENCE_S, TOKEN, Shown, recipe_of, shown

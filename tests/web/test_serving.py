@@ -26,6 +26,13 @@ def page() -> Iterator[Served]:
         yield one
 
 
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Served]:
+    """Serve one page to all requests that are refused."""
+    with served() as one:
+        yield one
+
+
 SMUGGLED = b"GET /fail HTTP/1.1\r\n" + KNOWN + b"\r\n"
 PUT = b"PUT /files/a HTTP/1.1\r\n" + KNOWN
 NO_WIRE = [  # what HTTP allows, and WebSocket does not
@@ -63,8 +70,9 @@ NONSENSE = [
 
 @pytest.mark.parametrize("sent", NONSENSE, ids=range(len(NONSENSE)))
 def test_nonsense_is_refused_once_and_reaches_no_page(
-    page: Served, sent: bytes, caplog: pytest.LogCaptureFixture
+    shared: Served, sent: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
+    page = shared
     answer = page.raw(filled(page, sent))
     assert answer.startswith((b"HTTP/1.1 4", b"HTTP/1.1 5"))
     assert answer.count(b"HTTP/1.1 ") == 1

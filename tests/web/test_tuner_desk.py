@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from becalm.cleaning.channels.excerpt import ChannelRows
 from becalm.cleaning.dial_positions import POSITIONS, dial, summary_of
-from becalm.cleaning.excerpt import ChannelRows
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import TimingRecipe
-from becalm.cleaning.steps import in_steps
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import TimingRecipe
+from becalm.cleaning.recipes.steps import in_steps
 from becalm.cleaning.tuning import ChannelTuning, explore, tune
 from becalm.core.filter.likelihood import log_likelihood
 from becalm.errors import RecipeError, UsageError

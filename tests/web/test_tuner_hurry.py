@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from becalm.cleaning.excerpt import ChannelRows
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.channels.excerpt import ChannelRows
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.web.tuner import painting
 from becalm.web.tuner.painting import PaintedPicture, Painter, PictureRequest

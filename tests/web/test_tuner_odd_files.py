@@ -12,7 +12,7 @@ import pytest
 from app_runs import App, tuner
 from becalm.core.arrays import Floats
 from becalm.core.recording import Recording
-from becalm.files.writing import write
+from becalm.files.outputs.writing import write
 from tuning import Look, chromium, looking
 
 if TYPE_CHECKING:

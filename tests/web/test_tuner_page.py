@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from app_runs import App, tuner
-from becalm.cleaning.recipe import Recipe
-from becalm.files.opening import read
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.files.inputs.opening import read
 from tuning import NAMELESS, Look, chromium, drive, looking
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import becalm
+from becalm.cleaning.channels.excerpt import ChannelRows, ChannelRun
 from becalm.cleaning.dial_positions import density_unit
-from becalm.cleaning.excerpt import ChannelRows, ChannelRun
 from becalm.cleaning.pipeline import Cleaned
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.cleaning.steps import lag_in_rows
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
+from becalm.cleaning.recipes.steps import lag_in_rows
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.recording import Recording

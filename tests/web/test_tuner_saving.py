@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.errors import OutputError
 from becalm.files import registry
+from becalm.files.outputs.writing import write
 from becalm.files.read_options import ReadOptions
-from becalm.files.writing import write
 from becalm.web.access import LOOPBACK
 from becalm.web.tuner import saving
 from forked import command

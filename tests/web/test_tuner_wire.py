@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import becalm
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.reading_verdicts import Verdict
 from becalm.web.tuner import picture_sender
 from tuner_served import ROWS, Served, Talk, drive_in, served

@@ -16,8 +16,8 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from becalm.core.recording import Recording
+from becalm.files.outputs.writing import write
 from becalm.files.read_options import ReadOptions
-from becalm.files.writing import write
 from becalm.web.access import LOOPBACK, Access
 from becalm.web.frames import unframed
 from becalm.web.serving import Server, listen

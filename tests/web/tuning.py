@@ -15,7 +15,7 @@ import pytest
 
 from app_runs import CHROMIUM, QUIET, App
 from becalm.core.recording import Recording
-from becalm.files.writing import write
+from becalm.files.outputs.writing import write
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, Route

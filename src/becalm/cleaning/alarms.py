@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from becalm.cleaning.faults import FALSE_ALARMS_PER_HOUR
-from becalm.cleaning.judging import InnovationJudge
-from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.cleaning.channels.faults import FALSE_ALARMS_PER_HOUR
+from becalm.cleaning.channels.judging import InnovationJudge
+from becalm.cleaning.recipes.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Floats
 from becalm.core.health.monitor import SLACK, find_alarms
 from becalm.identification.likelihood import Tuning

@@ -11,10 +11,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from becalm.cleaning.channels import ChannelCleaner, open_channel
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport
-from becalm.cleaning.steps import lag_in_rows
+from becalm.cleaning.channels.channels import ChannelCleaner, open_channel
+from becalm.cleaning.channels.report import ChannelReport
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.recipes.steps import lag_in_rows
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
 from becalm.core.rows import EstimatedRows, Judge

@@ -9,9 +9,9 @@ import numpy as np
 
 from becalm.classic.matching import best_with_truth, equal_lag, equal_noise, lag, noise_gain, overshoot
 from becalm.classic.register import CAUSAL, ZERO_PHASE, Classic
-from becalm.cleaning.figures import response_of
+from becalm.cleaning.channels.figures import response_of
 from becalm.cleaning.pipeline import Cleaned, clean, in_mode
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import judge
 from becalm.core.recording import Recording

@@ -7,10 +7,10 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 
-from becalm.cleaning.figures import modes_in_steps
-from becalm.cleaning.limits_entry import least_lag_s
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.cleaning.steps import in_steps
+from becalm.cleaning.channels.figures import modes_in_steps
+from becalm.cleaning.recipes.limits_entry import least_lag_s
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
+from becalm.cleaning.recipes.steps import in_steps
 from becalm.errors import ModelError
 from becalm.identification.wishes.gain_of_waiting import Delay, delay_curve, delays_of
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.figures import fixed_response
-from becalm.cleaning.limits_entry import smoothing_rows
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.steps import in_steps
+from becalm.cleaning.channels.figures import fixed_response
+from becalm.cleaning.recipes.limits_entry import smoothing_rows
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.steps import in_steps
 from becalm.core.arrays import Floats
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.steady.response import decibels

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.channels import open_channel
-from becalm.cleaning.holes import has_reading, lines_across_holes, widening
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import HoleRecipe
+from becalm.cleaning.channels.channels import open_channel
+from becalm.cleaning.channels.holes import has_reading, lines_across_holes, widening
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import HoleRecipe
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.reading_verdicts import LOST
 from becalm.core.rows import EstimatedRows

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from becalm.cleaning.channels.report import ChannelReport
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.tuning import Wishes, as_list, refuse_causal_lag, refuse_empty, tune
 from becalm.core.arrays import Codes
 from becalm.core.recording import Recording

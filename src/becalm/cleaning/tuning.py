@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from becalm.cleaning.alarms import with_alarms
+from becalm.cleaning.channels.faults import find_healthy
+from becalm.cleaning.channels.figures import modes_in_seconds
+from becalm.cleaning.channels.slopes import Slopes
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.errors_in_holes import measure_hole_corrections
-from becalm.cleaning.faults import find_healthy
-from becalm.cleaning.figures import modes_in_seconds
-from becalm.cleaning.limits_entry import with_rounding
-from becalm.cleaning.recipe import ChannelRecipe, Mode, Origin, Recipe
-from becalm.cleaning.recipe_parts import CalibrationRecipe, GateRecipe, TareRecipe, TimingRecipe
-from becalm.cleaning.slopes import Slopes
-from becalm.cleaning.steps import SOON, gate_of, in_seconds, lag_in_rows
+from becalm.cleaning.recipes.limits_entry import with_rounding
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Mode, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import CalibrationRecipe, GateRecipe, TareRecipe, TimingRecipe
+from becalm.cleaning.recipes.steps import SOON, gate_of, in_seconds, lag_in_rows
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import judge
 from becalm.core.recording import Recording

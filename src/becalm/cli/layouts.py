@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from becalm.files.time_bases import OpenFile
+    from becalm.files.inputs.time_bases import OpenFile
 
 
 def summary(opened: OpenFile) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def open_app(  # noqa: PLR0913  (one argument for each option)
     no_browser: NoBrowser = False,
 ) -> None:
     """Open the tuner in a browser: raw and clean signal, one dial between noise and lag."""
-    from becalm.cli.app import PageAddress, bytes_of, place_of, run
+    from becalm.cli.commands.app import PageAddress, bytes_of, place_of, run
     from becalm.files.read_options import ReadOptions
 
     run(
@@ -114,7 +114,7 @@ def export(  # noqa: PLR0913  (one argument for each option)
     as_json: o.Json = False,
 ) -> None:
     """Export a recipe's filters as C for a microcontroller, and verify them against becalm."""
-    from becalm.cli.export import CExportOptions, run
+    from becalm.cli.commands.export import CExportOptions, run
 
     run(recipe, output, to, CExportOptions(precision, gain, channels, ranges, recording, verify), as_json=as_json)
 
@@ -199,7 +199,7 @@ def clean(  # noqa: PLR0913  (one argument for each option)
     as_json: o.Json = False,
 ) -> None:
     """Remove the noise from a recording; no option is required."""
-    from becalm.cli.clean import CleanOptions, Outputs, run
+    from becalm.cli.commands.clean import CleanOptions, Outputs, run
 
     wanted = o.filter_options(o.Dials(max_lag, bandwidth, noise_gain), still, remove, robust, time_jitter)._replace(
         fill=fill
@@ -277,7 +277,7 @@ def compare(  # noqa: PLR0913  (one argument for each option)
     as_json: o.Json = False,
 ) -> None:
     """Compare becalm with Butterworth, averages and others, at equal noise and at equal lag."""
-    from becalm.cli.compare import CompareOptions, run
+    from becalm.cli.commands.compare import CompareOptions, run
 
     loaded = load(recipe)
     file_options = read_file_options(channels, o.TimeOptions(rate, time, group, stamps), unit, sensors)
@@ -301,7 +301,7 @@ def noise(  # noqa: PLR0913  (one argument for each option)
     as_json: o.Json = False,
 ) -> None:
     """Measure a sensor's noise at rest: R, Allan deviation, data-sheet figures."""
-    from becalm.cli.noise import run
+    from becalm.cli.commands.noise import run
 
     cutoff_hz = None if cutoff is None else o.frequency_of("--cutoff", cutoff)
     with open_as(file, read_file_options(channels, o.TimeOptions(rate, time, group, stamps), unit, sensors)) as source:
@@ -322,7 +322,7 @@ def calibrate(  # noqa: PLR0913  (one argument for each option)
     as_json: o.Json = False,
 ) -> None:
     """Calibrate a triaxial accelerometer from ten or more static poses; write its sensor file."""
-    from becalm.cli.calibrate import run
+    from becalm.cli.commands.calibrate import run
 
     run(
         file,
@@ -337,7 +337,7 @@ def calibrate(  # noqa: PLR0913  (one argument for each option)
 @app.command()
 def recalibrate(file: o.Clean, output: o.Output, old: o.OldSensors, new: o.NewSensors) -> None:
     """Apply another calibration to a clean recording, without the raw file."""
-    from becalm.cli.recalibrate import Calibrations, run
+    from becalm.cli.commands.recalibrate import Calibrations, run
 
     run(file, output, Calibrations(old, new))
 
@@ -348,7 +348,7 @@ def study(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the page.")] = Path("study"),
 ) -> None:
     """Reproduce one of the three papers behind becalm: compare its tables with ours, redraw its figures."""
-    from becalm.cli.study import run
+    from becalm.cli.commands.study import run
 
     run(paper, output)
 
@@ -358,7 +358,7 @@ def demo(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")] = Path("demo"),
 ) -> None:
     """Simulate a test drive, clean it, and print the errors before and after."""
-    from becalm.cli.demo import run
+    from becalm.cli.commands.demo import run
 
     run(output)
 

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from becalm.cleaning.report import ChannelReport
-    from becalm.files.opening import OpenSource
+    from becalm.cleaning.channels.report import ChannelReport
+    from becalm.files.inputs.opening import OpenSource
     from becalm.identification.wishes.gain_of_waiting import Delay
 
 _MOST_NAMED = 8  # largest number of channel names before a sentence
@@ -30,8 +30,8 @@ def progress(title: str, count: int) -> Iterator[Callable[[str, int], None]]:
 
 def print_reports(reports: tuple[ChannelReport, ...], causal: bool) -> None:
     """Print a table of the channels, then the judgements that a user must read."""
-    from becalm.cleaning.judging import DESCRIBED
-    from becalm.cleaning.report import cells
+    from becalm.cleaning.channels.judging import DESCRIBED
+    from becalm.cleaning.channels.report import cells
 
     table = Table(box=None, pad_edge=False)
     for heading in ("channel", "model", "noise", "bandwidth", "lag", "trust"):
@@ -73,7 +73,7 @@ def print_not_removed(reports: tuple[ChannelReport, ...], removed_hz: tuple[floa
 
 def print_bands(source: OpenSource, reports: tuple[ChannelReport, ...] = ()) -> None:
     """Print which channels exceed the flat band of their sensors, after filtering or, without `reports`, before it."""
-    from becalm.cleaning.slopes import resonance_warning
+    from becalm.cleaning.channels.slopes import resonance_warning
 
     passed = {one.name: max((one.bandwidth_hz, *one.tones_hz)) for one in reports if one.bandwidth_hz is not None}
     for name, calibration in source.calibrations.items():

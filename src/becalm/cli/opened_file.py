@@ -13,11 +13,11 @@ from becalm.cli.options import split_names, units_of
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
-    from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.recipes.recipe import Recipe
     from becalm.cli.options import FilterOptions, TimeOptions
-    from becalm.files.opening import OpenSource
+    from becalm.files.inputs.opening import OpenSource
+    from becalm.files.inputs.time_bases import OpenFile
     from becalm.files.read_options import ReadOptions
-    from becalm.files.time_bases import OpenFile
     from becalm.sensors.record import SensorRecord
 
 AS_WRITTEN, MENDED = "as-written", "mended"
@@ -83,7 +83,7 @@ def read_file_options(
     if sensors is not None:
         from datetime import datetime
 
-        from becalm.cleaning.sensor_file import due_warnings, load_sensors
+        from becalm.cleaning.sensor_files.sensor_file import due_warnings, load_sensors
         from becalm.cli.messages import stderr
 
         records = load_sensors(sensors)
@@ -94,14 +94,14 @@ def read_file_options(
 
 def open_as(file: Path, file_options: FileOptions) -> OpenSource:
     """Open a file with these options, which select one time base."""
-    from becalm.files.opening import open_source
+    from becalm.files.inputs.opening import open_source
 
     return open_source(file, _options(file, file_options))
 
 
 def open_every(file: Path, file_options: FileOptions) -> AbstractContextManager[OpenFile]:
     """Open all time bases of a file with these options."""
-    from becalm.files.time_bases import open_file
+    from becalm.files.inputs.time_bases import open_file
 
     return open_file(file, _options(file, file_options))
 
@@ -145,7 +145,7 @@ def load(path: Path | None) -> Recipe | None:
     """Load a recipe; return None if there is no path."""
     if path is None:
         return None
-    from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.recipes.recipe import Recipe
 
     return Recipe.load(path)
 
@@ -197,7 +197,7 @@ def tuned(source: OpenSource, causal: bool, asked: FilterOptions, lag_s: float |
     """Return a recipe tuned on a file, or on evenly spread stretches of a long file."""
     from becalm.cleaning.tuning import Wishes, calibrated, tune
     from becalm.cli.messages import progress
-    from becalm.files.portions import explain_rest_errors, read_beginning, rows_to_tune_on
+    from becalm.files.inputs.portions import explain_rest_errors, read_beginning, rows_to_tune_on
 
     sample = source.sample(rows_to_tune_on(source))
     rest = read_beginning(source) if asked.still_s else sample

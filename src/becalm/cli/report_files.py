@@ -13,9 +13,9 @@ from becalm.cli.opened_file import is_same, recipe_path_of, shown_name
 from becalm.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
-    from becalm.cleaning.recipe import Recipe
-    from becalm.cleaning.report import ChannelReport
-    from becalm.files.opening import OpenSource
+    from becalm.cleaning.channels.report import ChannelReport
+    from becalm.cleaning.recipes.recipe import Recipe
+    from becalm.files.inputs.opening import OpenSource
     from becalm.report.channel import Pictures
     from becalm.report.gathering import Gathering
     from becalm.report.printing import Kind

@@ -89,7 +89,7 @@ def live(  # noqa: PLR0913  (one argument for each option)
     log: LogTo = "-",
 ) -> None:
     """Filter a live stream for weeks; committed rows survive a power cut."""
-    from becalm.cli.live import LiveOptions, MonitoringOptions, run, settings_of
+    from becalm.cli.commands.live import LiveOptions, MonitoringOptions, run, settings_of
     from becalm.web.access import PageOptions
 
     names = () if channels is None else o.split_names(channels)
@@ -127,7 +127,7 @@ def journal(  # noqa: PLR0913  (one argument for each option)
     as_json: o.Json = False,
 ) -> None:
     """List, verify, export or prune a stream's journal, also while the stream runs."""
-    from becalm.cli.journal import DAMAGED, JournalOptions, run
+    from becalm.cli.commands.journal import DAMAGED, JournalOptions, run
 
     if not run(folder, action, JournalOptions(output, start, stop, older), as_json=as_json):
         raise typer.Exit(DAMAGED)
@@ -181,7 +181,7 @@ def clean(  # noqa: PLR0913  (one argument for each option)
     as_json: o.Json = False,
 ) -> None:
     """Clean every sensor of a lake; finished sensors are skipped, and a failure does not stop the other sensors."""
-    from becalm.cli.fleet import FleetOptions, SparkAddress, clean_lake
+    from becalm.cli.commands.fleet import FleetOptions, SparkAddress, clean_lake
 
     asking = FleetOptions(recipe, recipes, by, causal, stretch)
     clean_lake(lake, output, asking, SparkAddress(master, conf), as_json=as_json)
@@ -218,8 +218,8 @@ def tune(  # noqa: PLR0913  (one argument for each option)
     as_json: o.Json = False,
 ) -> None:
     """Identify a recipe for each class of sensors, and list sensors that differ from their class."""
-    from becalm.cli.fleet import SparkAddress
-    from becalm.cli.fleet_tune import tune_lake
+    from becalm.cli.commands.fleet import SparkAddress
+    from becalm.cli.commands.fleet_tune import tune_lake
     from becalm.fleet.tuning import LakeTuningOptions
     from becalm.fleet.tuning.classes import MOST_SENSORS
 
@@ -262,8 +262,8 @@ def stream(  # noqa: PLR0913  (one argument for each option)
     conf: Settings = None,
 ) -> None:
     """Filter the rows of all sensors as they arrive; a restart continues from the last commit."""
-    from becalm.cli.fleet import SparkAddress
-    from becalm.cli.fleet_stream import FleetStreamOptions, TimeoutOptions, stream_sensors
+    from becalm.cli.commands.fleet import SparkAddress
+    from becalm.cli.commands.fleet_stream import FleetStreamOptions, TimeoutOptions, stream_sensors
 
     asking = FleetStreamOptions(recipe, recipes, by, time, TimeoutOptions(lateness, silent, every), checkpoint, once)
     stream_sensors(source, output, asking, SparkAddress(master, conf))

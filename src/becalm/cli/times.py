@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 from becalm.cli.messages import print_columns, print_notes, stderr
 from becalm.errors import UsageError
+from becalm.files.outputs.tables import with_time
 from becalm.files.registry import format_to_write, stores_several_times
-from becalm.files.tables import with_time
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from becalm.files.opening import OpenSource
-    from becalm.files.time_bases import OpenFile
+    from becalm.files.inputs.opening import OpenSource
+    from becalm.files.inputs.time_bases import OpenFile
 
 _MOST_NAMED = 12  # largest number of groups in a message
 

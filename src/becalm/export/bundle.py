@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import RecipeError, UsageError
 from becalm.export.channel.kind import Sizes, WholeChannel

@@ -12,9 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
-from becalm.cleaning.filters import Filter
-from becalm.cleaning.limits_entry import limits_of
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.channels.filters import Filter
+from becalm.cleaning.recipes.limits_entry import limits_of
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.filter.gate import Gate
 from becalm.core.health.limits import Limits

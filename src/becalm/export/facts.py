@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.export.design import Design
 from becalm.export.shared_parts import WrittenChannel

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import RecipeError
 from becalm.export.bundle import choose_channels

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import get_args
 
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.core.health.outlier_rule import NO_OUTLIERS
 from becalm.errors import RecipeError, UsageError
 from becalm.export.channel.kind import WholeChannel

@@ -17,7 +17,7 @@ from becalm.files.read_options import ReadOptions
 from becalm.files.source import FormatTime, RawTable, shared_closers
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 
 TIME = "time_s"
 """Name of the time column of a group."""

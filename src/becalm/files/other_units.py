@@ -16,8 +16,8 @@ from becalm.files.roles import SIGMA, unit_of
 from becalm.files.rows import TableRows
 from becalm.files.source import RawTable
 from becalm.files.timing.time_column import is_time_name, named_column
-from becalm.files.unit_conversion import Conversion, conversion
-from becalm.files.unit_spelling import parse_header, tidy_unit
+from becalm.files.units.unit_conversion import Conversion, conversion
+from becalm.files.units.unit_spelling import parse_header, tidy_unit
 
 if TYPE_CHECKING:
     from becalm.sensors.record import Calibration

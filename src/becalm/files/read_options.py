@@ -10,7 +10,7 @@ from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import UsageError
 
 if TYPE_CHECKING:
-    from becalm.cleaning.recipe import Recipe
+    from becalm.cleaning.recipes.recipe import Recipe
     from becalm.sensors.record import SensorRecord
 
 

@@ -86,7 +86,7 @@ def _read_file(path: Path, original: Original) -> tuple[RawTable, ...]:
 
 
 def _library_tables(module: str, path: Path) -> tuple[RawTable, ...]:
-    from becalm.files.library_process import read_in_subprocess  # imported only to read such a file
+    from becalm.files.libraries.library_process import read_in_subprocess  # imported only to read such a file
 
     return read_in_subprocess(f"becalm.files.{module}", path)
 

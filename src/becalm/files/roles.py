@@ -17,7 +17,7 @@ from becalm.files.rows import block_rows
 from becalm.files.source import CHANNEL, PASSED_THROUGH, TIME, ColumnLayout, RawTable
 from becalm.files.text.cells import bad_cell, find_bad_cells, is_text, to_numbers
 from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_column, numbers
-from becalm.files.unit_spelling import on_sensor, parse_header, tidy_unit
+from becalm.files.units.unit_spelling import on_sensor, parse_header, tidy_unit
 
 SIGMA = "_sigma"  # the ending of the name of a column of uncertainties
 _COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # a ROS driver writes its sensor's covariance with each reading

@@ -29,9 +29,9 @@ from becalm.fleet.recipes import RecipeBook
 from becalm.fleet.sensor_cleaning import clean_whole, report_lost_sensor
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.cleaning import clean_long
-from becalm.report.fleet_order import summary
-from becalm.report.fleet_page import FleetFacts, fleet_page
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_order import summary
+from becalm.report.fleet.fleet_page import FleetFacts, fleet_page
+from becalm.report.fleet.fleet_rows import FleetRow
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession

@@ -13,7 +13,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.recipes import DEFAULT
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_rows import FleetRow
 
 FEWEST = 8
 """Smallest class, in sensors, that can have outliers; a smaller class does not show its usual spread."""

@@ -10,7 +10,7 @@ from secrets import token_hex
 from typing import Any, NamedTuple
 
 from becalm.cleaning.pipeline import in_mode
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.files.lake.folder import read_folder
 from becalm.files.lake.listing import parquet_files
 from becalm.files.lake.marks import MARK

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
-from becalm.report.fleet_rows import FleetRow, State
+from becalm.report.fleet.fleet_rows import FleetRow, State
 
 SHOWN = 12
 """Number of hexadecimal digits of a recipe's hash in reports."""

@@ -12,8 +12,8 @@ from typing import NamedTuple, Self
 import pyarrow as pa
 
 from becalm.files.atomic_file import explain_write_errors, make_folder, removed_afterwards, sync_folder
+from becalm.files.outputs.writing import TableOutput, open_output
 from becalm.files.registry import PARQUET_FORMAT
-from becalm.files.writing import TableOutput, open_output
 
 STAGED = ".becalm.*.part"
 """Pattern that matches the names of staging folders."""

@@ -10,21 +10,21 @@ from pathlib import Path
 from time import monotonic
 from typing import NamedTuple, TypeVar
 
+from becalm.cleaning.channels.report import ChannelReport
 from becalm.cleaning.pipeline import fit_to_recording
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.errors import BecalmError, InputError, OutputError
 from becalm.files.atomic_file import explain_write_errors
-from becalm.files.chunked_cleaning import clean_chunks
+from becalm.files.inputs.opening import OpenSource, open_table, select_table
 from becalm.files.lake.folder import FolderRows
-from becalm.files.opening import OpenSource, open_table, select_table
+from becalm.files.outputs.chunked_cleaning import clean_chunks
+from becalm.files.outputs.tables import VERDICT
 from becalm.files.read_options import options_of_recipe
-from becalm.files.tables import VERDICT
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.marks import CompletionMark, hash_input
 from becalm.fleet.outcome import SHOWN, Outcome, noted, refused
 from becalm.fleet.pieces import OutputFile, Pieces, put_in_place, staging
-from becalm.report.fleet_rows import row_of
+from becalm.report.fleet.fleet_rows import row_of
 
 Done = TypeVar("Done")
 

@@ -6,16 +6,16 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from becalm.cleaning.handover import Handover, rows_to_forget
 from becalm.cleaning.pipeline import fit_to_recording
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.stream import ChannelHealth, StreamCleaner, Streamed
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.streaming.handover import Handover, rows_to_forget
+from becalm.cleaning.streaming.stream import ChannelHealth, StreamCleaner, Streamed
 from becalm.core.arrays import Booleans, Codes, Floats, Integers
 from becalm.core.snapshot_bytes import packed, unpacked
 from becalm.core.time.clock import GAP_STEPS
 from becalm.core.time.live_clock import FAR, LATE, REPEATED, RESET, TAKEN, UNTIMED, LiveClock
 from becalm.errors import BecalmError, ModelError, RecipeError
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 from becalm.live.block import Block, Checkpoint, Head, Loss, LossKind, Output
 from becalm.live.delayed_rows import DelayedRows
 

@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
+from becalm.files.outputs.tables import VERDICT, verdict_words
 from becalm.files.roles import SIGMA
-from becalm.files.tables import VERDICT, verdict_words
 from becalm.live.block import Head, Output
 
 ROW, TIME = "row", "time_s"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport, amount
+from becalm.cleaning.channels.report import ChannelReport, amount
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.steady.response import decibels
 from becalm.identification.wishes.noise_against_lag import TradeOffCurve
-from becalm.report.description import Figure
+from becalm.report.data.description import Figure
 from becalm.report.gathering import Gathering
 from becalm.report.innovation_figures import innovation_figures
 from becalm.report.pictures import Title, closeup_figures, signal_figures, slug_of, spectrum_figure

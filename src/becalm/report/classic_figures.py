@@ -10,7 +10,7 @@ from becalm.cleaning.comparison_cells import cells, headings
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import judge
 from becalm.core.recording import Recording
-from becalm.report.description import Axis, Curve, Figure, Layer, Role
+from becalm.report.data.description import Axis, Curve, Figure, Layer, Role
 from becalm.report.page import Addition, Cells
 from becalm.report.pictures import TIME, Title, slug_of
 

@@ -11,9 +11,9 @@ from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows, Judge
 from becalm.metrics.whiteness import PIECE
-from becalm.report.closeup import Closeup, Farthest, Middle
-from becalm.report.envelope import Cut, Envelope, Means, Stretches, VerdictsByStretch
-from becalm.report.spectra import RunningSpectrum
+from becalm.report.data.closeup import Closeup, Farthest, Middle
+from becalm.report.data.envelope import Cut, Envelope, Means, Stretches, VerdictsByStretch
+from becalm.report.data.spectra import RunningSpectrum
 
 _STRETCHES = 18_000  # approximate number of stretches of all channels together
 _FEWEST, _MOST = 300, 3000  # smallest and largest number of stretches of one channel

@@ -6,8 +6,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.metrics.whiteness import MOST_LAGS, LaggedSums, judge_whiteness, smoothed_power
-from becalm.report.description import Axis, Curve, Figure, Layer, Rule
-from becalm.report.envelope import Envelope, Means
+from becalm.report.data.description import Axis, Curve, Figure, Layer, Rule
+from becalm.report.data.envelope import Envelope, Means
 from becalm.report.pictures import TIME, Title, break_at_pauses
 
 _WITHIN = 1.96  # half-width of a 95 % interval, in standard deviations

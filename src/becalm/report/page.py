@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 from jinja2 import Environment
 
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport, amount, cells
+from becalm.cleaning.channels.report import ChannelReport, amount, cells
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.installation import version
 from becalm.report.channel import CleanedChannels, Pictured, Pictures
-from becalm.report.description import Figure
+from becalm.report.data.description import Figure
+from becalm.report.data.payload import payload
 from becalm.report.embedding import asset, packed, script
-from becalm.report.payload import payload
 from becalm.report.printing import can_print, printed
 from becalm.report.vendor import uplot
 

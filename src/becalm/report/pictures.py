@@ -11,9 +11,9 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import Verdict
 from becalm.metrics.spectrum import Spectrum
-from becalm.report.closeup import Closeup
-from becalm.report.description import Axis, Band, Curve, Figure, Lane, Layer, Role
-from becalm.report.envelope import Envelope
+from becalm.report.data.closeup import Closeup
+from becalm.report.data.description import Axis, Band, Curve, Figure, Lane, Layer, Role
+from becalm.report.data.envelope import Envelope
 from becalm.report.gathering import WIDTH, ChannelGathering
 
 TIME = Axis("time since the first row (s)")

@@ -18,8 +18,8 @@ import numpy as np
 
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
-from becalm.report.description import Band, Curve, DrawnSurface, Figure, Lane, Role, Rule
-from becalm.report.envelope import Envelope
+from becalm.report.data.description import Band, Curve, DrawnSurface, Figure, Lane, Role, Rule
+from becalm.report.data.envelope import Envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,17 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.figures import response_of
-from becalm.cleaning.limits_entry import least_lag_s
+from becalm.cleaning.channels.figures import response_of
+from becalm.cleaning.channels.report import ChannelReport
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.recipes.limits_entry import least_lag_s
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
 from becalm.core.closed_forms import cutoff_to_ratio
 from becalm.core.recording import Recording
 from becalm.core.steady.response import Response
 from becalm.identification.wishes.gain_of_waiting import Wait, waiting_curve
 from becalm.identification.wishes.noise_against_lag import TradeOffCurve, trade_off_curve
-from becalm.report.description import Axis, Curve, Figure, Layer
+from becalm.report.data.description import Axis, Curve, Figure, Layer
 from becalm.report.pictures import Title
 
 _ORDERS = (1, 2, 3)  # of the kinematic models on the trade-off curve

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.recording import Recording
 from becalm.report.channel import CleanedChannels, Pictures
 from becalm.report.gathering import Gathering

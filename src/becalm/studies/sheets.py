@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from becalm.files.atomic_file import write_bytes
-from becalm.report.description import Figure
+from becalm.report.data.description import Figure
 from becalm.report.printing import can_print, printed
 
 NOT_DRAWN = "No figures: drawing them needs matplotlib; type `pip install 'becalm[figures]'`."

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from becalm.cleaning.causal_channel import CausalChannel
-from becalm.cleaning.filters import Filter
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.cleaning.channels.causal_channel import CausalChannel
+from becalm.cleaning.channels.filters import Filter
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import LimitsRecipe
 from becalm.core.filter.channel_settings import ChannelSettings
 from becalm.errors import RecipeError
 from becalm.export.channel.modes_text import modes_interface

@@ -9,9 +9,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from becalm.cleaning.limits_entry import limits_of
-from becalm.cleaning.live_channel import LiveChannel, open_live
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.channels.live_channel import LiveChannel, open_live
+from becalm.cleaning.recipes.limits_entry import limits_of
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.core.arrays import Booleans, Codes, Floats
 from becalm.core.filter.channel import Channel
 from becalm.core.filter.channel_settings import ChannelSettings

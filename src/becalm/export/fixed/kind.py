@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.health.faults import Faults
 from becalm.errors import RecipeError

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.stream import StreamCleaner
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.streaming.stream import StreamCleaner
 from becalm.core.arrays import Codes, Floats
 from becalm.core.reading_verdicts import LOST
 from becalm.export.bundle import Bundle, Exported

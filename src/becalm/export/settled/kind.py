@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.export.design import Design
 from becalm.export.kind import Floating, Span, distance_bound
 from becalm.export.settled.reference import SettledReference

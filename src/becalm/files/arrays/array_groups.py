@@ -20,7 +20,7 @@ from becalm.files.groups import GROUP, START, TIME, Group
 from becalm.files.source import FormatTime
 from becalm.files.text.csv_header import unique_names
 from becalm.files.timing.time_column import is_time_name
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 
 _MOST_COLUMNS = 1024  # most columns of one array; an array with more is an image
 _STRAY, _SHORT = 50, 100  # a stray table has at most _SHORT rows, and the longest table over _STRAY times as many

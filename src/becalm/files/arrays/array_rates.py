@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from becalm.files.arrays.arrays import FileArrays, Leaf, Path
-from becalm.files.named_rates import hertz_of
+from becalm.files.units.named_rates import hertz_of
 
 _TOO_SHORT = ("rate", "sr", "ts")  # not used as part of a longer name: heart_rate is not a sample rate
 _WRITTEN = re.compile(r"([-+.\deE]+)\s*([a-zA-Z/]*)")  # a number and a unit: "100 Hz"

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import NAMES, OF_TABLE, UNITS, VARIABLES, folder_name, variables
-from becalm.files.column_arrays import metadata_of, refuse_strange_types, unit_of_field, whole_column
 from becalm.files.groups import GROUP
+from becalm.files.outputs.column_arrays import metadata_of, refuse_strange_types, unit_of_field, whole_column
 
 _HEAD = b"MATLAB 5.0 MAT-file, written by becalm".ljust(116)  # without a date, so that equal data give equal bytes
 _MOST_BYTES = (1 << 31) - (1 << 16)  # largest size of a variable in version 5

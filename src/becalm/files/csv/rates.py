@@ -12,12 +12,12 @@ import pyarrow as pa
 
 from becalm.files.column_statistics import ColumnStatistics
 from becalm.files.groups import TIME
-from becalm.files.named_rates import hertz_of
 from becalm.files.rows import TableRows
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.cells import split
 from becalm.files.timing.time_column import NUMBERS, find_time, kind_of_column, numbers
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.named_rates import hertz_of
+from becalm.files.units.unit_spelling import parse_header
 
 _NAMES_OF_STEPS = {"Delta_X": "dt", "Increment": "dt", "tInc": "dt"}
 """For names of the time step in files of LabVIEW and of oscilloscopes, the name that `hertz_of` knows."""

@@ -13,9 +13,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
-from becalm.files.bounded_file import BoundedFile
 from becalm.files.column_statistics import NO_UNIT, Column
 from becalm.files.groups import TIME, Group, tables
+from becalm.files.libraries.bounded_file import BoundedFile
 from becalm.files.library_reader import LibraryFile
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names

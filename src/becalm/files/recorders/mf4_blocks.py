@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, NamedTuple
 
+from becalm.files.libraries.unpacking import unpacked
 from becalm.files.library_reader import LibraryFile
-from becalm.files.unpacking import unpacked
 
 _HEADER_LINKS = 88  # offset of the links of the first block, ##HD, in the file
 _HEAD = 24  # bytes of a block before its links

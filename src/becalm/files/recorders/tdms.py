@@ -18,7 +18,7 @@ from becalm.files.library_reader import LibraryFile
 from becalm.files.recorders.tdms_writer import FILL
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.timing.time_column import is_time_name
-from becalm.files.unit_spelling import tidy_unit
+from becalm.files.units.unit_spelling import tidy_unit
 
 _LEAD_IN = struct.Struct("<4siiQQ")  # of a segment: tag, flags, version, length after this, length of metadata
 _UNFINISHED = 0xFFFFFFFFFFFFFFFF  # length of a segment that the recorder did not finish

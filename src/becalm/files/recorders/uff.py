@@ -21,7 +21,7 @@ from becalm.files.library_reader import LibraryFile
 from becalm.files.recorders.uff_blocks import UffBlock, Values, blocks_of
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.csv_header import unique_names
-from becalm.files.unit_spelling import tidy_unit
+from becalm.files.units.unit_spelling import tidy_unit
 
 _TIME_RESPONSE, _GENERAL, _ABSCISSA_TIME = 1, 0, 17  # two types of functions; the type of an abscissa that is a time
 _SECONDS = {"": 1.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}

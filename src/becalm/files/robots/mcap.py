@@ -8,13 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from becalm.files.bounded_file import BoundedFile, bounded_bytes
 from becalm.files.groups import tables
+from becalm.files.libraries.bounded_file import BoundedFile, bounded_bytes
+from becalm.files.libraries.unpacking import unpacked
 from becalm.files.library_reader import LibraryFile
 from becalm.files.robots.ros_messages import IDL, MSG, Schema
 from becalm.files.robots.topics import Message, collect_groups
 from becalm.files.source import RawTable
-from becalm.files.unpacking import unpacked
 
 _MAGIC_BYTES = 8  # size of the signature at the start of the file
 _HEAD_BYTES, _CHUNK = 9, b"\x06"  # size of a record's header (opcode and length), and the opcode of a chunk

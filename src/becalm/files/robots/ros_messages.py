@@ -8,8 +8,8 @@ from operator import attrgetter
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from becalm.files.libraries.unpacking import ZSTD, unpacked
 from becalm.files.library_reader import LibraryFile
-from becalm.files.unpacking import ZSTD, unpacked
 
 UNITS = {
     "sensor_msgs/msg/Imu": {"linear_acceleration.": "m/s^2", "angular_velocity.": "rad/s"},

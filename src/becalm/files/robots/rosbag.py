@@ -9,8 +9,8 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from becalm.errors import InputError
-from becalm.files.bounded_file import BoundedFile
 from becalm.files.groups import tables
+from becalm.files.libraries.bounded_file import BoundedFile
 from becalm.files.library_reader import LibraryFile
 from becalm.files.registry import BAG
 from becalm.files.robots import mcap, rosbag1, rosbag2

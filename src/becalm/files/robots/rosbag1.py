@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from becalm.errors import InputError
-from becalm.files.bounded_file import BoundedFile, bounded_bytes
+from becalm.files.libraries.bounded_file import BoundedFile, bounded_bytes
+from becalm.files.libraries.unpacking import unpacked
 from becalm.files.library_reader import LibraryFile
 from becalm.files.robots.ros_messages import MSG, Schema
 from becalm.files.robots.topics import Message
-from becalm.files.unpacking import unpacked
 
 _VERSION = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _CHUNK, _CONNECTION = 2, 3, 5, 7  # opcodes of records

@@ -11,9 +11,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from becalm.core.arrays import Integers
-from becalm.files.bounded_file import BoundedFile
 from becalm.files.column_statistics import NO_UNIT, Column
 from becalm.files.groups import TIME, Group, tables
+from becalm.files.libraries.bounded_file import BoundedFile
 from becalm.files.library_reader import LibraryFile
 from becalm.files.robots.topics import shorten_list
 from becalm.files.source import FormatTime, RawTable

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from becalm.files.text.cells import MISSING_CELL, NUMBER, kind_of, split
-from becalm.files.unit_spelling import looks_like_unit, tidy_unit
+from becalm.files.units.unit_spelling import looks_like_unit, tidy_unit
 
 # Read the special headers that some loggers and oscilloscopes write above the rows.
 

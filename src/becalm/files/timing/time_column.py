@@ -14,7 +14,7 @@ from becalm.files.read_options import RequestOrigin
 from becalm.files.source import RawTable
 from becalm.files.text.cells import bad_cell, find_bad_cells, meant_as_numbers
 from becalm.files.timing import clock
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 
 _NAMES = re.compile(
     r"time|times|t|timestamp|timestamps|datetime|date|dateandtime|datetimeutc|clock|elapsed|"

@@ -33,7 +33,7 @@ from becalm.files.timing.time_column import (
     numbers,
     times_with_bad_cells,
 )
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # number of each unit in a second
 SECONDS = {"min": 60.0, "h": 3600.0}  # length of each unit in seconds

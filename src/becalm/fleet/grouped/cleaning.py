@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from becalm.errors import InputError, UsageError
 from becalm.files.atomic_file import make_folder, removed_afterwards
 from becalm.files.decoding import Original
+from becalm.files.outputs.writing import open_output
 from becalm.files.parquet import read_parquet
-from becalm.files.writing import open_output
 from becalm.fleet.grouped.counting import Count, count_rows, report_lost_file
 from becalm.fleet.grouped.merging import merge_strips
 from becalm.fleet.grouped.order import time_of

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from becalm.errors import UsageError
+from becalm.files.outputs.tables import VERDICT
 from becalm.files.roles import SIGMA
-from becalm.files.tables import VERDICT
 
 Stamps = Literal["timestamp", "timestamp_ntz", "double"]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.errors import RecipeError
 from becalm.fleet.names import folder_name, values_in
 from becalm.fleet.recipes import DEFAULT, ENDING, recipes_in

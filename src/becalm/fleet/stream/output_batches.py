@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from becalm.files.outputs.tables import VERDICT, verdict_words
 from becalm.files.roles import SIGMA
-from becalm.files.tables import VERDICT, verdict_words
 from becalm.fleet.stream.blocks import EstimatedBlock
 from becalm.fleet.stream.columns import EVENTS, KIND, READINGS, StreamSchema
 

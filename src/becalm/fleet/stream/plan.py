@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from math import inf
 from typing import Protocol
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.errors import UsageError
 from becalm.live.address import Address
-from becalm.live.learning_buffer import FEW_STAMPS
+from becalm.live.running.learning_buffer import FEW_STAMPS
 
 FIRST_ROWS = FEW_STAMPS
 """Rows of a sensor that must arrive before its first estimate, because they show the resolution of its stamps."""

@@ -13,18 +13,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, RecipeError
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 from becalm.fleet.names import folder_name
 from becalm.fleet.stream.blocks import EstimatedBlock, Event
 from becalm.fleet.stream.plan import FIRST_ROWS, SensorPlan
 from becalm.fleet.stream.reading import Entry, drop_late, drop_unstamped, read_messages, read_rows, split_by_lateness
 from becalm.fleet.stream.state import SensorState
 from becalm.live.block import Block, Loss, Output
-from becalm.live.learning_buffer import resolution_of
 from becalm.live.messages.stream import MessageStream
+from becalm.live.running.learning_buffer import resolution_of
 from becalm.live.stream import Stream
 
 _LONGEST_NAME, _SHOWN = 255, 40  # largest length of a folder's name in bytes; letters of a longer name in messages

@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from becalm.cleaning.faults import Fault
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.channels.faults import Fault
+from becalm.cleaning.channels.report import ChannelReport
 from becalm.core.reading_verdicts import Verdict
 from becalm.fleet.outcome import SHOWN, Outcome, noted
 from becalm.fleet.stretching.long_sensor import LongSensor
 from becalm.fleet.stretching.run import StretchEstimates
-from becalm.report.fleet_rows import FleetRow, faults_text, usable_share
+from becalm.report.fleet.fleet_rows import FleetRow, faults_text, usable_share
 
 _WORST_FIRST = ("does not fit", "fits except", "fits", "constant", "untold")
 _NO_FAULT = (Verdict.USED, Verdict.MISSING, Verdict.SPIKE, Verdict.STEP, Verdict.HOLE, Verdict.RUNAWAY)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from becalm.files.shared_source import ParsedSource
+from becalm.files.inputs.shared_source import ParsedSource
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.pieces import OutputFile
 

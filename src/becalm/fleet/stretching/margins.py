@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.filters import Filter
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.steps import lag_in_rows
+from becalm.cleaning.channels.filters import Filter
+from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.recipes.steps import lag_in_rows
 from becalm.core.arrays import BLOCK, Integers
-from becalm.files.chunked_cleaning import columns_of
-from becalm.files.shared_source import SharedSource
+from becalm.files.inputs.shared_source import SharedSource
+from becalm.files.outputs.chunked_cleaning import columns_of
 from becalm.native.scans import REACH
 
 TIMES = 16

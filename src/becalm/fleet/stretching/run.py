@@ -11,17 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.channels.report import ChannelReport
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.recipe import Recipe
-from becalm.cleaning.report import ChannelReport
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
 from becalm.core.filter.channel import History
 from becalm.core.reading_verdicts import Verdict, counted
 from becalm.core.snapshot_bytes import packed, unpacked
-from becalm.files.chunked_cleaning import CleanChunk, iter_clean_chunks, rows_of_chunks
-from becalm.files.opening import select_table
+from becalm.files.inputs.opening import select_table
+from becalm.files.inputs.shared_source import SharedSource
+from becalm.files.outputs.chunked_cleaning import CleanChunk, iter_clean_chunks, rows_of_chunks
 from becalm.files.read_options import options_of_recipe
-from becalm.files.shared_source import SharedSource
 from becalm.fleet.pieces import OutputFile, Pieces
 from becalm.fleet.sensor_cleaning import metadata_of
 from becalm.fleet.stretching.long_sensor import LongSensor, State, TaskStretch

@@ -8,14 +8,14 @@ from time import monotonic
 import numpy as np
 import pyarrow.parquet as pq
 
-from becalm.cleaning.faults import SensorWatch
-from becalm.cleaning.filters import Filter
-from becalm.cleaning.limits_entry import outlier_test_rows
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.channels.faults import SensorWatch
+from becalm.cleaning.channels.filters import Filter
+from becalm.cleaning.recipes.limits_entry import outlier_test_rows
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.core.arrays import Floats
 from becalm.core.reading_verdicts import judge
-from becalm.files.chunked_cleaning import columns_of, rows_of_chunks
-from becalm.files.shared_source import parse_source
+from becalm.files.inputs.shared_source import parse_source
+from becalm.files.outputs.chunked_cleaning import columns_of, rows_of_chunks
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.pieces import open_staging

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.fleet.class_outliers import FACTOR, factors_apart, times
 from becalm.fleet.outcome import Outcome
 from becalm.fleet.tuning.class_recipe import ClassRecipe, channels_by_key
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
-from becalm.report.fleet_order import DOUBTFUL
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_order import DOUBTFUL
+from becalm.report.fleet.fleet_rows import FleetRow
 
 _STRONGER = 3.0  # smallest ratio of process noise densities that is mentioned; estimates of a density scatter
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.fleet.tuning.limits import limits_of_class
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
 

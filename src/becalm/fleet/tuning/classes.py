@@ -18,7 +18,7 @@ from becalm.fleet.outcome import Outcome
 from becalm.fleet.tuning.class_differences import Key, is_described, reasons, rows_by_key
 from becalm.fleet.tuning.class_recipe import ClassRecipe, make_class_recipe
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
-from becalm.report.fleet_rows import FleetRow, counted, spaced
+from becalm.report.fleet.fleet_rows import FleetRow, counted, spaced
 
 MOST_SENSORS = 200
 """Default number of sensors that are tuned in each class; with more sensors, the recipe does not improve."""

@@ -22,8 +22,8 @@ from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.tuning.classes import MOST_SENSORS, Chosen, TunedClass, chosen_of
 from becalm.fleet.tuning.sensor import judge_sensor, tune_sensor
 from becalm.fleet.tuning.tuning_output import REPORT, book_of, named_recipes, refuse_recipes, write_found
-from becalm.report.fleet_page import FleetFacts
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_page import FleetFacts
+from becalm.report.fleet.fleet_rows import FleetRow
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Literal, TypeVar
 
-from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.cleaning.recipes.recipe_parts import LimitsRecipe
 from becalm.fleet.tuning.sensor_tuning import TunedChannel
 
 _FEWEST_AT_A_RAIL = 2  # sensors that must reach a saturation limit of the class; a single one may be special

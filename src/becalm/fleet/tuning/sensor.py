@@ -8,16 +8,16 @@ from time import monotonic
 import numpy as np
 
 from becalm.cleaning.pipeline import clean
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.tuning import calibrated, tune
 from becalm.core.recording import Recording
-from becalm.files.opening import OpenSource, open_source
-from becalm.files.portions import rows_to_tune_on
+from becalm.files.inputs.opening import OpenSource, open_source
+from becalm.files.inputs.portions import rows_to_tune_on
 from becalm.fleet.job import Job, Sensor
 from becalm.fleet.outcome import SHOWN, Outcome
 from becalm.fleet.sensor_cleaning import open_sensor, refuse_on_error
 from becalm.fleet.tuning.sensor_tuning import SensorTuning, TunedChannel
-from becalm.report.fleet_rows import FleetRow, row_of
+from becalm.report.fleet.fleet_rows import FleetRow, row_of
 
 
 def tune_sensor(lake: str, causal: bool, sensor: Sensor) -> SensorTuning | Outcome:

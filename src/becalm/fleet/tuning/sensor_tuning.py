@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.report.fleet_rows import FleetRow
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
+from becalm.report.fleet.fleet_rows import FleetRow
 
 
 class TunedChannel(NamedTuple):

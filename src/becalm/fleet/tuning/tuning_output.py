@@ -8,15 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from becalm.cleaning.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.errors import RecipeError, UsageError
 from becalm.files.atomic_file import explain_write_errors, write_folder
 from becalm.fleet.outcome import SHOWN
 from becalm.fleet.recipes import ENDING, RecipeBook, recipes_in
 from becalm.fleet.tuning.classes import TunedClass
 from becalm.fleet.tuning.sensor_tuning import TunedChannel
-from becalm.report.fleet_page import FleetFacts, fleet_page
-from becalm.report.fleet_rows import FleetRow
+from becalm.report.fleet.fleet_page import FleetFacts, fleet_page
+from becalm.report.fleet.fleet_rows import FleetRow
 
 REPORT, SENSORS = "report.html", "sensors.jsonl"
 """File names of the report page, and of the results of each sensor."""

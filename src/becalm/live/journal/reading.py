@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from becalm.files.tables import VERDICT, verdict_words
+from becalm.files.outputs.tables import VERDICT, verdict_words
 from becalm.live.block import Checkpoint, Head
 from becalm.live.closing import Closing
 from becalm.live.journal.database import NAME, JournalError, connect_reading, get, last_rolled_block, reading

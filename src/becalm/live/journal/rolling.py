@@ -17,8 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from becalm.files.atomic_file import explain_write_errors, replacing
+from becalm.files.outputs.tables import VERDICT
 from becalm.files.roles import SIGMA
-from becalm.files.tables import VERDICT
 from becalm.live.block import Head, Output
 from becalm.live.journal.database import BrokenSealError, get
 from becalm.live.journal.records import BlockRow, HeadRow, HoleRow, RollRow

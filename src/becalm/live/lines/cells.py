@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.text.cells import MISSING, TIME, kind_of
 from becalm.files.timing.times import EPOCHS, IMPLIED, PER_SECOND, SECONDS
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 
 Cell = object
 """Text of CSV, or a value of JSON: a float, None, text or anything else."""

@@ -9,7 +9,7 @@ from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import UsageError
 from becalm.files.text.cells import TIME, kind_of
 from becalm.files.timing.time_column import is_time_name
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 from becalm.live.address import Address
 from becalm.live.lines.cells import Cell, StampReader, number_of, place_named, stamp_reader
 

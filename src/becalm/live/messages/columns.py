@@ -10,7 +10,7 @@ import numpy as np
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.timing.time_column import is_time_name
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 from becalm.live.lines.cells import Cell, StampReader, place_named, stamp_reader
 from becalm.live.lines.columns import ARRIVAL, LineOptions
 

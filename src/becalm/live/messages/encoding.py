@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Codes, Floats
 from becalm.errors import UsageError
+from becalm.files.outputs.tables import VERDICT
 from becalm.files.roles import SIGMA
-from becalm.files.tables import VERDICT
 from becalm.live.block import Head, Output
 from becalm.live.messages.columns import SEQ
 

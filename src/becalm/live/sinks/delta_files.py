@@ -16,7 +16,7 @@ import pyarrow as pa
 from pyarrow import fs
 
 from becalm.files.atomic_file import sync_folder
-from becalm.files.parquet_writer import ParquetTableWriter
+from becalm.files.outputs.parquet_writer import ParquetTableWriter
 from becalm.live.locking import lock_file
 from becalm.live.optional_libraries import import_optional
 

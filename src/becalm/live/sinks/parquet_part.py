@@ -13,7 +13,7 @@ from pathlib import Path
 
 from becalm.errors import OutputError
 from becalm.files.atomic_file import sync_folder
-from becalm.files.parquet_writer import ParquetTableWriter
+from becalm.files.outputs.parquet_writer import ParquetTableWriter
 from becalm.live.block import Head, Output
 from becalm.live.protocols import StorageFullError
 from becalm.live.tables import output_table

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from becalm.core.reading_verdicts import Verdict
 from becalm.errors import UsageError
+from becalm.files.outputs.tables import VERDICT
 from becalm.files.roles import SIGMA
-from becalm.files.tables import VERDICT
 from becalm.live.block import Checkpoint, Head, Output
 from becalm.live.sinks.postgres_reaching import refuse_long
 from becalm.live.tables import EPOCH_S, RAW, ROW, TIME, column_names

@@ -11,8 +11,8 @@ import numpy as np
 from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import UsageError
 from becalm.files.text.csv_header import unique_names
-from becalm.files.unit_conversion import conversion
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_conversion import conversion
+from becalm.files.units.unit_spelling import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block
 from becalm.live.optional_libraries import import_optional

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.opening import OpenSource, open_source
+from becalm.files.inputs.opening import OpenSource, open_source
 from becalm.files.read_options import ReadOptions
 from becalm.files.registry import BAG
 from becalm.live.address import Address, advising_addresses

@@ -11,7 +11,7 @@ import numpy as np
 
 from becalm.errors import UsageError
 from becalm.files.text.csv_header import unique_names
-from becalm.files.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import parse_header
 from becalm.live.address import Address
 from becalm.live.block import Block, Loss, LossKind
 from becalm.live.lines.cells import number_of

@@ -8,10 +8,10 @@ from functools import lru_cache
 from typing import Any
 
 from becalm.cleaning.dial_positions import dial, summary_of
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
-from becalm.cleaning.steps import lag_in_rows
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
+from becalm.cleaning.recipes.steps import lag_in_rows
 from becalm.errors import BecalmError, UsageError
-from becalm.live.retuning import Retune, RetuneCallback
+from becalm.live.running.retuning import Retune, RetuneCallback
 
 _DIAL_S = 600.0  # length of the record whose strongest smoothing is the last position of a dial
 _REMEMBERED = 1000  # limit of the changes that can be undone

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from becalm.errors import BecalmError, UsageError
 from becalm.installation import version
-from becalm.live.retuning import Retune
+from becalm.live.running.retuning import Retune
 from becalm.live.watching.meter import Meter
 from becalm.live.watching.scrubber import Scrubber
 from becalm.web.frames import text

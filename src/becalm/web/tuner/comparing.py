@@ -8,10 +8,10 @@ import numpy as np
 
 from becalm.classic.matching import equal_noise
 from becalm.classic.register import CLASSICS
-from becalm.cleaning.excerpt import ChannelRows
+from becalm.cleaning.channels.excerpt import ChannelRows
 from becalm.core.reading_verdicts import judge
 from becalm.errors import UsageError
-from becalm.report.envelope import Envelope
+from becalm.report.data.envelope import Envelope
 from becalm.web.tuner.picture import View
 
 _SETTLED = 12.0  # settling time of the slowest filter in rows, times its cut-off in cycles per row

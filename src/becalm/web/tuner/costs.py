@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from becalm.cleaning.excerpt import ChannelRows
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.steps import gate_of, in_steps
+from becalm.cleaning.channels.excerpt import ChannelRows
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.steps import gate_of, in_steps
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.identification.gating import forecasts

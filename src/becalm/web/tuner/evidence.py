@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.identification.likelihood import Tuning
 
 _ALIKE = 5e-4  # models count as equal if the relative difference of their errors is smaller

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from becalm.cleaning.channels.excerpt import ChannelRows
+from becalm.cleaning.channels.judging import Decision
 from becalm.cleaning.cleaner import Cleaner
-from becalm.cleaning.excerpt import ChannelRows
-from becalm.cleaning.judging import Decision
-from becalm.cleaning.recipe import ChannelRecipe, Recipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Recipe
 from becalm.report.channel import CleanedChannels, Pictured, Pictures
+from becalm.report.data.payload import payload
 from becalm.report.gathering import Gathering
-from becalm.report.payload import payload
 
 _CHUNK = 1 << 18  # rows between two checks for an interruption
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, model_validator
 
-from becalm.cleaning.recipe import Mode
+from becalm.cleaning.recipes.recipe import Mode
 from becalm.web import incoming_messages
 from becalm.web.incoming_messages import Numbered
 

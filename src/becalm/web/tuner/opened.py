@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from becalm.cleaning.excerpt import ChannelRows
-from becalm.cleaning.recipe import Origin
+from becalm.cleaning.channels.excerpt import ChannelRows
+from becalm.cleaning.recipes.recipe import Origin
 from becalm.cleaning.tuning import Tuned, Wishes, calibrated, explore, tuned_as_filter
 from becalm.core.arrays import Floats
 from becalm.errors import InputError, UsageError
-from becalm.files.opening import OpenSource
-from becalm.files.portions import rows_to_tune_on
+from becalm.files.inputs.opening import OpenSource
+from becalm.files.inputs.portions import rows_to_tune_on
+from becalm.files.inputs.time_bases import open_file
 from becalm.files.read_options import ReadOptions
-from becalm.files.time_bases import open_file
 from becalm.web.tuner.settings import Options
 
 Progress = Callable[[str], None]

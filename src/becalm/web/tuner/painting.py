@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.channels.excerpt import ChannelRows
 from becalm.cleaning.dial_positions import density_unit, dial, summary_of
-from becalm.cleaning.excerpt import ChannelRows
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.recipe_parts import LimitsRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.recipe_parts import LimitsRecipe
 from becalm.core.arrays import Integers
 from becalm.core.reading_verdicts import Verdict
-from becalm.report.envelope import Envelope
+from becalm.report.data.envelope import Envelope
 from becalm.web.frames import frame, relative
 from becalm.web.tuner.comparing import run_classic
 from becalm.web.tuner.costs import cost_map

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from becalm.cleaning.excerpt import ChannelRows, ChannelRun
-from becalm.cleaning.recipe import ChannelRecipe
+from becalm.cleaning.channels.excerpt import ChannelRows, ChannelRun
+from becalm.cleaning.recipes.recipe import ChannelRecipe
 from becalm.core.arrays import Floats, Integers
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
-from becalm.report.envelope import Envelope, Stretches, VerdictsByStretch
+from becalm.report.data.envelope import Envelope, Stretches, VerdictsByStretch
 from becalm.report.gathering import WIDTH
 
 LONG = 1 << 19

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any, NamedTuple
 
-from becalm.cleaning.recipe import ChannelRecipe
-from becalm.cleaning.steps import in_seconds, in_steps
+from becalm.cleaning.recipes.recipe import ChannelRecipe
+from becalm.cleaning.recipes.steps import in_seconds, in_steps
 from becalm.cleaning.tuning import ChannelTuning
 from becalm.errors import UsageError
 from becalm.identification.trust.tuning_spread import tuning_spread

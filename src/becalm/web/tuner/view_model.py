@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from becalm.classic.register import CAUSAL, ZERO_PHASE
-from becalm.cleaning.recipe import ChannelRecipe, Mode, Recipe
-from becalm.cleaning.steps import lag_in_rows
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Mode, Recipe
+from becalm.cleaning.recipes.steps import lag_in_rows
 from becalm.errors import RecipeError, UsageError
 from becalm.web.tuner.messages import SettingChanges
 from becalm.web.tuner.naming import command

@@ -1,0 +1,1 @@
+"""Recipes: the parameters of each channel, their tables, and their conversion to steps."""

@@ -1,0 +1,1 @@
+"""Clean the rows of a stream as they are measured, and change its recipe while it runs."""

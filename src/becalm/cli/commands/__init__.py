@@ -1,0 +1,1 @@
+"""The commands of the command line, one module each; a command is imported when it runs."""

@@ -1,0 +1,1 @@
+"""Open a recording of any length, with one time base or several."""

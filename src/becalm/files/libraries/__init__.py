@@ -1,0 +1,1 @@
+"""Read formats with other libraries, in a subprocess with limits."""

@@ -1,0 +1,1 @@
+"""Write clean recordings, at once or chunk by chunk."""

@@ -1,0 +1,1 @@
+"""Read units from headers, names and cells, and convert them."""

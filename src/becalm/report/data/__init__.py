@@ -1,0 +1,1 @@
+"""The data of figures: reduced, summarised and encoded, before anything is drawn."""

@@ -1,0 +1,1 @@
+"""The report on a fleet: its rows, their order, and its page."""

@@ -1,0 +1,1 @@
+"""The car paper (Sensors 2001)."""

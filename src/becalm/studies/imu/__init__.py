@@ -1,0 +1,1 @@
+"""The IMU paper (Kownacki 2010)."""
