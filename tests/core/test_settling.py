@@ -87,17 +87,16 @@ def test_an_unobserved_unstable_state_leaves_the_observed_one_exact(name: str) -
     assert_twins(sigma**2, [step.filtered.cov[0] for step in about.steps])
 
 
-@pytest.mark.slow
 def test_a_gain_that_settles_late_is_the_full_recursion() -> None:
-    """The IMU paper's form of a gyroscope, with Q / R = 1e6: closed-loop poles 0.905 and 0.9999 at 10 kHz.
+    """The IMU paper's form of a gyroscope, with Q / R = 1e4: closed-loop poles 0.905 and 0.999 at 1 kHz.
 
     The slow state's gain comes from 1/50 of what it is measured by, as equations (2) to (7) say.
     """
-    T = 1e-4
+    T = 1e-3
     model = Model(
-        np.array([[1, T], [0, 1]]), [[1, 0]], np.eye(2), [[1e-6]], G=T * np.eye(2), x0=[0, 0], P0=np.ones((2, 2))
+        np.array([[1, T], [0, 1]]), [[1, 0]], np.eye(2), [[1e-4]], G=T * np.eye(2), x0=[0, 0], P0=np.ones((2, 2))
     )
-    z = 1e-3 * drawn(model, 200_000)
+    z = 1e-3 * drawn(model, 18_000)
     means, spread, belief = (
         np.empty((len(z), 2)),
         np.empty((len(z), 1)),
@@ -171,7 +170,7 @@ def test_a_gain_that_creeps_has_not_settled(model: Model, covariances: bool) -> 
     assert_online(about, z)
 
 
-@pytest.mark.parametrize("bursts", [19, 20, 21, 57, 58, 59])
+@pytest.mark.parametrize("bursts", [19, 20, 21, 58])  # of every remainder by three, and many
 def test_a_gain_that_is_the_same_after_every_gap_has_not_settled(bursts: int) -> None:
     """Bursts of 40 readings, gaps of 460: every burst ends as the one before, and no gain is the settled one."""
     model = Model([[1]], [[1]], [[1e-4]], [[1]], x0=[0], P0=[[1]])
