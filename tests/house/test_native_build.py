@@ -18,7 +18,7 @@ STRICT = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", 
 
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a folder with the sources, of which few are compiled, and not optimised; a wheel elsewhere has all."""
+    """Return a folder with the sources: three are compiled, not optimised; test_uplot_build.py compiles all."""
     monkeypatch.setattr(hatch_build, "SOURCES", ("channel.c", "filter.c", "clock.c"))
     monkeypatch.setattr(hatch_build, "C_FLAGS", ("-std=c99", "-O0", "-ffp-contract=off", "-fPIC"))
     monkeypatch.setattr(hatch_build, "MORE_FLAGS", ())
