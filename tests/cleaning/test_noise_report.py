@@ -129,8 +129,9 @@ def test_noise_that_does_not_show_is_said(name: str) -> None:
     noise, odd = report_noise(recording, still=[(0, 100)])
     assert noise.noise_std is not None
     assert (odd.noise_std, odd.above_std, odd.allan) == (None, None, None)
-    (sentence,) = odd.says
+    *left_out, sentence = odd.says
     assert says in sentence
+    assert [f"readings left out: {COUNT}" in said for said in left_out] == [True] * (name == "beyond any sensor")
 
 
 def test_a_channel_of_a_lower_rate_hides_no_rest() -> None:
@@ -143,10 +144,26 @@ def test_a_channel_of_a_lower_rate_hides_no_rest() -> None:
 def test_coarse_steps_slow_noise_and_spikes_are_said() -> None:
     coarse = np.round(0.35 * NOISE)
     slow = np.convolve(NOISE, np.ones(8) / 8, "same")
-    spiked = NOISE + 50 * (np.arange(COUNT) == 777)
+    spiked = NOISE + 20 * (np.arange(COUNT) == 777)
     for z, says in ((coarse, "resolution of 1,"), (slow, "slower than the readings"), (spiked, "2 jumps are beyond")):
         assert any(says in sentence for sentence in one(z, still=[(0, 300)]).says), says
     assert not any("jump" in sentence or "slower" in sentence or "steps" in sentence for sentence in one(NOISE).says)
+
+
+@pytest.mark.parametrize("marker", [50.0, -9999.0, 1e8, 1e30])
+def test_a_marker_or_gross_outlier_is_left_out_and_said(marker: float) -> None:
+    z = NOISE[:6000].copy()
+    z[3000] = marker
+    found, clean = one(1e-6 * z if marker == 50 else np.where(z == marker, z, 1e-6 * z)), one(1e-6 * NOISE[:6000])
+    assert found.noise_std == pytest.approx(clean.noise_std, rel=1e-2)
+    assert found.spikes == 0
+    assert found.allan is not None
+    assert clean.allan is not None
+    assert found.allan.white_noise.value == pytest.approx(clean.allan.white_noise.value, rel=2e-2)
+    assert "readings left out: 1." in found.says[0]
+    moving = np.where(np.arange(6000) < 2000, 0.1 * z, 5 * np.sin(np.arange(6000) / 100) + 0.1 * z)
+    moving[3000] = marker
+    assert one(moving).stretches_s == one(np.where(np.arange(6000) == 3000, np.nan, moving)).stretches_s
 
 
 def test_a_gap_costs_long_clusters_and_nothing_else() -> None:

@@ -11,8 +11,10 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from becalm.cleaning.allan_figures import AllanNoise, allan_noise
+from becalm.cleaning.channels.faults import FALSE_ALARMS_PER_HOUR
 from becalm.core.arrays import Floats
-from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
+from becalm.core.health.limits import find_limits
+from becalm.core.health.outlier_rule import is_outlier
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import GAP_STEPS
 from becalm.errors import RecordingError, UsageError
@@ -120,12 +122,14 @@ def report_noise(
     """
     if not 0 < cutoff_hz < np.inf:
         raise UsageError(f"cutoff_hz = {cutoff_hz} is not a cut-off; give a positive number of hertz, such as 1.0.")
-    recording = _without_impossible(recording)
+    whole, recording = recording, _without_outliers(recording)
+    left_out = (np.isfinite(whole.samples) & ~np.isfinite(recording.samples)).sum(axis=0)
     stillness = detect_rests(recording) if still is None else rests_in_spans(recording, still)
     spans_s = tuple(_span_s(recording, stretch) for stretch in stillness.stretches)
     reports = []
-    for name, unit in zip(recording.names, recording.units, strict=True):
-        channel = ChannelNoise(name, unit, stillness.reason, spans_s, cutoff_hz)
+    for name, unit, count in zip(recording.names, recording.units, left_out.tolist(), strict=True):
+        says = (f"No figure includes markers of missing readings and gross outliers; readings left out: {count}.",)
+        channel = ChannelNoise(name, unit, stillness.reason, spans_s, cutoff_hz, says=says if count else ())
         reports.append(_measured(channel, recording.select([name]), stillness.stretches) if spans_s else channel)
         progress(name)
     return tuple(reports)
@@ -137,7 +141,7 @@ def _measured(channel: ChannelNoise, recording: Recording, stretches: Sequence[S
     parts = [_with_gaps(recording, rest) for rest in stretches]
     step = quantum(recording.samples[:, 0])
     if reason := _why_hidden(noise, step, _repeated_share(parts)):
-        return replace(channel, spikes=noise.spikes, says=(reason,))
+        return replace(channel, spikes=noise.spikes, says=(*channel.says, reason))
     above, below, no_split = _split(parts, recording.rate_hz, channel.cutoff_hz)
     allan, no_allan = _allan(recording, max(stretches, key=lambda rest: rest.stop - rest.start))
     std = float(np.sqrt(noise.variance))
@@ -150,7 +154,7 @@ def _measured(channel: ChannelNoise, recording: Recording, stretches: Sequence[S
         above_std=above,
         below_std=below,
         allan=allan,
-        says=(*_doubts(noise, step), *no_split, *no_allan),
+        says=(*channel.says, *_doubts(noise, step), *no_split, *no_allan),
     )
 
 
@@ -244,7 +248,15 @@ def _span_s(recording: Recording, rest: Stretch) -> tuple[float, float]:
     )
 
 
-def _without_impossible(recording: Recording) -> Recording:
-    """Return the recording with NaN in place of impossible readings."""
-    beyond = np.abs(recording.samples) > BEYOND_ANY_SENSOR
-    return recording.with_samples(np.where(beyond, np.nan, recording.samples)) if beyond.any() else recording
+def _without_outliers(recording: Recording) -> Recording:
+    """Return the recording with NaN in place of impossible readings, markers of missing readings and gross outliers.
+
+    Cleaning leaves out the same readings.
+    """
+    elapsed, step_s = recording.timebase.elapsed_steps, recording.timebase.step_s
+    columns = []
+    for z in recording.samples.T:
+        limits = find_limits(z, elapsed, FALSE_ALARMS_PER_HOUR, step_s)
+        possible = np.where(np.abs(z) <= limits.largest, z, np.nan)
+        columns.append(np.where(is_outlier(possible, limits.outliers), np.nan, possible))
+    return recording.with_samples(np.column_stack(columns)) if columns else recording

@@ -125,11 +125,12 @@ def runs_of(calm: Booleans) -> list[tuple[int, int]]:
 def quantum(channel: Floats) -> float:
     """Return the smallest step between two different readings of a channel (N,), in unit; 0 if all are equal.
 
-    Steps below a billionth of the largest reading are rounding of the arithmetic, not of the sensor.
+    Steps below a billionth of the median level are rounding of the arithmetic, not of the sensor; the largest level may
+    be a marker of missing readings.
     """
     levels = np.unique(channel[np.isfinite(channel)])
     steps = np.diff(levels)
-    steps = steps[steps > 1e-9 * np.abs(levels).max(initial=0.0)]
+    steps = steps[steps > 1e-9 * np.median(np.abs(levels))] if len(steps) else steps
     return float(steps.min()) if len(steps) else 0.0
 
 
