@@ -83,6 +83,7 @@ class BrokerSink(ABC):
         self._remote = remote
         form = remote.address.chosen("format", FORMATS, FORMATS[0])
         self._outbox = Outbox(form, remote.address.seconds("gather", _GATHER_S))
+        self._lock = threading.Lock()  # of the outbox, for the filtering thread and the commit thread
         self._connection: BrokerConnection | None = None
         self._has_connected = False
         self._acknowledged: set[int] = set()
@@ -109,11 +110,12 @@ class BrokerSink(ABC):
         OutputError
             If a single row exceeds the broker's largest message.
         """
-        self._outbox.put(output, self._largest())
+        with self._lock:
+            self._outbox.put(output, self._largest())
         self._send()
 
     def flush(self) -> None:
-        """Wait until the broker has acknowledged all messages.
+        """Wait until the broker has acknowledged all rows written so far.
 
         Raises
         ------
@@ -122,19 +124,23 @@ class BrokerSink(ABC):
         InputError
             If the broker refuses a message.
         """
-        self._outbox.seal(self._largest())
-        left, since = len(self._outbox), time.monotonic()
-        while left:
+        with self._lock:
+            self._outbox.seal(self._largest())
+            dropped = self._outbox.dropped
+            last = dropped + len(self._outbox)
+        since = time.monotonic()
+        while dropped < last:
             self._send()
             connection = self._connection
             if connection is None:
                 raise self._remote.away("the connection was lost before")
-            has_event = self._wait(connection)
+            has_event = self._wait(connection, dropped)
             if self._refusal is not None:
                 raise self._refusal
-            self._outbox.drop_acknowledged(self._acknowledged)
-            if len(self._outbox) < left:
-                left, since = len(self._outbox), time.monotonic()
+            with self._lock:
+                self._outbox.drop_acknowledged(self._acknowledged)
+            if self._outbox.dropped > dropped:
+                dropped, since = self._outbox.dropped, time.monotonic()
             elif not has_event and time.monotonic() > since + _STALL_S:
                 raise self._remote.away(f"it acknowledged nothing for {_STALL_S:g} s")
             else:
@@ -155,15 +161,20 @@ class BrokerSink(ABC):
         connection = self._connection
         if connection is None or connection.ended:
             return
-        self._outbox.drop_acknowledged(self._acknowledged)
-        while self._outbox.in_flight < connection.window and (message := self._outbox.next()) is not None:
-            self._outbox.sent(connection.post(message))
+        with self._lock:
+            self._outbox.drop_acknowledged(self._acknowledged)
+            while self._outbox.in_flight < connection.window and (message := self._outbox.next()) is not None:
+                self._outbox.sent(connection.post(message))
 
-    def _wait(self, connection: BrokerConnection) -> bool:
-        """Wait up to 1 s for an acknowledgement, a refusal or a lost connection; return whether one occurred."""
+    def _wait(self, connection: BrokerConnection, dropped: int) -> bool:
+        """Wait up to 1 s for an acknowledgement, a refusal or a lost connection; return whether one occurred.
+
+        An acknowledgement that `write` saw first has left no trace but the outbox's count, which was `dropped`.
+        """
         with connection.changed:
             return connection.changed.wait_for(
-                lambda: bool(self._acknowledged or self._refusal or connection.ended), 1.0
+                lambda: bool(self._acknowledged or self._outbox.dropped > dropped or self._refusal or connection.ended),
+                1.0,
             )
 
     def _on_result(self, number: int, refusal: BecalmError | None) -> None:

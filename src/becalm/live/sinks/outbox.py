@@ -48,6 +48,11 @@ class Outbox:
         Format, "arrow" or "json".
     gather_s : float
         Time for which outputs are collected into one message, in seconds; fewer messages cost less.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of messages that were delivered, and dropped.
     """
 
     def __init__(self, form: str, gather_s: float) -> None:
@@ -59,6 +64,7 @@ class Outbox:
         self._encoder = Encoder(form)
         self._waiting: deque[OutgoingMessage] = deque()
         self._in_flight: deque[tuple[int, OutgoingMessage]] = deque()
+        self.dropped = 0
 
     def begin(self, head: Head) -> None:
         """Prepare for a stream or a new connection; messages that were sent and not acknowledged are sent again."""
@@ -106,6 +112,7 @@ class Outbox:
         """Drop the acknowledged messages before the first unacknowledged one; remove their numbers from the set."""
         while self._in_flight and self._in_flight[0][0] in numbers:
             numbers.remove(self._in_flight.popleft()[0])
+            self.dropped += 1
 
     def drop_through(self, name: str) -> None:
         """Drop the messages up to the one called `name`, which the broker has stored; ignore an unknown name."""
@@ -113,6 +120,7 @@ class Outbox:
         if name in names:
             for _ in range(names.index(name) + 1):
                 self._waiting.popleft()
+                self.dropped += 1
 
     @property
     def in_flight(self) -> int:
