@@ -45,6 +45,15 @@ NUMERIC = {
     "hours": ("elapsed_h", 1 / 3600, "h"),
     "no unit, fractions": ("t", 1.0, "s"),
     "Arduino": ("millis", 1e3, "ms"),
+    "capitals": ("Time (Min)", 1 / 60, "min"),
+    "mS of a time": ("Time (mS)", 1e3, "ms"),
+    "words": ("t [mSec]", 1e3, "ms"),
+    "long words": ("Time (Microseconds)", 1e6, "us"),
+    "days": ("time (days)", 1 / 86_400, "d"),
+    "hr": ("time_hr", 1 / 3600, "h"),
+    "in minutes": ("Time in minutes", 1 / 60, "min"),
+    "the name is the unit": ("milliseconds", 1e3, "ms"),
+    "last word": ("timestampMs", 1e3, "ms"),
 }
 
 
@@ -54,6 +63,22 @@ def test_numbers_with_a_unit(header: str, per_second: float, unit: str, tmp_path
     assert source.layout.time_columns == (header,)
     assert source.layout.time_unit == unit
     np.testing.assert_allclose(source.recording.times_s, EVERY_10_MS, atol=1e-9)
+
+
+@pytest.mark.parametrize(("unit", "per_second"), [("hours", 1 / 3600), ("msec", 1e3), ("Microsecond", 1e6)])
+def test_a_unit_from_metadata(unit: str, per_second: float, tmp_path: Path) -> None:
+    stamps = pa.field("t", pa.float64(), metadata={"unit": unit})
+    schema = pa.schema([stamps, pa.field("force", pa.float64())])
+    pq.write_table(pa.table([EVERY_10_MS * per_second, np.sin(EVERY_10_MS)], schema=schema), tmp_path / "log.parquet")
+    assert read_source(tmp_path / "log.parquet").recording.rate_hz == pytest.approx(100)
+
+
+@pytest.mark.parametrize("header", ["Time (ticks)", "distance (m)"])
+def test_a_first_column_of_another_unit_is_no_time(header: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"(ticks|'m')"):
+        source_of(tmp_path, header, [f"{t:.2f}" for t in EVERY_10_MS])
+    with pytest.raises(TimeError, match=r"(ticks|'m')"):
+        source_of(tmp_path, header, [f"{t:.2f}" for t in EVERY_10_MS], time=header)
 
 
 def test_a_unit_from_the_row_of_units(tmp_path: Path) -> None:

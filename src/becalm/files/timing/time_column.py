@@ -14,7 +14,7 @@ from becalm.files.read_options import RequestOrigin
 from becalm.files.source import RawTable
 from becalm.files.text.cells import bad_cell, find_bad_cells, meant_as_numbers
 from becalm.files.timing import clock
-from becalm.files.units.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import TIME_UNITS, parse_header, time_unit
 
 _NAMES = re.compile(
     r"time|times|t|timestamp|timestamps|datetime|date|dateandtime|datetimeutc|clock|elapsed|"
@@ -25,7 +25,7 @@ _NAMES = re.compile(
     r"fechahora|tiempo|tijd|tid|tijdstip|czas"
 )
 _LIKE = re.compile(r"^(?:time|timestamp|elapsed|zeit)(?:since|stamp|from|utc|local|abs|rel|seit|\d)\w*$")
-_UNITS_OF_TIME = ("s", "ms", "us", "ns", "min", "h", "-", "1")  # "-" and "1" stand for no unit
+_UNITS = ("", *TIME_UNITS.values())
 _NEARLY_EVEN = 0.5  # largest distance of a nearly even step from the median step, as a share of it
 COUNT = "or give --rate HZ to count rows at a known rate"
 """The end of every message about a time that cannot be used."""
@@ -50,8 +50,8 @@ def kind_of_column(column: pa.ChunkedArray) -> str:
 
 def is_time_name(header: str) -> bool:
     """Return whether a header is a name for time, in one of several languages."""
-    bare, unit = parse_header(header)
-    if unit and unit not in _UNITS_OF_TIME:
+    bare = parse_header(header)[0]
+    if time_unit(header) not in _UNITS:
         return False
     plain = re.sub(r"[\W_]+", "", bare.rpartition(".")[2].lower())
     return _NAMES.fullmatch(plain) is not None or _LIKE.match(plain) is not None
@@ -69,7 +69,7 @@ def numbers(column: pa.ChunkedArray) -> Floats:
 def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     """Return the columns that may be the time; each entry is a column, or a date and a time of day together."""
     kinds = {name: kind_of_column(raw.head.column(name)) for name in raw.names}
-    named = [name for name, kind in kinds.items() if kind and is_time_name(name)]
+    named = [name for name, kind in kinds.items() if kind and is_time_name(name) and not _other_unit(raw, name, kind)]
     if not named:
         of_time = [n for n, k in kinds.items() if k in (clock.DATE_TIME, clock.DATE, clock.TIME_OF_DAY, TEMPORAL)]
         named = [name for name in of_time if not _is_empty(raw, name)] or of_time
@@ -83,6 +83,12 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     ]
     candidates = candidates or ([] if times_with_bad_cells(raw) else _first_column(raw, kinds))
     return candidates + [(name,) for name in _namesakes(raw, candidates, kinds)]
+
+
+def _other_unit(raw: RawTable, name: str, kind: str) -> str:
+    """Return the unit of a column of numbers if it is not a unit of time, otherwise ""."""
+    unit = time_unit(name, raw.units.get(name, ""))
+    return unit if kind == NUMBERS and unit not in _UNITS else ""
 
 
 def _is_empty(raw: RawTable, name: str) -> bool:
@@ -121,7 +127,7 @@ def bad_time_error(raw: RawTable, name: str) -> InputError:
 
 def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]:
     name = raw.names[0]
-    if kinds[name] != NUMBERS or len(raw.names) < 2:
+    if kinds[name] != NUMBERS or len(raw.names) < 2 or _other_unit(raw, name, NUMBERS):
         return []
     statistics = ColumnStatistics(raw.count)
     for column in raw.column(name):
@@ -160,9 +166,13 @@ def choose_time(raw: RawTable, found: list[tuple[str, ...]], asked: str | None) 
     if not found:
         for name in times_with_bad_cells(raw):
             raise bad_time_error(raw, name)
+        first = raw.names[0]
+        unit = _other_unit(raw, first, kind_of_column(raw.head.column(first)))
+        why = f"has the unit {unit!r}, which is not one of time" if unit else "does not rise evenly"
         raise InputError(
-            "There is no time column (no name means time, and the first column does not rise evenly)."
-            " Name it with --time COLUMN, " + COUNT + "."
+            f"There is no time column (no name means time, and the first column {why}). Name it with --time COLUMN, "
+            + COUNT
+            + "."
         )
     if len(found) > 1:
         listed = " or ".join(f"--time {columns[-1]!r}" for columns in found)

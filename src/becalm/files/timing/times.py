@@ -33,16 +33,13 @@ from becalm.files.timing.time_column import (
     numbers,
     times_with_bad_cells,
 )
-from becalm.files.units.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import TIME_UNITS, time_unit
 
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # number of each unit in a second
-SECONDS = {"min": 60.0, "h": 3600.0}  # length of each unit in seconds
+SECONDS = {"min": 60.0, "h": 3600.0, "d": 86_400.0}  # length of each unit in seconds
 
 _DAY_COUNTS = ((2.5e4, 7.5e4), (6.9e5, 7.7e5))  # Excel, MATLAB: years 1968 to 2105, 1889 to 2108
 _TEN_SECONDS = 10.0 / 86_400.0  # in days
-IMPLIED = {"millis": "ms", "micros": "us", "sec": "s", "secs": "s", "second": "s", "seconds": "s"}
-"""Units that the name of a column implies."""
-
 EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
 """Units of counts since 1970, each with the range of plausible counts: those of the years 1999 to 2103."""
 
@@ -200,8 +197,12 @@ def _ticks(column: pa.ChunkedArray) -> tuple[Integers, Booleans]:
 
 
 def _numeric(raw: RawTable, name: str) -> tuple[Stamps, TimeLayout]:
-    bare, unit = parse_header(name)
-    unit = raw.units.get(name, "") or unit or IMPLIED.get(bare.lower(), "")
+    unit = time_unit(name, raw.units.get(name, ""))
+    if unit not in ("", *TIME_UNITS.values()):
+        raise TimeError(
+            f"The time column {name!r} has the unit {unit!r}, which is not one of time. Write s, ms, us, ns, min, h or"
+            f" d in its name (as in '{name} (ms)'), {COUNT}."
+        )
     statistics = ColumnStatistics(raw.count)
     exact = pa.types.is_integer(raw.type_of(name)) and not any(column.null_count for column in raw.column(name))
     notes: tuple[str, ...] = ()

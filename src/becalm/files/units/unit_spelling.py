@@ -11,7 +11,7 @@ _OTHERS = (
     *("dB", "dBA", "dBm", "dBV", "dBFS", "pH", "bpm", "RH", "FS", "ADC", "adu", "inHg", "mmHg", "inH", "mmH", "cmH"),
     *("VDC", "VAC", "Vdc", "Vac", "Vrms", "Vpp", "grms", "gRMS", "RMS", "rms", "pk", "peak", "O", "Ah", "Wh", "VA"),
     *("var", "VAR", "Nm", "Ncm", "Nmm", "Deg", "gal", "lbs", "oz", "ksi", "ustrain", "mps", "kph", "kmh", "C", "F"),
-    *("psig", "psia", "sample", "samples"),
+    *("psig", "psia", "sample", "samples", "tick", "ticks", "cycle", "cycles", "frame", "frames"),
 )
 """Words that are units in a header, besides the names in `DEFINITIONS`."""
 
@@ -163,20 +163,25 @@ _AFTER_IN = re.compile(r"^(?P<name>.+?)\s+in\s+(?P<unit>\S+)\s*$")
 # A unit that follows only a space must contain one of these symbols; otherwise, the word is part of the name.
 _SIGN = re.compile(r"^(?P<name>.+?)\s+(?P<unit>\S*[\u00b0%/\\^\u00b2]\S*)\s*$")
 
+_TIME_WORDS = {
+    "s": "s sec secs second seconds sekunde sekunden",
+    "ms": "ms msec msecs millis millisec millisecs millisecond milliseconds",
+    "us": "us usec usecs micros microsec microsecs microsecond microseconds",
+    "ns": "ns nsec nsecs nanos nanosec nanosecs nanosecond nanoseconds",
+    "min": "min mins minute minutes minuten",
+    "h": "h hr hrs hour hours stunde stunden",
+    "d": "d day days tage",
+}
+TIME_UNITS = {word: unit for unit, words in _TIME_WORDS.items() for word in words.split()}
+"""Units of time by their spellings in lower case."""
+
 SUFFIXES: dict[str, str] = {
-    "s": "s",
+    **{word: unit for word, unit in TIME_UNITS.items() if word.endswith("s")},
     "sec": "s",
-    "secs": "s",
-    "seconds": "s",
-    "ms": "ms",
     "msec": "ms",
-    "us": "us",
     "usec": "us",
-    "ns": "ns",
     "nsec": "ns",
-    "min": "min",
     "h": "h",
-    "hours": "h",
     "mps": "m/s",
     "mps2": "m/s^2",
     "ms2": "m/s^2",
@@ -210,6 +215,7 @@ SUFFIXES: dict[str, str] = {
     "hpa": "hPa",
     "kpa": "kPa",
     "mpa": "MPa",
+    "mPa": "mPa",
     "bar": "bar",
     "mbar": "mbar",
     "degc": "degC",
@@ -221,6 +227,9 @@ SUFFIXES: dict[str, str] = {
     "rpm": "rpm",
 }
 """Units by the ending of names like `acc_0_mps2`; looked up as written, then in lower case if longer than a letter."""
+
+_TIME = re.compile(r"(?i)t|.*(?:time|elapsed|epoch|clock|zeit|tempo|tiempo|duration)(?:stamps?)?")
+"""Names behind which every word of `TIME_UNITS` is a unit: `time_min`; `temp_min` is a minimum."""
 
 _SPELLINGS = (
     ("\u03bc", "u"),  # Greek mu
@@ -266,21 +275,13 @@ _WHOLE = {  # other spellings of complete units
     "none": "",
     "None": "",
     "1": "",
-    "sec": "s",
-    "secs": "s",
-    "second": "s",
-    "Second": "s",
-    "seconds": "s",
-    "Seconds": "s",
-    "Sekunden": "s",
-    "msec": "ms",
-    "usec": "us",
-    "nsec": "ns",
-    "minutes": "min",
-    "hours": "h",
+    **TIME_UNITS,
     **dict.fromkeys(("volt", "Volt", "volts", "Volts", "VOLT"), "V"),
     **dict.fromkeys(("Amp", "amps", "Amps"), "A"),
 }
+
+_CLOCKS = ("utc", "gmt", "local", "unix", "epoch", "elapsed", "relative", "rel", "abs")
+"""Words in the brackets behind a time that are no units."""
 
 _UNIT_WORD = re.compile(
     r"^[\[(<]?\s*(?:-|--|%|G|[Ss]ec(?:ond)?s?|[Vv]olts?|[Aa]mps?|(?:[yzafpnumcdhkMGT]|da)?(?:s|sec|m|g|V|A|N|Nm|Pa|bar|Hz|T|Gauss|rad|deg|degC|C|K|W|J|Ohm|strain|"
@@ -295,13 +296,33 @@ def tidy_unit(text: str) -> str:
     while found := _ENCLOSED.match(unit):
         unit = found[1].strip()
     unit = _plain(unit)
-    return _WHOLE.get(unit, unit)
+    return _WHOLE.get(unit) or TIME_UNITS.get(unit.lower() if len(unit) > _LONG else unit, _WHOLE.get(unit, unit))
 
 
 def parse_header(header: str) -> tuple[str, str]:
     """Return the name of a column without its unit, and the unit, "" if there is none."""
     name, unit = _split_header(header)
     return name, on_sensor(name, unit)
+
+
+def time_unit(header: str, unit: str = "") -> str:
+    """Return the unit of a time column, "" if there is none.
+
+    Parameters
+    ----------
+    header : str
+        The name of the column; the unit may be its last word: `timestampMs`, `elapsed seconds`, `millis`.
+    unit : str
+        The unit that the file gives separately from the name.
+    """
+    bare, own = parse_header(header)
+    unit = (tidy_unit(unit) or own).partition(" since ")[0]
+    last = (re.findall(r"(?:[A-Z]?[a-z]+|[A-Z]+)$", bare) or [""])[0]
+    before = bare.removesuffix(last).rstrip(" _-.")
+    if not unit and (_TIME.fullmatch(before) or (not before and len(last) > 2)):
+        return TIME_UNITS.get(last.lower(), "")
+    spelt = unit.lower() if len(unit) > 2 or _TIME.fullmatch(bare) else unit  # an mS is a siemens, except of a time
+    return TIME_UNITS.get(spelt, "" if unit.lower() in _CLOCKS else unit)
 
 
 def on_sensor(name: str, unit: str) -> str:
@@ -329,6 +350,8 @@ def _split_header(header: str) -> tuple[str, str]:
             return found["name"].strip(), tidy_unit(found["unit"])
     name, underscore, last = header.strip().rpartition("_")
     unit = SUFFIXES.get(last) or (SUFFIXES.get(last.lower(), "") if len(last) > 1 else "")
+    if not unit and _TIME.fullmatch(name):
+        unit = TIME_UNITS.get(last.lower(), "")
     if underscore and name.strip("_") and unit:
         return name, unit
     return header.strip(), ""
@@ -336,7 +359,8 @@ def _split_header(header: str) -> tuple[str, str]:
 
 def looks_like_unit(text: str) -> bool:
     """Return whether a word of a header, or a cell below it, is a unit, a format of times, or a dash for no unit."""
-    return _UNIT_WORD.match(_plain(text.strip())) is not None
+    word = text.strip()
+    return _UNIT_WORD.match(_plain(word)) is not None or (len(word) > _LONG and word.lower() in TIME_UNITS)
 
 
 def _plain(text: str) -> str:

@@ -14,8 +14,8 @@ import pyarrow as pa
 from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.text.cells import MISSING, TIME, kind_of
-from becalm.files.timing.times import EPOCHS, IMPLIED, PER_SECOND, SECONDS
-from becalm.files.units.unit_spelling import parse_header
+from becalm.files.timing.times import EPOCHS, PER_SECOND, SECONDS
+from becalm.files.units.unit_spelling import parse_header, time_unit
 
 Cell = object
 """Text of CSV, or a value of JSON: a float, None, text or anything else."""
@@ -131,8 +131,7 @@ def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
 
 
 def _number_stamps(name: str, unit: str, first: float) -> NumberStamps:
-    bare, header_unit = parse_header(name)
-    unit = unit or header_unit or IMPLIED.get(bare.lower(), "")
+    unit = time_unit(name, unit)
     if unit in SECONDS:
         return NumberStamps(factor=SECONDS[unit])
     if unit not in PER_SECOND:
