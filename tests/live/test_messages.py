@@ -154,6 +154,34 @@ def test_units_are_heard_in_json() -> None:
     assert (held.names, held.units) == (("ax", "ay"), ("", "g"))
 
 
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_message_in_another_unit_is_garbled(form: str) -> None:
+    held = reader()
+    for unit in ("m/s^2", "g", "", "m/s^2"):
+        held.read(Encoder(form, {"ax": unit}).message({"time": np.zeros(1), "ax": np.ones(1)}, 0), 0.0)
+    (loss,) = held.losses()
+    assert (loss.rows, held.units) == (1, ("m/s^2",))
+    assert "whose 'ax' is in 'g', not in 'm/s^2' as at first" in loss.says
+
+
+def test_a_unit_follows_its_channel_in_another_order() -> None:
+    held = reader()
+    good(held, b'{"ax": 1, "ay": 2, "units": {"ax": "m/s^2", "ay": "g"}}')
+    good(held, b'{"ay": 2, "ax": 1, "units": {"ax": "m/s^2", "ay": "g"}}')
+    assert held.read(b'{"ay": 2, "ax": 1, "units": {"ax": "g", "ay": "m/s^2"}}', 0.0) is None
+
+
+def test_no_unit_is_not_the_word_none() -> None:
+    held = reader()
+    good(held, b'{"ax": 1, "units": {"ax": null}}')
+    assert held.units == ("",)
+
+
+def test_columns_of_one_name_are_refused() -> None:
+    with pytest.raises(UsageError, match="columns= has 'ax' twice; give each of them another name"):
+        reader("?columns=time,ax,ax")
+
+
 def test_arrow_of_other_writers_is_read() -> None:
     stamps = pa.array([1_700_000_000_000, 1_700_000_000_010], pa.timestamp("ms", tz="UTC"))
     small = pa.array([1, None], pa.int16())

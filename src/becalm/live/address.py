@@ -101,8 +101,18 @@ class Address:
         return text
 
     def names(self, name: str) -> tuple[str, ...]:
-        """Return an option that is a comma-separated list of names; () if it is absent."""
-        return tuple(part.strip() for part in self.options.get(name, "").split(",") if part.strip())
+        """Return an option that is a comma-separated list of names; () if it is absent.
+
+        Raises
+        ------
+        UsageError
+            If it has a name twice.
+        """
+        names = tuple(part.strip() for part in self.options.get(name, "").split(",") if part.strip())
+        twice = next((one for one in names if names.count(one) > 1), None)
+        if twice is not None:
+            raise UsageError(f"{self.kind}: {name}= has {twice!r} twice; give each of them another name.")
+        return names
 
 
 def seconds_of(what: str, text: str) -> float:

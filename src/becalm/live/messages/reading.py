@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -61,8 +62,9 @@ class MessageRows:
 class MessageReader:
     """A reader of the messages of one stream; unreadable messages are counted and raise no error.
 
-    The first readable message determines the channels, and whether there are stamps and row numbers; a message that
-    differs in these is garbled. The order of the columns may differ, because channels are found by name.
+    The first readable message determines the channels and their units, and whether there are stamps and row numbers; a
+    message that differs in these is garbled. The order of the columns may differ, because channels are found by name,
+    and a message may leave units out.
 
     Arrow is an IPC stream of numeric columns, with the unit as `unit` in a field's metadata. JSON is an object of
     numbers (a row) or of lists (columns), or a list of row objects; it may contain an object `units`. CSV needs the
@@ -156,14 +158,25 @@ class MessageReader:
             self.names, self.units, self._shape = message.names, message.units, shape
         if shape != self._shape:
             raise UnreadableMessageError("which differs from the first message in having stamps or row numbers")
-        if message.names == self.names:
-            return MessageRows(message.seq, message.time_s, message.values, arrived_s)
         if sorted(message.names) != sorted(self.names):
             raise UnreadableMessageError(
                 f"whose channels are {', '.join(message.names)[:80]}, not {', '.join(self.names)[:80]}"
             )
-        values = np.ascontiguousarray(message.values[:, [message.names.index(name) for name in self.names]])
+        values = message.values
+        if message.names != self.names:
+            order = [message.names.index(name) for name in self.names]
+            message = replace(message, units=tuple(message.units[place] for place in order))
+            values = np.ascontiguousarray(values[:, order])
+        if message.units != self.units:
+            _check_units(message.units, self.units, self.names)
         return MessageRows(message.seq, message.time_s, values, arrived_s)
+
+
+def _check_units(units: Sequence[str], first: Sequence[str], names: Sequence[str]) -> None:
+    """Raise UnreadableMessageError for a unit that differs from the first message's; "" is no statement."""
+    for unit, known, name in zip(units, first, names, strict=True):
+        if unit not in ("", known):
+            raise UnreadableMessageError(f"whose {name[:40]!r} is in {unit[:20]!r}, not in {known[:20]!r} as at first")
 
 
 def _check(message: ParsedMessage) -> None:

@@ -41,7 +41,7 @@ def from_json(payload: bytes, finder: RoleFinder) -> ParsedMessage:
         raise UnreadableMessageError(f"which has {len(time_s)} stamps for {rows} rows")
     return ParsedMessage(
         tuple(name for _, name, _ in channels),
-        tuple(str(units.get(column, unit)) for column, _, unit in channels),
+        tuple(str(units.get(column) or unit) for column, _, unit in channels),
         None if roles.seq is None else _seq(message[SEQ], rows),
         time_s,
         np.stack(columns, axis=1),
