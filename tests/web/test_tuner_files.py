@@ -12,7 +12,7 @@ import pytest
 
 from app_runs import App, tuner
 from becalm.core.recording import Recording
-from becalm.files.outputs.writing import write
+from becalm.files.writing import write
 from served import until
 from tuning import Look, chromium, drive, looking
 
@@ -38,7 +38,7 @@ def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[App]:
     drive(folder / "drive.parquet")
     shutil.copy(folder / "drive.parquet", folder / "second.parquet")
     rng = np.random.default_rng(6)
-    z = np.cumsum(rng.normal(0, 2e-3, SPIKED_ROWS)) + rng.normal(0, 0.3, SPIKED_ROWS)
+    z = np.sin(np.arange(SPIKED_ROWS) / 16_000) + rng.normal(0, 0.3, SPIKED_ROWS)
     z[SPIKE_ROW] = z.max() + np.ptp(z)
     write(folder / "spiked.npz", Recording(z, names=["a"], units=["V"], rate_hz=1000.0))
     with tuner(folder) as running:
@@ -94,7 +94,8 @@ def test_a_list_of_files_that_was_asked_for_stays_where_another_page_opens_one(a
     assert not listed.is_visible()
 
 
-def test_a_dial_is_not_turned_back_by_what_was_told_before(app: App, look: Look) -> None:
+def test_a_dial_is_not_turned_back_by_what_was_told_before(tmp_path: Path, look: Look) -> None:
+    drive(tmp_path / "drive.parquet")
     held: list[str | bytes] = []
     tell = held.append
 
@@ -108,23 +109,24 @@ def test_a_dial_is_not_turned_back_by_what_was_told_before(app: App, look: Look)
         page.wait_for_timeout(10)  # while it hears
         return len(held) >= states
 
-    visit = look(app)
-    page, dial = visit.page, visit.page.locator("#dial")
-    page.route_web_socket("**/wire", hold_states)
-    page.reload()
-    until(lambda: came(1))
-    tell(held.pop())
-    visit.opened("drive.parquet")
-    page.keyboard.press("]")
-    page.keyboard.press("]")
-    turned = dial.input_value()
-    until(lambda: came(2))
-    tell(held[0])
-    page.wait_for_function("() => becalm.desk.state.can_undo")
-    assert dial.input_value() == turned
-    tell(held[1])
-    page.wait_for_function("() => becalm.desk.turned === null")
-    assert float(dial.input_value()) == pytest.approx(float(turned), abs=1e-3)
+    with tuner(tmp_path) as app:
+        visit = look(app)
+        page, dial = visit.page, visit.page.locator("#dial")
+        page.route_web_socket("**/wire", hold_states)
+        page.reload()
+        until(lambda: came(1))
+        tell(held.pop())
+        visit.opened("drive.parquet")
+        page.keyboard.press("]")
+        page.keyboard.press("]")
+        turned = dial.input_value()
+        until(lambda: came(2))
+        tell(held[0])
+        page.wait_for_function("() => becalm.desk.state.can_undo")
+        assert dial.input_value() == turned
+        tell(held[1])
+        page.wait_for_function("() => becalm.desk.turned === null")
+        assert float(dial.input_value()) == pytest.approx(float(turned), abs=1e-3)
 
 
 def test_what_was_done_outlives_a_reload_and_a_new_start(tmp_path: Path, look: Look) -> None:
