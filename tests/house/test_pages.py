@@ -40,7 +40,11 @@ RUN = [
 
 
 @pytest.mark.parametrize("page", RUN)
-def test_documented_code_runs_and_prints_what_the_page_says(page: Path, tmp_path: Path) -> None:
+def test_documented_code_runs_and_prints_what_the_page_says(
+    page: Path, tmp_path: Path, spark_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in spark_environment.items() if page.name == SPARK else ():
+        monkeypatch.setenv(name, value)
     assert rewritten(page, tmp_path) == page.read_text(encoding="utf-8"), "write it anew: python docs/blocks.py"
 
 
