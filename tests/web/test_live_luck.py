@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
 from becalm.core.recording import Recording
-from becalm.files.writing import write
+from becalm.files.outputs.writing import write
 from live_looks import drawn, settle
 from live_page_runs import LiveApp, shown_live
 from tuning import Visit, chromium, visiting

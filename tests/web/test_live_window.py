@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from becalm.cleaning.recipe import ChannelRecipe, Origin, Recipe
-from becalm.cleaning.recipe_parts import GateRecipe, ModeRecipe, SwitchingRecipe
+from becalm.cleaning.recipes.recipe import ChannelRecipe, Origin, Recipe
+from becalm.cleaning.recipes.recipe_parts import GateRecipe, ModeRecipe, SwitchingRecipe
 from becalm.core.recording import Recording
-from becalm.files.writing import write
+from becalm.files.outputs.writing import write
 from live_looks import COLUMNS, PIXELS, drawn, pixels, recipe_now, settle, tune_by_key
 from live_page_runs import LiveApp, shown_live
 from tuning import NAMELESS, Visit, chromium, visiting

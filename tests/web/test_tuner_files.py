@@ -12,7 +12,7 @@ import pytest
 
 from app_runs import App, tuner
 from becalm.core.recording import Recording
-from becalm.files.writing import write
+from becalm.files.outputs.writing import write
 from served import until
 from tuning import Look, chromium, drive, looking
 
