@@ -16,7 +16,7 @@ from becalm.live.protocols import StorageFullError
 from journal_writer import path, writing
 from journals import EPOCH_S, HEAD, assert_rows, checkpoint_at, fill, journal_in, rows_of
 
-KILLS = 20
+KILLS = 12
 
 
 @pytest.mark.slow
