@@ -108,13 +108,13 @@ class SpooledRows:
 
     def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
         """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
-        reader = self._reader(names)
+        reader, schema = self._reader(names), pa.schema(map(self.schema.field, names), self.schema.metadata)
         for number, end in enumerate(self._ends):
             if end <= start:
                 continue
             batch = reader.get_batch(number)
             first = max(0, start - (end - batch.num_rows))
-            table = pa.Table.from_batches([batch]).select(list(names))
+            table = pa.table(pa.Table.from_batches([batch]).select(list(names)).columns, schema=schema)
             for at in range(first, batch.num_rows, most_rows):
                 yield table.slice(at, most_rows)
 

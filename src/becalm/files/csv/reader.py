@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from becalm.files.csv.sniffing import Dialect, sniff
 from becalm.files.decoding import decode
 from becalm.files.rows import MemoryRows
 from becalm.files.source import RawTable, TextLayout
-from becalm.files.text.cells import COMMA, MISSING, MISSING_CELL, NUMBER, TIME, to_numbers
+from becalm.files.text.cells import COMMA, MISSING, MISSING_CELL, NUMBER, TIME, is_text, to_numbers
 from becalm.files.text.csv_header import unique_names
 
 _EXACT = 1e15  # float64 is exact for whole numbers up to this, and for some larger ones
@@ -41,7 +41,9 @@ def read_csv(path: Path, data: bytes) -> RawTable:
     table, decimal = _parse(path, body, dialect, names)
     table = table.select(without_padding(dialect, names, [column.null_count == len(table) for column in table.columns]))
     layout = text_layout(text.encoding, text.compression, dialect, decimal)
-    raw = RawTable(MemoryRows(table), table.num_rows, "csv", units_of(dialect, names), layout)
+    units = units_of(dialect, names)
+    table = pa.table(table.columns, schema=schema_with_units(table.schema, units))
+    raw = RawTable(MemoryRows(table), table.num_rows, "csv", units, layout)
     return with_rate(with_truncation_notes(raw, text.cut, last), dialect.header.rate_hz)
 
 
@@ -61,6 +63,15 @@ def text_layout(encoding: str, compression: str, dialect: Dialect, decimal: str)
 def units_of(dialect: Dialect, names: Sequence[str]) -> dict[str, str]:
     """Return the units from the row of units, by column name."""
     return {name: unit for name, unit in zip(names, dialect.header.units, strict=True) if unit}
+
+
+def schema_with_units(schema: pa.Schema, units: Mapping[str, str]) -> pa.Schema:
+    """Return a schema whose columns of numbers hold their units from a row of units, so that outputs hold them."""
+    numeric = (field.name for field in schema if not is_text(field.type) and field.name in units)
+    for name in numeric:
+        at = schema.get_field_index(name)
+        schema = schema.set(at, schema.field(at).with_metadata({b"unit": units[name].encode()}))
+    return schema
 
 
 def _parse(path: Path, body: bytes, dialect: Dialect, names: Sequence[str]) -> tuple[pa.Table, str]:

@@ -23,6 +23,7 @@ from becalm.files.csv.reader import (
     has_decimal_commas,
     is_conversion_error,
     numbers_of,
+    schema_with_units,
     text_layout,
     units_of,
     without_padding,
@@ -81,8 +82,10 @@ class _Spooling:
             raise
         empty = [missing == rows.count for missing in rows.missing]
         rows.keep(without_padding(self._dialect, self._names, empty))
+        units = units_of(self._dialect, self._names)
+        rows.schema = schema_with_units(rows.schema, units)
         layout = text_layout(self._text.encoding, self._text.compression, self._dialect, decimal)
-        raw = RawTable(rows, rows.count, "csv", units_of(self._dialect, self._names), layout)
+        raw = RawTable(rows, rows.count, "csv", units, layout)
         return with_rate(with_truncation_notes(raw, self._text.cut, self._last), self._dialect.header.rate_hz)
 
     def _body(self) -> Iterator[bytes]:

@@ -13,6 +13,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.errors import OutputError
+from becalm.files.outputs.column_arrays import unit_of_field
+from becalm.files.timing.time_column import is_time_name
+from becalm.files.units.unit_spelling import time_unit
 
 _ROWS = 1 << 16  # rows that are written at once
 _LONG, _EXACT = 1e10, 2.0**53  # whole floats between these magnitudes are written as digits, without an exponent
@@ -44,7 +47,7 @@ class CsvRows:
             If CSV cannot hold a column.
         """
         if not self._has_header:
-            self._file.write(_header(table.column_names))
+            self._file.write(_header([_named_with_unit(field) for field in table.schema]))
             self._has_header = True
         _refuse_strange_types(table.schema)
         for start in range(0, table.num_rows, _ROWS):
@@ -66,6 +69,17 @@ class GzippedCsvRows(CsvRows):
 
     def __init__(self, file: IO[bytes]) -> None:
         super().__init__(file, packed=True)
+
+
+def _named_with_unit(field: pa.Field) -> str:
+    """Return the name of a column; a time gets its unit behind its name, unless the name holds it already."""
+    unit = unit_of_field(field)
+    numeric = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
+    return (
+        f"{field.name} ({unit})"
+        if unit and numeric and is_time_name(field.name) and not time_unit(field.name)
+        else field.name
+    )
 
 
 def _header(names: list[str]) -> bytes:
