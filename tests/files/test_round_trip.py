@@ -17,8 +17,9 @@ from asammdf import MDF
 from nptdms import TdmsFile
 from scipy.io import loadmat
 
+from becalm.cli.times import with_time_column
 from becalm.errors import OutputError
-from becalm.files import open_output
+from becalm.files import open_output, open_source
 from becalm.files.inputs.opening import OpenSource
 from becalm.files.outputs.tables import verdict_words
 from becalm.files.outputs.writing import write_table
@@ -256,6 +257,29 @@ def test_the_master_is_the_time_in_seconds_or_counts_rows(
         np.testing.assert_array_equal(log.get(name).samples, column)
     (found,) = tables(tmp_path / "a.mf4")
     assert found.names == ([name, "b"] if seconds is None else ["time_s", name, "b"])
+
+
+@pytest.mark.parametrize(
+    ("header", "first", "options"),
+    [
+        ("millis,x", 500, ReadOptions()),
+        ("time,x", 1_700_000_000_000, ReadOptions()),
+        ("t,x\nms,m", 500, ReadOptions()),
+        ("time_s,x", 0, ReadOptions(rate_hz=100.0)),
+    ],
+    ids=["name", "epoch", "row of units", "rate"],
+)
+def test_the_master_of_a_cleaned_file_is_its_own_clock(
+    header: str, first: int, options: ReadOptions, tmp_path: Path
+) -> None:
+    (tmp_path / "a.csv").write_text(header + "\n" + "".join(f"{first + 10 * i},{i * i % 7}\n" for i in range(9)))
+    with open_source(tmp_path / "a.csv", options) as source, open_output(tmp_path / "a.mf4") as out:
+        write_rows = with_time_column(tmp_path / "a.mf4", source, out.write)
+        for chunk in source.chunks(4):
+            write_rows(chunk.table)
+    with MDF(tmp_path / "a.mf4") as log:
+        begin = first / 1000 if first < 1000 else 0.0
+        np.testing.assert_allclose(log.get_master(0), begin + np.arange(9) / 100, atol=1e-12)
 
 
 def test_words_that_come_late_are_told_too(tmp_path: Path, tables: Tables) -> None:

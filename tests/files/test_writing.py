@@ -87,6 +87,15 @@ def test_output_has_the_rows_columns_and_text_of_the_file(tmp_path: Path) -> Non
     assert again.table["note"].to_pylist() == ["a", "", "NA", "b, c"]
 
 
+def test_the_unit_of_a_time_from_a_row_of_units_stays(tmp_path: Path) -> None:
+    path = save(tmp_path, "t,x\nms,m\n" + "".join(f"{i / 10:.1f},{i * i % 7}\n" for i in range(20)))
+    write_table(tmp_path / "out.csv", cleaned(path))
+    write_table(tmp_path / "out.parquet", cleaned(path))
+    assert (tmp_path / "out.csv").read_text().startswith("t (ms),x,x_sigma\n0,")
+    assert read_source(tmp_path / "out.csv").recording.rate_hz == pytest.approx(1e4)
+    assert read_source(tmp_path / "out.parquet").recording.rate_hz == pytest.approx(1e4)
+
+
 def test_plain_text_is_written_without_quotes(tmp_path: Path) -> None:
     text = "Zeit;Wert;Notiz\n" + "".join(f"07.03.2022 16:35:15,60{i};{i % 3},5;ok\n" for i in range(9))
     write_table(tmp_path / "out.csv", cleaned(save(tmp_path, text)))

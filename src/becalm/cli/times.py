@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from becalm.cli.messages import print_columns, print_notes, stderr
 from becalm.errors import UsageError
 from becalm.files.outputs.tables import with_time
-from becalm.files.registry import format_to_write, stores_several_times
+from becalm.files.registry import MF4, format_to_write, stores_several_times
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -39,7 +39,8 @@ def refuse_several_time_bases(output: Path, groups: Sequence[str]) -> None:
 
 def with_time_column(output: Path, source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
     """Return a function that writes tables of a time base; it adds a time column if the output can have several."""
-    return with_time(source, write) if stores_several_times(format_to_write(output)) else write
+    form = format_to_write(output)
+    return with_time(source, write, always=form == MF4) if stores_several_times(form) else write
 
 
 def copy_other_groups(output: Path, opened: OpenFile, write: Callable[[pa.Table], None]) -> None:

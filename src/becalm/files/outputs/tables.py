@@ -16,6 +16,7 @@ from becalm.errors import RecordingError
 from becalm.files.groups import START, TIME
 from becalm.files.inputs.opening import OpenSource
 from becalm.files.roles import SIGMA
+from becalm.files.source import TIME as TIME_ROLE
 from becalm.files.source import SourceFile
 from becalm.files.timing.time_column import is_time_name
 
@@ -165,7 +166,9 @@ def _refuse_unknown_channels(source: SourceFile, signal: Recording, sigma: Recor
 # Add a column of time in seconds to the rows of a file that has no numeric time column.
 
 
-def with_time(source: OpenSource, write: Callable[[pa.Table], None]) -> Callable[[pa.Table], None]:
+def with_time(
+    source: OpenSource, write: Callable[[pa.Table], None], always: bool = False
+) -> Callable[[pa.Table], None]:
     """Return a writer that puts a column of time in seconds first, unless the file has a numeric time column.
 
     Other programs read dates and times of day as text, and a rate from the command line is not in any column.
@@ -176,15 +179,21 @@ def with_time(source: OpenSource, write: Callable[[pa.Table], None]) -> Callable
         The file. Its rows must be written in order.
     write : callable
         Writes the next rows, a pyarrow table.
+    always : bool
+        Whether to put the time first even if the file has a numeric time column, unless that is `time_s` and the
+        source's own: a format with a time of its own, as MF4, would take another column for seconds.
 
     Returns
     -------
     callable
         `write` itself if the file has a numeric time column; else a function that adds the time and calls `write`.
     """
-    if TIME in source.schema.names or any(_is_numeric_time(field) for field in source.schema):
+    own = any(column.name == TIME and column.role == TIME_ROLE for column in source.columns)
+    if own or (not always and any(_is_numeric_time(field) for field in source.schema)):
         return write
-    row, steps = 0, 0.0
+    names = source.schema.names
+    field = _FIELD.with_name(next(name for n in range(len(names) + 1) if (name := TIME + "_" * n) not in names))
+    row, steps = 0, source.clock.start_s / source.clock.step_s if always else 0.0
     start = {START: source.start} if source.start else {}
 
     def write_timed(table: pa.Table) -> None:
@@ -192,7 +201,7 @@ def with_time(source: OpenSource, write: Callable[[pa.Table], None]) -> Callable
         elapsed = steps + np.cumsum(source.elapsed_steps(row, table.num_rows))
         if len(elapsed):
             row, steps = row + table.num_rows, float(elapsed[-1])
-        timed = table.add_column(0, _FIELD, pa.array(elapsed * source.clock.step_s))
+        timed = table.add_column(0, field, pa.array(elapsed * source.clock.step_s))
         write(timed.replace_schema_metadata({**(table.schema.metadata or {}), **start}))
 
     return write_timed

@@ -16,7 +16,7 @@ from becalm.files.outputs.column_arrays import is_text, numbers_of, texts_of, un
 from becalm.files.recorders.mf4_columns import NO_START
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.timing.times import PER_SECOND, SECONDS
-from becalm.files.units.unit_spelling import parse_header
+from becalm.files.units.unit_spelling import time_unit
 
 _MOST_WORDS = 1 << 16  # distinct words of a channel; their codes have 16 bits
 _TIME, _INDEX = ("time", 1), ("index", 4)  # names of masters, and their synchronisation types
@@ -56,8 +56,8 @@ class MdfTable:
         """Append rows; the first ones define the channels."""
         if not table.num_rows:
             return
-        times, kind = self._master(table)
-        fields = [field for field in table.schema if field.name != TIME or kind == _INDEX] or list(table.schema)
+        times, kind, master = self._master(table)
+        fields = [field for field in table.schema if field.name != master] or list(table.schema)
         samples = [self._samples(field, table.column(field.name)) for field in fields]
         if self._number is None:
             self._first_s = float(times[0]) if len(times) and np.isfinite(times[0]) else 0.0
@@ -95,16 +95,21 @@ class MdfTable:
         ]
         return int(log.append(signals, acq_name=self._group, comment="", common_timebase=True))
 
-    def _master(self, table: pa.Table) -> tuple[Floats, tuple[str, int]]:
-        """Return the times of rows in s, or their numbers if no column is a time, and the kind of master."""
+    def _master(self, table: pa.Table) -> tuple[Floats, tuple[str, int], str]:
+        """Return the times of rows in s, the kind of master, and the column that is only the master.
+
+        A time in seconds that comes first, from `with_time`, precedes other columns; rows without times are counted.
+        """
         named = [name for name in table.column_names if is_time_name(name)]
-        for name in [TIME] if TIME in named else named:
+        first = table.column_names[0]
+        for name in [first] if first.rstrip("_") == TIME else [TIME] if TIME in named else named:
             column = table.column(name)
             if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
-                unit = unit_of_field(table.schema.field(name)) or parse_header(name)[1]
+                unit = time_unit(name, unit_of_field(table.schema.field(name)))
                 values = numbers_of(column)[0].astype(np.float64)
-                return values * SECONDS[unit] if unit in SECONDS else values / PER_SECOND.get(unit, 1.0), _TIME
-        return np.arange(self._rows, self._rows + table.num_rows, dtype=np.float64), _INDEX
+                seconds = values * SECONDS[unit] if unit in SECONDS else values / PER_SECOND.get(unit, 1.0)
+                return seconds, _TIME, name if name in (TIME, first) and name.rstrip("_") == TIME else ""
+        return np.arange(self._rows, self._rows + table.num_rows, dtype=np.float64), _INDEX, ""
 
     def _samples(self, field: pa.Field, column: pa.ChunkedArray) -> Samples:
         """Return values, and a mask of invalid ones if there may be any; floats use NaN instead."""
