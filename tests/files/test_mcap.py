@@ -10,6 +10,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_idl, get_typestore
 
 from becalm.errors import InputError
+from becalm.files import open_source
 from robot_logs import EPOCH_NS, by_name, json_log, read_through, whole
 
 LOGGED = "The time is when messages were logged, because its messages have no stamp of their own."
@@ -167,3 +168,10 @@ def test_types_without_an_end_are_left_out(tmp_path: Path) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
     with pytest.raises(InputError, match="the file does not define their types correctly: /x"):
         read_through(path)
+
+
+def test_a_stamp_in_the_messages_is_no_signal(tmp_path: Path) -> None:
+    messages = [(EPOCH_NS + row * 10**7, {"timestamp": 0.013 * row, "x": row % 7 / 3}) for row in range(9)]
+    with open_source(json_log(tmp_path / "a", messages)) as source:
+        assert source.names == ("x",)
+        assert [column.why for column in source.columns if column.name == "timestamp"] == ["another time"]

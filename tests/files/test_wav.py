@@ -15,7 +15,7 @@ from scipy.io import wavfile
 
 import becalm
 from becalm.errors import BecalmError, InputError
-from becalm.files import open_source
+from becalm.files import ReadOptions, open_source
 from becalm.files.registry import read_tables
 
 ROWS = 300
@@ -93,6 +93,13 @@ def test_the_unit_is_said_to_be_outside(tmp_path: Path) -> None:
     assert table.units == {"time_s": "s"}
     (table,) = read_tables(written(tmp_path, wav(WAVES)))
     assert table.notes == ()
+
+
+def test_a_rate_from_the_command_line_is_that_of_the_written_time(tmp_path: Path) -> None:
+    path = written(tmp_path, wav(WAVES.astype(np.float32)))
+    with open_source(path, ReadOptions(rate_hz=16_000.0)) as source:
+        assert source.rate_hz == 16_000.0
+        np.testing.assert_array_equal(source.table()["time_s"].to_numpy(), np.arange(ROWS) * (1 / 16_000))
 
 
 def test_a_chunk_is_a_slice_of_the_whole(tmp_path: Path) -> None:

@@ -7,12 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
-import numpy as np
-import pyarrow as pa
-
 from becalm.files.column_statistics import ColumnStatistics
 from becalm.files.groups import TIME
-from becalm.files.rows import TableRows
+from becalm.files.rows import RowsWithTime
 from becalm.files.source import FormatTime, RawTable
 from becalm.files.text.cells import split
 from becalm.files.timing.time_column import NUMBERS, find_time, kind_of_column, numbers
@@ -49,7 +46,7 @@ def with_rate(raw: RawTable, rate_hz: float | None) -> RawTable:
     if rate_hz is None or _has_times(raw):
         return raw
     time = next(name for number in range(len(raw.names) + 1) if (name := TIME + "_" * number) not in raw.names)
-    rows = _RowsWithTime(raw.rows, time, rate_hz)
+    rows = RowsWithTime(raw.rows, time, rate_hz)
     return replace(raw, rows=rows, units={time: "s", **raw.units}, time=FormatTime(time, rate_hz))
 
 
@@ -88,24 +85,3 @@ def _has_times(raw: RawTable) -> bool:
     for column in raw.column(name):
         statistics.add(numbers(column))
     return not statistics.counts
-
-
-class _RowsWithTime:
-    """Rows with a first column of time in seconds at an even rate."""
-
-    def __init__(self, rows: TableRows, name: str, rate_hz: float) -> None:
-        self._rows, self._name, self._step_s = rows, name, 1 / rate_hz
-        self.schema: pa.Schema = rows.schema.insert(0, pa.field(name, pa.float64()))
-        self.count = rows.count
-
-    def blocks(self, names: Sequence[str], most_rows: int, start: int = 0) -> Iterator[pa.Table]:
-        """Yield the named columns from row `start` on, in blocks of up to `most_rows`."""
-        stored = [name for name in names if name != self._name] or self._rows.schema.names[:1]
-        for block in self._rows.blocks(stored, most_rows, start):
-            seconds = pa.array(np.arange(start, start + block.num_rows) * self._step_s)
-            yield block.append_column(self._name, seconds).select(list(names))
-            start += block.num_rows
-
-    def close(self) -> None:
-        """Close the rows of the file."""
-        self._rows.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 import numpy as np
 import pyarrow as pa
@@ -69,7 +70,7 @@ def numbers(column: pa.ChunkedArray) -> Floats:
 def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     """Return the columns that may be the time; each entry is a column, or a date and a time of day together."""
     kinds = {name: kind_of_column(raw.head.column(name)) for name in raw.names}
-    named = [name for name, kind in kinds.items() if kind and is_time_name(name) and not _other_unit(raw, name, kind)]
+    named = times_by_name(raw, kinds)
     if not named:
         of_time = [n for n, k in kinds.items() if k in (clock.DATE_TIME, clock.DATE, clock.TIME_OF_DAY, TEMPORAL)]
         named = [name for name in of_time if not _is_empty(raw, name)] or of_time
@@ -83,6 +84,12 @@ def find_time(raw: RawTable) -> list[tuple[str, ...]]:
     ]
     candidates = candidates or ([] if times_with_bad_cells(raw) else _first_column(raw, kinds))
     return candidates + [(name,) for name in _namesakes(raw, candidates, kinds)]
+
+
+def times_by_name(raw: RawTable, kinds: Mapping[str, str] | None = None) -> list[str]:
+    """Return the columns that can be read as a time and have a name for it; `kinds` are those of all columns."""
+    kinds = kinds or {name: kind_of_column(raw.head.column(name)) for name in raw.names}
+    return [name for name, kind in kinds.items() if kind and is_time_name(name) and not _other_unit(raw, name, kind)]
 
 
 def _other_unit(raw: RawTable, name: str, kind: str) -> str:

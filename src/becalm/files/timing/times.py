@@ -15,7 +15,7 @@ from becalm.core.arrays import Booleans, Floats, Integers
 from becalm.errors import SensorError, TimeError
 from becalm.files.column_statistics import ColumnStatistics
 from becalm.files.read_options import ReadOptions
-from becalm.files.rows import Spool
+from becalm.files.rows import RowsWithTime, Spool
 from becalm.files.source import RawTable, TimeLayout
 from becalm.files.text.cells import meant_as_numbers, without_blank_end
 from becalm.files.timing import clock
@@ -31,6 +31,7 @@ from becalm.files.timing.time_column import (
     kind_of_column,
     named_column,
     numbers,
+    times_by_name,
     times_with_bad_cells,
 )
 from becalm.files.units.unit_spelling import TIME_UNITS, time_unit
@@ -332,11 +333,12 @@ def row_times(raw: RawTable, options: ReadOptions) -> RowTimes:
         If there is no time or more than one, or it cannot be read.
     """
     if raw.time is not None and options.rate_hz is None and options.time is None:
+        others = tuple(name for name in times_by_name(raw) if name != raw.time.column)
         if raw.time.rate_hz is not None:
             layout = TimeLayout((raw.time.column,), "rate in the file", "s", raw.time.start)
-            return RowTimes(raw, layout, None, raw.time.rate_hz)
+            return RowTimes(raw, layout, None, raw.time.rate_hz, others)
         stamps, layout = read_time(raw, (raw.time.column,), options.as_written)
-        return RowTimes(raw, replace(layout, start=raw.time.start), stamps, None)
+        return RowTimes(raw, replace(layout, start=raw.time.start), stamps, None, others)
     times = find_time(raw)
     if (count := without_blank_end(raw, times)) < raw.count:
         raw = replace(raw, count=count)
@@ -345,6 +347,8 @@ def row_times(raw: RawTable, options: ReadOptions) -> RowTimes:
     if options.rate_hz is None:
         stamps, layout = read_time(raw, choose_time(raw, times, options.time), options.as_written)
         return RowTimes(raw, layout, stamps, None, tuple(candidates))
+    if raw.time is not None and raw.time.rate_hz is not None:  # that column is not of the file
+        raw = replace(raw, rows=RowsWithTime(raw.rows, raw.time.column, options.rate_hz))
     if options.time is not None:
         candidates.append(named_column(raw, options.time, TIME_OPTION))
     return RowTimes(raw, TimeLayout((), "counted rows"), None, options.rate_hz, tuple(candidates))
