@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from becalm.errors import UsageError
+from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.block import Block, LossKind
 from becalm.live.lines.columns import LineOptions
@@ -249,6 +250,75 @@ def test_a_garbled_line_takes_its_time_however_lines_come() -> None:
         np.testing.assert_allclose(stamps - stamps[0], [0.0, 0.1, 0.3, 0.6])
 
 
+def test_lines_above_the_first_row_take_no_time() -> None:
+    for pieces in ((b"a\n", b"\xff?\n?\n", b"1\n2\n"), (b"a\n1\n2\n",)):
+        (block,) = [one for one in _read(*pieces, rate_hz=10.0, columns=("a",)) if len(one)]
+        np.testing.assert_allclose(block.time_s - _CAME_S - len(pieces) + 1, [0.0, 0.1], atol=1e-6)
+
+
+@pytest.mark.parametrize("pieces", [1, 2])
+@pytest.mark.parametrize("mark", ["", "# "])
+def test_a_header_in_another_order_moves_the_channels(pieces: int, mark: str) -> None:
+    first, second = f"{mark}time,ax,ay\n1,2,3\n".encode(), f"{mark}time,ay,ax\n2,30,20\n".encode()
+    third = first.replace(b"1,", b"3,")
+    blocks = _read(*((first + second + third,) if pieces == 1 else (first, second, third)))
+    assert _rows(blocks) == [[2.0, 3.0], [20.0, 30.0], [2.0, 3.0]]
+    assert _lost(blocks) == (0 if mark else 2)
+
+
+@pytest.mark.parametrize("header", [b"time,ax (g),ay", b"time,ax (m/s^2),az"])
+def test_a_header_with_other_names_or_units_is_refused(header: bytes) -> None:
+    lines = LineParser(LineOptions())
+    block = lines.feed(b"time,ax (m/s^2),ay\n1,2,3\n" + header + b"\n2,1,3\n", _CAME_S)
+    assert block is not None
+    assert block.values.tolist() == [[2.0, 3.0]]
+    with pytest.raises(InputError, match=r"other names or units: time, ax .*; the first was time, ax"):
+        lines.finish(_CAME_S)
+
+
+def test_a_repeated_header_is_garbled_however_it_is_written() -> None:
+    blocks = _read(b"%time\ta\ta\t\n1\t2\t3\t4\n%time\ta\ta\t\n2\t3\t4\t5\n")
+    assert _rows(blocks) == [[1.0, 2.0, 3.0, 4.0], [2.0, 3.0, 4.0, 5.0]]
+    assert _lost(blocks) == 1
+
+
+@pytest.mark.parametrize("rows", [b"0.999\t999\n1.000\t1,000\n1.001\t998\n", b"0\t0,5\n1\t0.5\n2\t1,5\n"])
+@pytest.mark.parametrize("pieces", [1, 2])
+def test_a_comma_beside_a_point_is_no_decimal_sign(rows: bytes, pieces: int) -> None:
+    lines = rows.splitlines(keepends=True)
+    blocks = _read(b"time\ta\n", *((rows,) if pieces == 1 else lines))
+    assert _rows(blocks) == ([[999.0], [998.0]] if b"999" in rows else [[0.5], [1.5]])
+    assert _lost(blocks) == 1
+
+
+def test_a_decimal_comma_stands_beside_dates_with_points() -> None:
+    blocks = _read(b"time;a\n2023-11-14 22:13:20.5;1,5\n2023-11-14 22:13:20.6;2\n2023-11-14 22:13:20.7;3,5\n")
+    assert _rows(blocks) == [[1.5], [2.0], [3.5]]
+    assert not _lost(blocks)
+
+
+@pytest.mark.parametrize("pieces", [(b"\xef\xbb\xbftime,a\n1,2\n",), (b"\xef", b"\xbb", b"\xbftime,a\n1,2\n")])
+def test_a_byte_order_mark_is_no_text(pieces: tuple[bytes, ...]) -> None:
+    (block,) = _read(*pieces)
+    assert (block.names, block.time_s.tolist(), block.losses) == (("a",), [1.0], ())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"time,a,b\n1,2,off\n2,3,off\n3,4,5\n4,5,6\n",
+        b'{"time": 1, "a": 2}\n{"time": 2, "a": 3, "b": 4}\n{"time": 3, "a": 4, "b": 5}\n',
+        b'{"time": 1, "a": 2, "b": "off"}\n{"time": 2, "a": 3, "b": 4}\n{"time": 3, "a": 4, "b": 5}\n',
+    ],
+)
+def test_a_column_that_has_numbers_too_late_is_reported_once(text: bytes) -> None:
+    blocks = _read(*text.splitlines(keepends=True))
+    assert blocks[-1].names == ("a",)
+    (loss,) = [loss for block in blocks for loss in block.losses]
+    assert "'b' has a number but had none at first" in loss.says
+    assert not _lost(_read(*text.splitlines(keepends=True), channels=("a",)))
+
+
 @pytest.mark.parametrize("login", ["u:p@ss", "u:pa/ss", "u", "u:p:q@/"])
 def test_an_address_is_shown_without_its_login(login: str) -> None:
     assert str(Address.parsed(f"mqtt://{login}@host:1883/topic?qos=1")) == "mqtt://host:1883/topic?qos=1"
@@ -300,9 +370,18 @@ _cells = st.sampled_from(
 _ragged = st.lists(st.lists(_cells, max_size=4).map(b",".join), max_size=12).map(b"\n".join)
 
 
+def _read_until_refused(*pieces: bytes) -> list[Block]:
+    """Feed pieces up to a header with other names."""
+    lines, blocks = LineParser(LineOptions(rate_hz=0.125)), list[Block | None]()
+    with suppress(InputError):
+        blocks.extend(lines.feed(piece, _CAME_S) for piece in pieces)
+        blocks.append(lines.finish(_CAME_S))
+    return [block for block in blocks if block is not None]
+
+
 @given(_ragged, st.integers(0, 100))
 def test_ragged_tables_are_read_alike_however_cut(text: bytes, at: int) -> None:
-    whole, cut = (_read(*pieces, rate_hz=0.125) for pieces in ((text,), (text[:at], text[at:])))
+    whole, cut = (_read_until_refused(*pieces) for pieces in ((text,), (text[:at], text[at:])))
     np.testing.assert_array_equal(np.diff(_time(whole)), np.diff(_time(cut)))
     np.testing.assert_array_equal(_rows(whole), _rows(cut))
     assert _lost(whole) == _lost(cut)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import UsageError
@@ -83,6 +83,8 @@ class Columns:
         Index of the stamp in a row; None if stamps are computed from the rate or the arrival times.
     stamp_of : StampReader or None
         Parser of the stamps.
+    left_out : tuple of int
+        Indices of the columns that are no channels only because the first row has no number there.
     """
 
     all_names: tuple[str, ...]
@@ -91,6 +93,21 @@ class Columns:
     places: tuple[int, ...]
     stamp_place: int | None
     stamp_of: StampReader | None
+    left_out: tuple[int, ...] = ()
+
+    def reordered(self, names: Sequence[str]) -> Columns:
+        """Return the same columns in another order, which is that of `names`."""
+
+        def place(at: int) -> int:
+            return names.index(self.all_names[at])
+
+        return replace(
+            self,
+            all_names=tuple(names),
+            places=tuple(map(place, self.places)),
+            stamp_place=None if self.stamp_place is None else place(self.stamp_place),
+            left_out=tuple(map(place, self.left_out)),
+        )
 
 
 def columns_of(
@@ -119,6 +136,7 @@ def columns_of(
         tuple(places),
         stamp,
         stamp_of,
+        () if options.channels else tuple(at for at in range(len(names)) if at not in (*places, *times, stamp)),
     )
 
 

@@ -63,7 +63,8 @@ def layout_of(above: Sequence[bytes], line: bytes, options: LineOptions) -> tupl
     columns = columns_of(heading.names, heading.units, cells, options)
     if columns is None:
         return None
-    return CsvLayout(columns, separator), [text.encode() for text in heading.lines]
+    lines = [text.encode() for text in heading.lines]
+    return CsvLayout(columns, separator, lines), lines
 
 
 def may_be_names(line: bytes) -> bool:
@@ -83,7 +84,7 @@ def _json_layout(line: bytes, options: LineOptions) -> JsonLayout | None:
     if not any(isinstance(cell, float) for cell in first):
         return None
     columns = columns_of(names, [""] * len(names), first, options)
-    return None if columns is None else JsonLayout(columns)
+    return None if columns is None else JsonLayout(columns, is_open=not (options.columns or options.channels))
 
 
 def _plain_text(line: bytes) -> str | None:

@@ -20,17 +20,22 @@ _MOST_ABOVE = 100  # most lines that are kept while the layout is unknown
 _SHOWN = 60  # bytes of a line in a message
 _SPREAD_S = 0.1  # longest time over which rows without stamps are spread
 _TOO_LONG = "it is longer than 1 MB"
+_MARK = "\N{BYTE ORDER MARK}".encode()  # some programs write it before a file of UTF-8
 
 
 class LineParser:
     r"""A parser of lines that takes bytes in pieces of any size.
 
-    A line ends with \n, \r\n or \r. Blank lines and comments, which begin with #, are skipped. Other lines that are
-    not rows are counted as garbled: noise, lines with too few or too many cells, repeated headers, lines over 1 MB,
-    and rows whose stamp cannot be parsed. If a cell is not a number, its reading is missing, the other cells of the
-    row are used, and the line is counted as garbled. An empty cell, or a spelling of NaN, is just a missing reading.
+    A line ends with \n, \r\n or \r. Byte order marks are dropped. Blank lines and comments, which begin with #, are
+    skipped. Other lines that are not rows are counted as garbled: noise, lines with too few or too many cells, repeated
+    headers, lines over 1 MB, and rows whose stamp cannot be parsed. If a cell is not a number, its reading is missing,
+    the other cells of the row are used, and the line is counted as garbled. An empty cell, or a spelling of NaN, is
+    just a missing reading.
 
-    With a given rate, rows are stamped at this rate from the arrival of the first row, counting garbled lines too.
+    A later header with the same names in another order moves the channels; one with other names or units is an error.
+    A column that had no number in the first row is not a channel; once it has one, a loss says so.
+
+    With a given rate, rows are stamped at this rate from the arrival of the first row, counting later garbled lines.
     Without a rate, stamps come from a column: seconds, counts since 1970, or ISO text. Without such a column, rows are
     spread evenly over the time since the previous piece, at most 0.1 s.
 
@@ -71,13 +76,23 @@ class LineParser:
         ------
         UsageError
             If the options do not fit the lines.
+        InputError
+            If a header before these bytes has other names or units than the first one.
         """
+        self._bad.raise_failure()
         taken = self._parse(self._complete_lines(data))
         return self._block(taken, received_s)
 
     def finish(self, received_s: float) -> Block | None:
-        """Parse the last bytes of the stream; a last line without a line end is garbled, unless it is a JSON object."""
-        last = bytes(self._half)
+        """Parse the last bytes of the stream; a last line without a line end is garbled, unless it is a JSON object.
+
+        Raises
+        ------
+        InputError
+            If a header before these bytes has other names or units than the first one.
+        """
+        self._bad.raise_failure()
+        last = bytes(self._half).replace(_MARK, b"")
         self._half.clear()
         is_json = last.lstrip().startswith(b"{") and last.rstrip().endswith(b"}")
         if last.strip() and not is_json:
@@ -113,7 +128,7 @@ class LineParser:
             self._bad.add(bytes(self._half[: _SHOWN + 1]), _TOO_LONG)
             self._half.clear()
             self._skipping = True
-        return complete.replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")[:-1]
+        return complete.replace(_MARK, b"").replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")[:-1]
 
     def _parse(self, lines: list[bytes]) -> ParsedRows:
         if max(map(len, lines), default=0) > LONGEST_LINE:
@@ -153,7 +168,7 @@ class LineParser:
 
     def _block(self, taken: ParsedRows, received_s: float) -> Block | None:
         count = len(taken.places)
-        bad, self._bad = self._bad, GarbledLines()
+        bad, self._bad = self._bad, GarbledLines(failure=self._bad.failure)
         time_s = self._times(taken, count, received_s)
         self._received_s = received_s
         if not (count or bad.lines):
@@ -175,7 +190,9 @@ class LineParser:
             return stamps
         if self._options.rate_hz is not None:
             if not self._counted:
-                self._began_s = received_s
+                if not count:
+                    return stamps
+                self._began_s, self._counted = received_s, -taken.places[0]
             numbers = self._counted + np.array(taken.places)
             self._counted += taken.lines
             computed: Floats = self._began_s + numbers / self._options.rate_hz
