@@ -170,6 +170,12 @@ AMBIGUOUS = {
     "one or two columns": ("1,234\n5,678\n9,101\n", "one column with decimal commas"),
     "decimal commas between commas": ("time_s,a\n0,10,1,5\n0,20,1,6\n0,30,1,7\n", "decimal commas"),
     "both decimal signs": ("time_s;a\n0.1;1,5\n0.2;1,6\n0.3;1,7\n", "same decimal separator"),
+    "thousands in quotes": ('t (ms),a (N)\n0,"999"\n1,"1,002"\n2,"1,005"\n', "1,002.*thousands"),
+    "thousands beside hundreds": ("t (ms);a (N)\n0;999\n1;1,002\n2;1,005\n", "1,002.*thousands"),
+    "thousands that begin late": (
+        "t (ms);a (N)\n" + "".join(f"{i};{i + 300:,}\n" for i in range(710)),
+        "1,000.*thousands",
+    ),
     "too few names": ("time_s,a\n0.1,1,5\n0.2,1,6\n0.3,1,7\n", "2 names"),
 }
 

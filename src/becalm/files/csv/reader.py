@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,17 @@ from becalm.files.csv.sniffing import Dialect, sniff
 from becalm.files.decoding import decode
 from becalm.files.rows import MemoryRows
 from becalm.files.source import RawTable, TextLayout
-from becalm.files.text.cells import COMMA, MISSING, MISSING_CELL, NUMBER, TIME, is_text, to_numbers
+from becalm.files.text.cells import (
+    COMMA,
+    GROUPED,
+    MISSING,
+    MISSING_CELL,
+    NUMBER,
+    TIME,
+    grouped_error,
+    is_text,
+    to_numbers,
+)
 from becalm.files.text.csv_header import unique_names
 
 _EXACT = 1e15  # float64 is exact for whole numbers up to this, and for some larger ones
@@ -83,7 +93,9 @@ def _parse(path: Path, body: bytes, dialect: Dialect, names: Sequence[str]) -> t
         table = _arrow_text(path, body, dialect, names)
     if spans_lines(table):
         refuse_strays(path, lambda: [body], dialect)
-    decimal = dialect.decimal or _decimal_of(table, dialect)
+    columns = zip(dialect.kinds, table.columns, strict=True)
+    texts = (column for kind, column in columns if kind in NUMERIC and pa.types.is_string(column.type))
+    decimal = dialect.decimal or decimal_of_columns(path, texts)
     for position, kind in enumerate(dialect.kinds):
         if kind != TIME and pa.types.is_string(table.schema.field(position).type):
             examined = NumericTypeDetector(kind, decimal)
@@ -177,19 +189,24 @@ def _arrow_text(path: Path, body: bytes, dialect: Dialect, names: Sequence[str])
         raise parse_error(path, lambda: [body], dialect, str(cause)) from cause
 
 
-def _decimal_of(table: pa.Table, dialect: Dialect) -> str:
-    """Return the decimal separator of all rows; used if the first rows have no fractions."""
-    for position, kind in enumerate(dialect.kinds):
-        column = table.column(position)
-        if kind in NUMERIC and pa.types.is_string(column.type) and has_decimal_commas(column):
+def decimal_of_columns(path: Path, columns: Iterable[pa.ChunkedArray]) -> str:
+    """Return the decimal separator of columns of text whose first rows have no fractions.
+
+    Raises
+    ------
+    InputError
+        If all commas may as well separate thousands.
+    """
+    grouped = ""
+    for column in columns:
+        fractions = pc.and_(pc.match_substring(column, ","), pc.match_substring_regex(column, COMMA))
+        cells = column.filter(fractions)
+        if not pc.all(pc.match_substring_regex(cells, GROUPED), min_count=0).as_py():
             return ","
+        grouped = grouped or (str(cells[0]) if len(cells) else "")
+    if grouped:
+        raise grouped_error(path, grouped)
     return "."
-
-
-def has_decimal_commas(column: pa.ChunkedArray) -> bool:
-    """Return whether a column of text has numbers with a decimal comma."""
-    fractions = pc.and_(pc.match_substring(column, ","), pc.match_substring_regex(column, COMMA))
-    return bool(pc.any(fractions).as_py())
 
 
 class NumericTypeDetector:

@@ -10,7 +10,18 @@ from pathlib import Path
 
 from becalm.errors import InputError
 from becalm.files.csv.rates import rate_above
-from becalm.files.text.cells import MISSING_CELL, NUMBER, TIME, WORDS, decimal_of, is_left_open, kind_of, split
+from becalm.files.text.cells import (
+    GROUPED,
+    MISSING_CELL,
+    NUMBER,
+    TIME,
+    WORDS,
+    decimal_of,
+    grouped_error,
+    is_left_open,
+    kind_of,
+    split,
+)
 from becalm.files.text.csv_header import Header, find_header
 
 _SEPARATORS = (";", "\t", ",", "|", "", " ")  # the first of equal scores wins; "" is a file of one column
@@ -96,7 +107,7 @@ def sniff(path: Path, data: bytes) -> Dialect:
     _refuse_misfit(path, separator, header, width)
     data_rows = [cells[number] for number in plain if number >= first][:_KIND_ROWS]
     kinds = _column_kinds([row for row in data_rows if len(row) == width], width)
-    decimal = _decimal(path, data_rows, kinds)
+    decimal = _decimal(path, data_rows, kinds, separator)
     return Dialect(separator, decimal, header, kinds, first, lines[first].offset)
 
 
@@ -223,12 +234,24 @@ def _refuse_misfit(path: Path, separator: str, header: Header, width: int) -> No
         )
 
 
-def _decimal(path: Path, rows: Sequence[Sequence[str]], kinds: tuple[str, ...]) -> str:
+def _decimal(path: Path, rows: Sequence[Sequence[str]], kinds: tuple[str, ...], separator: str) -> str:
     seen: dict[str, str] = {}
+    grouped: dict[int, str] = {}  # by column, a number like 1,002
+    whole: set[int] = set()  # columns with numbers below 1000 that have no comma
+    others = False
     for row in rows:
-        for cell, kind in zip(row, kinds, strict=False):
+        for column, (cell, kind) in enumerate(zip(row, kinds, strict=False)):
             if kind == NUMBER and (sign := decimal_of(cell)):
                 seen.setdefault(sign, cell)
+                if re.match(GROUPED, cell):
+                    grouped.setdefault(column, cell)
+                else:
+                    others = True
+            elif kind_of(cell) == NUMBER:
+                whole.add(column)
+    for column, cell in grouped.items():
+        if not others and (separator == "," or column in whole):
+            raise grouped_error(path, cell)
     if len(seen) > 1:
         raise InputError(
             f"{path} has decimal points ({seen['.'].strip()!r}) and decimal commas ({seen[','].strip()!r})."

@@ -19,8 +19,8 @@ from becalm.files.csv.reader import (
     NumericTypeDetector,
     arrow_options,
     column_types,
+    decimal_of_columns,
     exact,
-    has_decimal_commas,
     is_conversion_error,
     numbers_of,
     schema_with_units,
@@ -132,7 +132,7 @@ class _Spooling:
     def _decimal_of(self, rows: SpooledRows) -> str:
         names = [name for name, kind in self._texts(rows).items() if kind in NUMERIC]
         blocks = rows.blocks(names, max(1, rows.count)) if names else iter(())
-        return "," if any(has_decimal_commas(column) for block in blocks for column in block.columns) else "."
+        return decimal_of_columns(self._path, (column for block in blocks for column in block.columns))
 
     def _with_numbers(self, rows: SpooledRows, decimal: str) -> SpooledRows:
         """Return the rows with columns of text converted to numbers where possible; if any is, close the given rows."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,9 @@ THOUSANDS = {
     ",": r"^\s*[+-]?[0-9]{1,3}(?:\.[0-9]{3})+,[0-9]+\s*$",
 }
 """By decimal separator, patterns of numbers whose thousands are separated by the other sign, such as 1,234.5."""
+
+GROUPED = r"^\s*[+-]?[1-9][0-9]{0,2}(?:,[0-9]{3})+\s*$"
+"""A pattern of numbers in which a comma may separate thousands or decimals: 1,002."""
 
 _DATE_LIKE = r"\d{1,4}[-/.](?:\d{1,2}|[A-Za-z]{3})[-/.]\d{1,4}"
 _CLOCK_LIKE = (
@@ -72,6 +76,14 @@ def decimal_of(cell: str) -> str:
     if "." in cell and (_POINT.match(cell) or _THOUSANDS["."].match(cell)):
         return "."
     return "," if "," in cell and (_COMMA.match(cell) or _THOUSANDS[","].match(cell)) else ""
+
+
+def grouped_error(path: Path, cell: str) -> InputError:
+    """Return the error that a number like 1,002 can be read in two ways."""
+    return InputError(
+        f"{path} holds {cell.strip()!r}, and nothing in it shows whether the comma separates thousands or decimals."
+        " Save the numbers without separators of thousands, and fractions with decimal points."
+    )
 
 
 def is_row(line: str, separator: str, kinds: Sequence[str]) -> bool:
