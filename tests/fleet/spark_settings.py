@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-_JAVA = "-XX:TieredStopAtLevel=1 -XX:+UseSerialGC -XX:-UsePerfData"
+JAVA = "-XX:TieredStopAtLevel=1 -XX:+UseSerialGC -XX:-UsePerfData"
 """A JVM that lives for seconds: full compilation and parallel collection cost more than they save."""
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -22,8 +22,8 @@ _LOADED = Path(__file__).with_name("preloaded")
 @pytest.fixture(scope="session")
 def spark_environment() -> Iterator[dict[str, str]]:
     """Give the environment in which Spark starts; all of its temporary files go at the end."""
-    with tempfile.TemporaryDirectory(prefix="becalm-spark-", ignore_cleanup_errors=True) as folder:
-        java = f"'{_JAVA} -Djava.io.tmpdir={folder}'"
+    with tempfile.TemporaryDirectory(prefix="s", ignore_cleanup_errors=True) as folder:  # sockets need a short path
+        java = f"'{JAVA} -Djava.io.tmpdir={folder}'"
         settings = {
             "spark.driver.extraJavaOptions": java,
             "spark.executor.extraJavaOptions": java,
@@ -33,7 +33,7 @@ def spark_environment() -> Iterator[dict[str, str]]:
         words = [f"--conf {name}={value}" for name, value in settings.items()]
         yield {
             "PYSPARK_SUBMIT_ARGS": " ".join([*words, "pyspark-shell"]),
-            "SPARK_LAUNCHER_OPTS": _JAVA,
+            "SPARK_LAUNCHER_OPTS": JAVA,
             "PYTHONPATH": os.pathsep.join([str(_LOADED), *filter(None, [os.environ.get("PYTHONPATH")])]),
         }
 

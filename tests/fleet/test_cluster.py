@@ -8,6 +8,7 @@ import shlex
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from configparser import RawConfigParser
@@ -21,6 +22,7 @@ import pytest
 from becalm.fleet.recipes import open_book
 from becalm.fleet.sensor_cleaning import clean_whole
 from made import job_of, read_parts, recipe_of, same, table_of, walk, write_parts
+from spark_settings import JAVA
 
 pytestmark = [pytest.mark.slow, pytest.mark.spark]
 
@@ -82,6 +84,10 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
     around, master = settings(tmp_path / "conf", "of this test"), f"spark://127.0.0.1:{port}"
     here = {"ADDRESS": "127.0.0.1", "PAGE_PORT": 0}
     with ExitStack() as services:
+        short = tempfile.TemporaryDirectory(prefix="s", ignore_cleanup_errors=True)  # as sockets need
+        java = f"{JAVA} -Djava.io.tmpdir={services.enter_context(short)}"
+        around |= dict.fromkeys(("SPARK_DAEMON_JAVA_OPTS", "SPARK_SUBMIT_OPTS", "SPARK_LAUNCHER_OPTS"), java)
+        around |= {"SPARK_LOCAL_DIRS": short.name}
         for unit, told, says in (
             ("becalm-spark-master.service", {"PORT": port}, "New state: ALIVE"),
             ("becalm-spark-worker.service", {"MASTER": master, "CORES": 2, "MEMORY": "2g"}, "Successfully registered"),
@@ -106,7 +112,7 @@ def test_a_cluster_as_deploy_has_it_cleans_a_lake(cluster: Cluster, tmp_path: Pa
     for one in sensors:
         clean_whole(job, one)
         assert same(read_parts(tmp_path / "out" / one.name), read_parts(tmp_path / "alone" / one.name))
-    stranger = settings(tmp_path / "another", "guessed")
+    stranger = cluster.around | {"SPARK_CONF_DIR": settings(tmp_path / "another", "guessed")["SPARK_CONF_DIR"]}
     command[command.index("out")] = "stolen"
     refused = subprocess.run(command, cwd=tmp_path, env=stranger, capture_output=True, text=True, check=False)
     assert refused.returncode == 2, refused.stderr
