@@ -20,6 +20,7 @@ from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cli.commands.live import LiveOptions, MonitoringOptions
 from becalm.errors import UsageError
 from becalm.live.journal.reading import open_journal
+from becalm.live.running.stream_start import StreamStarter
 from live_processes import DEADLINE_S, begun, kept, rows_in, told_in, until
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -295,3 +296,24 @@ def test_datagrams_gather_where_only_a_commit_waits(
     with pytest.raises(UsageError, match="Enough"):
         becalm.cli.commands.live.run(source, sinks, asking, settings, watching)
     assert asked == [opened]
+
+
+def test_a_recipe_gets_the_lag_and_the_channels_that_are_asked_for(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starters: list[StreamStarter] = []
+
+    def refused(starter: StreamStarter, **_: object) -> None:
+        starters.append(starter)
+        raise UsageError("Enough.")
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(becalm.cli.commands.live, "Runner", refused)
+    settings = becalm.cli.commands.live.settings_of(10, "block", "1s")
+    (name, *_) = (channel.name for channel in reversed(Recipe.load(recipe).channel))
+    asking, watching = LiveOptions(recipe, "2s", 0.5, (name,)), MonitoringOptions(None, None, "-", "10s")
+    with pytest.raises(UsageError, match="Enough"):
+        becalm.cli.commands.live.run("stdin:", [], asking, settings, watching)
+    (given,) = (starter.recipe for starter in starters)
+    assert given is not None
+    assert (given.mode, given.lag_s, [channel.name for channel in given.channel]) == ("lagged", 0.5, [name])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.recipes.recipe import Origin, Recipe
 from becalm.core.arrays import Floats
 from becalm.errors import BecalmError, InputError
 from becalm.live.block import Block, Loss, LossKind
@@ -95,6 +95,24 @@ def test_a_first_stamp_beyond_all_counting_after_a_restart_is_a_gap_of_unknown_r
     far = replace(blocks_of(VALUES[:1], 1)[0], time_s=np.array([stamp_s]))
     runner_of(ListSource(lambda _: [far]), keeper, recipe_of()).run()
     assert keeper.losses == [("gap", None)]
+
+
+def test_the_resolution_of_stamps_is_that_of_the_first_rows_however_cut() -> None:
+    stamps = np.round(np.arange(600) / 300, 3) + 1.7e9
+    recipe, kept = recipe_of(tuned_on=Origin(rate_hz=300.0)), []
+    for first in (1, 5, 19, 20, 500):
+        cuts = [slice(0, first), slice(first, 600)]
+        blocks = [Block(("ax", "ay"), ("", ""), stamps[cut], VALUES[cut]) for cut in cuts]
+        kept.append(MemoryKeeper())
+        runner_of(ListSource(lambda _, blocks=blocks: list(blocks)), kept[-1], recipe).run()  # type: ignore[misc]
+        np.testing.assert_array_equal(kept[-1].sigma, kept[0].sigma)
+        np.testing.assert_array_equal(kept[-1].signal, kept[0].signal)
+
+
+def test_few_rows_are_all_kept() -> None:
+    keeper = MemoryKeeper()
+    runner_of(ListSource(lambda _: blocks_of(VALUES[:7], 3)), keeper, recipe_of()).run()
+    np.testing.assert_array_equal(keeper.rows, np.arange(7))
 
 
 def named(names: tuple[str, ...], units: tuple[str, ...]) -> ListSource:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ from urllib.parse import urlencode
 
 import typer
 
+from becalm.cleaning.pipeline import fit_to_recording, in_mode
 from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cli.stopping import call_in_thread, stop_cleanly
 from becalm.errors import BecalmError, UsageError
@@ -88,7 +90,8 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
     BecalmError
         If an option is invalid, or the stream fails.
     """
-    recipe = None if asking.recipe is None else Recipe.load(asking.recipe)
+    load = None if asking.recipe is None else partial(_recipe_of, asking.recipe, asking)
+    recipe = None if load is None else load()
     timed_source = source if recipe is None else _with_time(source, recipe)
     address, names = str(Address.parsed(timed_source)), sinks or [DEFAULT_SINK]
     checkpoint_sink, other_sinks = _split_sinks([open_sink(name) for name in names])
@@ -119,7 +122,7 @@ def run(source: str, sinks: list[str], asking: LiveOptions, settings: Settings, 
             ),
             settings=settings,
         )
-        _handle_signals(runner, asking.recipe)
+        _handle_signals(runner, load)
         log.info("start", source=address, sinks=", ".join(str(Address.parsed(name)) for name in names))
         _run_logged(runner, log)
     _print_message(f"Filtered {runner.rows} rows of {address}.")
@@ -136,6 +139,13 @@ def _page(options: PageOptions, meter: Meter, retune: Retune, log: Log, stack: E
     for line in served.says:
         _print_message(line)
     return served.feed
+
+
+def _recipe_of(path: Path, asking: LiveOptions) -> Recipe:
+    """Return a recipe with the channels and the lag of the options, if they are given."""
+    recipe = in_mode(Recipe.load(path), lag_s=asking.lag_s)
+    names, units = zip(*((channel.name, channel.unit) for channel in recipe.channel), strict=True)
+    return fit_to_recording(recipe, names, units, channels=asking.channels or None)
 
 
 def _with_time(source: str, recipe: Recipe) -> str:
@@ -197,17 +207,17 @@ def _print_message(text: str) -> None:
         typer.echo(text, err=True)
 
 
-def _handle_signals(runner: Runner, recipe: Path | None) -> None:
+def _handle_signals(runner: Runner, load: Callable[[], Recipe] | None) -> None:
     """Handle signals: stop after a commit at the first, at once at the second; at SIGHUP, reload the recipe, if any."""
     end = call_in_thread(runner.stop)
-    retune = end if recipe is None else call_in_thread(partial(runner.retune, partial(Recipe.load, recipe)))
+    retune = end if load is None else call_in_thread(partial(runner.retune, load))
 
     def stop(number: int, frame: FrameType | None) -> None:
         stop_cleanly()
         end()
 
     def reload(number: int, frame: FrameType | None) -> None:
-        if recipe is None:
+        if load is None:
             stop_cleanly()
         retune()
 

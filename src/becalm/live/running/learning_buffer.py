@@ -13,7 +13,7 @@ from becalm.core.arrays import Floats, Integers
 from becalm.core.recording import Recording
 from becalm.core.time.clock import last_digit
 from becalm.core.time.timebase import Timebase
-from becalm.errors import InputError, TimeError
+from becalm.errors import InputError, TimeError, UsageError
 from becalm.live.address import advising_addresses
 from becalm.live.block import Block
 
@@ -108,6 +108,22 @@ class Learner:
         if early.steps is not None and rate_hz:
             return early.steps >= self.learn_s * rate_hz
         return early.span_s >= self.learn_s or early.arrival_span_s >= 2 * self.learn_s + _CONSTANT_STAMPS_S
+
+    def check_learned(self, recipe: Recipe) -> None:
+        """Check that a recipe which was learned before has this learner's lag and channels, where they are given.
+
+        Raises
+        ------
+        UsageError
+            If the recipe has another lag or other channels.
+        """
+        names = tuple(channel.name for channel in recipe.channel)
+        if self.lag_s not in (None, recipe.lag_s) or (self.channels and set(self.channels) != set(names)):
+            lag = "no lag" if recipe.lag_s is None else f"a lag of {recipe.lag_s:g} s"
+            raise UsageError(
+                f"The stream there has {lag} and cleans {', '.join(names)[:200]}; --lag and --channels cannot change"
+                " that. Leave them out, or start a new stream in another place."
+            )
 
     def learn(self, blocks: list[Block], rate_hz: float | None) -> Learned:
         """Tune a recipe on blocks.

@@ -7,11 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
+import numpy as np
+
 from becalm.cleaning.recipes.recipe import Recipe
 from becalm.errors import BecalmError, UsageError
 from becalm.live.block import Block, Checkpoint, Head, Loss
 from becalm.live.protocols import AwayError, CheckpointSink, Source
-from becalm.live.running.learning_buffer import Learner, LearningBuffer, resolution_of
+from becalm.live.running.learning_buffer import FEW_STAMPS, Learner, LearningBuffer, resolution_of
 from becalm.live.running.queueing import BlockQueue
 from becalm.live.running.reader import BackOff
 from becalm.live.stream import Stream
@@ -68,7 +70,7 @@ class StreamStarter:
         Raises
         ------
         UsageError
-            If the checkpoint belongs to a stream of another source.
+            If the checkpoint belongs to a stream of another source, or has another lag or other channels than asked for.
         BecalmError
             If the checkpoint is damaged, or the recipe does not fit the stream.
         """
@@ -78,6 +80,8 @@ class StreamStarter:
                 " this stream."
             )
         stream = Stream.resumed(last)
+        if self.recipe is None:
+            self.learner.check_learned(stream.recipe)
         head = stream.head  # before retuning: sinks keep the head that the stream began with
         if self.recipe is not None and self.recipe != stream.recipe:
             stream.retune(self.recipe)
@@ -131,10 +135,14 @@ class StreamStarter:
         return StartedStream(stream, stream.head, early.blocks, before)
 
     def _stream_of(self, early: LearningBuffer, rate_hz: float | None, *, ended: bool) -> Stream | None:
-        """Make a stream from the first blocks; return None if they are not enough yet."""
-        if self.recipe is not None and early.rows:
-            first = next(one for one in early.blocks if len(one))
-            resolution_s = 0.0 if first.elapsed is not None else resolution_of(first.time_s)
+        """Make a stream from the first blocks; return None if they are not enough yet.
+
+        The resolution of stamps is that of the first rows, however many come with them, so that any cut gives the same.
+        """
+        is_timed = early.steps is not None  # by the source, and not by stamps
+        if self.recipe is not None and (early.rows >= FEW_STAMPS or (early.rows and (ended or is_timed))):
+            stamps = np.concatenate([one.time_s for one in early.blocks])[:FEW_STAMPS]
+            resolution_s = 0.0 if is_timed else resolution_of(stamps)
             return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s)
         if self.recipe is None and ((ended and early.rows) or self.learner.is_enough(early, rate_hz)):
             learned = self.learner.learn(early.blocks, rate_hz)
