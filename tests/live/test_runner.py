@@ -222,6 +222,45 @@ def test_a_stop_keeps_what_was_read() -> None:
     np.testing.assert_array_equal(keeper.rows, np.arange(600))
 
 
+def test_a_stop_gives_the_delayed_rows_where_no_checkpoint_holds_them() -> None:
+    sink = MemorySink()
+    source = ListSource(lambda row: blocks_of(VALUES, 50, row), ends=False)
+    runner = runner_of(source, None, recipe_of(mode="lagged", lag_s=0.07), sinks=[sink])
+    thread = threading.Thread(target=runner.run)
+    thread.start()
+    _until(lambda: runner.rows == 593)
+    runner.stop()
+    thread.join(30)
+    assert sum(map(len, sink.got)) == 600
+
+
+@pytest.mark.parametrize("learner", [Learner(2.0, lag_s=0.5), Learner(2.0, channels=("ay",))])
+def test_a_kept_stream_takes_no_other_lag_or_channels(learner: Learner) -> None:
+    source = ListSource(lambda row: blocks_of(VALUES, 50, row))
+    with pytest.raises(UsageError, match="has no lag and cleans ax, ay; --lag and --channels cannot change that"):
+        runner_of(source, run(), starter=StreamStarter(None, learner)).run()
+
+
+def test_a_loss_is_no_sign_that_a_silent_source_is_back() -> None:
+    runner = runner_of(ListSource(lambda _: []), None)
+    runner.watch = Watch(Meter(), None, -1.0)
+    runner.watch.record_iteration(False)
+    assert runner.watch.meter.status()["state"] == "silent"
+    runner._queue.report(Loss(LossKind.AWAY, None, "Gone."))
+    assert runner._next() is not None
+    assert runner.watch.meter.status()["state"] == "silent"
+
+
+def test_a_missing_row_explains_no_longer_gap_than_its_own() -> None:
+    (block,) = blocks_of(VALUES[:200], 200)
+    stamps = block.time_s + np.where(np.arange(200) >= 50, 0.01, 0.0) + np.where(np.arange(200) >= 100, 3600.0, 0.0)
+    missing = Loss(LossKind.MISSING, 1, "One row.")
+    keeper = MemoryKeeper()
+    source = ListSource(lambda _: [replace(block, time_s=stamps, losses=(missing,))])
+    runner_of(source, keeper, recipe_of()).run()
+    assert keeper.losses == [("missing", 1), ("gap", 360_000)]
+
+
 def test_a_full_disk_at_the_end_is_told_after_a_while() -> None:
     keeper = MemoryKeeper()
     keeper.trouble = [StorageFullError("no room")] * 1000

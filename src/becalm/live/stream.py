@@ -106,8 +106,10 @@ class Stream:
             losses += _losses_of_left_out_rows(codes)
             if not taken.all():
                 stamps, values, elapsed, codes = stamps[taken], values[taken], elapsed[taken], codes[taken]
-            has_missing = any(loss.kind is LossKind.MISSING for loss in losses)
-            losses += _losses_of_gaps(stamps, elapsed, codes == RESET, has_missing)
+            missing = sum(
+                np.inf if loss.rows is None else loss.rows for loss in losses if loss.kind is LossKind.MISSING
+            )
+            losses += _losses_of_gaps(stamps, elapsed, codes == RESET, missing)
         estimates = self._cleaner.push(values, elapsed)
         if isinstance(self._cleaner, Handover) and self._cleaner.is_over:
             self._cleaner = self._cleaner.later
@@ -287,18 +289,16 @@ def _losses_of_left_out_rows(codes: Codes) -> list[Loss]:
     ]
 
 
-def _losses_of_gaps(stamps: Floats, elapsed: Floats, reset: Booleans, explained: bool) -> list[Loss]:
-    """Return a loss for each jump of the sender's clock, and for each gap that is not `explained` by missing rows."""
+def _losses_of_gaps(stamps: Floats, elapsed: Floats, reset: Booleans, missing: float) -> list[Loss]:
+    """Return a loss for each jump of the sender's clock, and for each gap that `missing` rows do not explain."""
     losses = [
         Loss(LossKind.CLOCK, None, f"The sender's clock jumped to {stamps[k]:.9g} s; the stream continues there.")
         for k in np.flatnonzero(reset)
     ]
-    gaps = np.flatnonzero((elapsed > GAP_STEPS) & ~reset & (not explained))
-    return losses + [
-        Loss(
-            LossKind.GAP,
-            round(elapsed[k] - 1) if elapsed[k] < _COUNTABLE else None,
-            f"There is a gap of {elapsed[k]:.6g} steps before {stamps[k]:.15g} s.",
-        )
-        for k in gaps
-    ]
+    for k in np.flatnonzero((elapsed > GAP_STEPS) & ~reset):
+        if elapsed[k] <= missing + GAP_STEPS:
+            missing -= elapsed[k] - 1
+            continue
+        rows = round(elapsed[k] - 1) if elapsed[k] < _COUNTABLE else None
+        losses.append(Loss(LossKind.GAP, rows, f"There is a gap of {elapsed[k]:.6g} steps before {stamps[k]:.15g} s."))
+    return losses

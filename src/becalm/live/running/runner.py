@@ -159,14 +159,14 @@ class Runner:
                 self._take(block, stream, commit_thread)
             self._commit(stream, commit_thread)
             self._record_health(stream)
-        if not self._stop.is_set():
+        if not self._stop.is_set() or self.sinks.checkpoint_sink is None:  # otherwise a checkpoint has the delayed rows
             self._emit(stream.finish())
 
     def _next(self) -> Block | None:
         if self._stop.is_set() and self._reader is not None:
             self._reader.stop()
         block = self._queue.get(_POLL_S, _JOINED_ROWS)
-        self._losses += self.watch.record_iteration(block is not None)
+        self._losses += self.watch.record_iteration(block is not None and len(block) > 0)
         self.watch.meter.set_queue(*self._queue.depth)
         return block
 

@@ -58,8 +58,8 @@ class Watch:
         if self._log is not None:
             self._log.error("refused", says=says)
 
-    def record_iteration(self, has_block: bool) -> tuple[Loss, ...]:
-        """Record an iteration of the main loop; `has_block` is True if it got a block from the source.
+    def record_iteration(self, has_rows: bool) -> tuple[Loss, ...]:
+        """Record an iteration of the main loop; `has_rows` is True if it got rows, not only losses, from the source.
 
         Returns
         -------
@@ -68,7 +68,7 @@ class Watch:
         """
         self.meter.record_iteration()
         self._systemd.ping_watchdog()
-        loss = self._silence.record_rows() if has_block else self._silence.record_no_rows()
+        loss = self._silence.record_rows() if has_rows else self._silence.record_no_rows()
         if loss is not None:
             self.state("silent" if self._silence.silent else "running", loss.says)
         if self._log is not None and time.monotonic() - self._losses_logged_s > _LOG_LOSSES_S:
