@@ -102,7 +102,7 @@ def test_a_command_whose_workers_are_killed_gives_the_numbers_of_files(
 
 MEASURED = """
 import pathlib, sys
-from becalm.fleet.batch import clean
+from becalm.fleet.batch import BatchOptions, clean
 from becalm.fleet.grouped import cleaning
 from becalm.fleet.recipes import open_book
 cleaning.run_tasks = lambda spark, work, tasks, lost: [work(task) for task in tasks]
