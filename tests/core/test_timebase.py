@@ -58,6 +58,45 @@ def test_rounded_stamps_are_uniform(digits: int, start: float) -> None:
     assert time.jitter_s == pytest.approx(10.0**-digits / np.sqrt(12), rel=0.05)
 
 
+@pytest.mark.parametrize("rate", [600.0, 700.0, 833.0, 952.0, 995.0, 1660.0, 2500.0])
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+def test_rates_of_about_a_digit_are_even_and_lose_no_row(rate: float, start: float) -> None:
+    """Steps of 1.2 ms in milliseconds are of 1 and 2 ms; none of them is a gap or a repeat."""
+    time = Timebase.from_stamps(np.round(start + np.arange(3000) / rate, 3))
+    assert time.uniform
+    assert time.rate_hz == pytest.approx(rate, rel=2e-5)
+    assert set(time.elapsed_steps[1:]) == {1.0}
+
+
+@pytest.mark.parametrize("lost", [1, 5, 10, 40, 600])
+def test_rows_lost_by_chance_stay_lost_in_coarse_stamps(lost: int) -> None:
+    for seed in range(20):
+        rows = np.delete(np.arange(3000), np.random.default_rng(seed).choice(np.arange(1, 2999), lost, replace=False))
+        time = Timebase.from_stamps(rows / 1000)
+        assert time.rate_hz == pytest.approx(1000, rel=1e-12)
+        assert time.elapsed_steps.sum() == 2999
+
+
+@pytest.mark.parametrize("rate", [1000.0, 3000.0, 7000.0])
+def test_stamps_in_float32_keep_their_rate(rate: float) -> None:
+    time = Timebase.from_stamps((1000 + np.arange(2000) / rate).astype(np.float32))
+    assert (time.uniform, len(time.gaps), len(time.repeats)) == (True, 0, 0)
+    assert time.rate_hz == pytest.approx(rate, rel=1e-6)
+
+
+@pytest.mark.parametrize("rate", [3e6, 4e6])
+def test_a_fast_clock_since_1970_keeps_its_rate(rate: float) -> None:
+    time = Timebase.from_stamps(1.7e9 + np.arange(2000) / rate)
+    assert (time.uniform, len(time.gaps)) == (True, 0)
+    assert time.rate_hz == pytest.approx(rate, rel=1e-5)
+
+
+def test_a_short_record_is_not_rounded_to_whole_seconds() -> None:
+    """Half a millisecond from a whole second on: a digit that all stamps share says nothing about their rounding."""
+    stamps = 5 + 1e-6 * np.cumsum(np.random.default_rng(3).uniform(0.7, 1.3, 500))
+    assert not Timebase.from_stamps(stamps).uniform
+
+
 def test_jittered_stamps_are_stamped() -> None:
     rng = np.random.default_rng(1)
     stamps = np.arange(5000) / 99.0 + 5e-4 * rng.normal(size=5000)
@@ -122,6 +161,10 @@ def test_two_rows_are_enough() -> None:
         ([0.0, 2.0, 1.0, 3.0], r"backwards at row 3, from 2 s to 1 s \(1 such row\)"),
         ([5.0, 4.0, 3.0], r"backwards at row 2, .* \(2 such rows\)"),
         ([0.0, 0.0, 0.0, 1.0], "More than half of the rows repeat"),
+        ([0.0, 1e10, 2e10], "Rows are 1e.10 s apart"),
+        ([0.0, 1e297, 2e297], "Rows are 1e.297 s apart"),
+        ([-1.7e308, 0.0, 1.7e308], "Rows are inf s apart"),
+        ([0.0, 1e-13, 2e-13], "Rows are 1e-13 s apart"),
         ([7.0, 7.0], "More than half of the rows repeat"),
         ([[0.0, 1.0], [2.0, 3.0]], r"has shape \(2, 2\)"),
     ],

@@ -161,3 +161,14 @@ def test_bursts_of_one_size_are_used_as_they_are_and_a_rate_is_proposed(tmp_path
     np.testing.assert_allclose(source.recording.times_s, stamps, atol=1e-6)
     assert read_back(tmp_path, "time_s", seconds(stamps), rate_hz=rate_hz).layout.notes == ()
     assert read_back(tmp_path, "time_s", seconds(stamps), as_written=True).layout.notes == ()
+
+
+def test_rows_lost_among_stamps_of_a_digit_a_step_are_said(tmp_path: Path) -> None:
+    """833 Hz in milliseconds is even; with a row lost it looks like 1 kHz with many, and the rate is asked for."""
+    stamps = np.round(np.arange(COUNT) / 833, 3)
+    even = read_back(tmp_path, "time_s", seconds(stamps))
+    assert (even.layout.gaps, even.layout.notes) == (0, ())
+    stamps[COUNT // 2 :] += 0.003
+    (note,) = read_back(tmp_path, "time_s", seconds(stamps)).layout.notes
+    assert note.startswith("The stamps of 'time_s' have one digit a step")
+    assert note.endswith("count rows with --rate HZ.")

@@ -95,6 +95,8 @@ Blocks = Callable[[], Iterable[Floats]]
 _FINEST_DIGIT = 9  # largest number of decimal places of a stamp
 _ROUNDING = 0.55  # largest rounding error of a stamp, over its last digit: a half, and a margin for the fit
 _ADVICE = "Correct the column, name another with --time, or give --rate HZ to count rows instead."
+_FEWEST_UNEVEN = 10  # least number of gaps and repeats that may be rounding; fewer fall on a line by chance
+_UNLIKE = 0.05  # least share of stamps with another number of rows, if rows share stamps; see `even_grid`
 _FLOAT_ERROR = 1e-6  # error of floating-point stamps that were not rounded to a digit, over the step
 
 
@@ -148,8 +150,8 @@ class Clock:
             If the rate is not a number from `SLOWEST_HZ` to `FASTEST_HZ`.
         """
         try:
-            possible = SLOWEST_HZ <= float(rate_hz) <= FASTEST_HZ and not isinstance(rate_hz, str)
-        except (TypeError, ValueError):
+            possible = SLOWEST_HZ <= float(rate_hz) <= FASTEST_HZ and not isinstance(rate_hz, str | bool)
+        except (TypeError, ValueError, OverflowError):
             possible = False
         if not possible:
             raise TimeError(f"rate_hz = {rate_hz!r} is not a rate; give hertz, {SLOWEST_HZ:g} to {FASTEST_HZ:g}.")
@@ -171,24 +173,39 @@ class Clock:
         Raises
         ------
         TimeError
-            If a stamp is missing, time goes backwards, or too few stamps differ for a rate.
+            If a stamp is missing, time goes backwards, too few stamps differ for a rate, or the rate is impossible.
+
+        Notes
+        -----
+        Where the last digit of stamps is about a step, as for 833 Hz in milliseconds, steps of one or two digits may be
+        lost rows or rounding. They are rounding if all stamps lie on a line over the row number, as no stamps do from
+        which rows are lost by chance. Every sixth row of 1 kHz lost cannot be told from 833 Hz, and is read as 833 Hz.
         """
         summary = _summarise(count, blocks)
-        offsets, gaps, repeats = _offsets(summary, blocks)
+        mean = (summary.last - summary.first) / (count - 1)
+        offsets, gaps, repeats = _offsets(summary.step or mean, blocks)
+        spacing = float(np.spacing(max(abs(summary.first), abs(summary.last))))
+        tolerance = max(_ROUNDING * summary.digit, _FLOAT_ERROR * (summary.step or mean)) + 2 * spacing
+        rows = max(summary.digit, spacing) / mean  # that share a stamp
+        if gaps + repeats >= _FEWEST_UNEVEN and not (repeats and abs(rows - round(rows)) < _UNLIKE):
+            even = _fit(mean, summary, blocks, tolerance - spacing, by_row=True)
+            if even is not None:
+                return cls._uniform(count, mean, even, summary)
+        if not summary.step > 0:
+            _refuse(blocks)
         near = summary.step + offsets.mean
-        tolerance = max(_ROUNDING * summary.digit, _FLOAT_ERROR * summary.step) + 2 * np.spacing(
-            max(abs(summary.first), abs(summary.last))
-        )
-        line = _fit(near, summary, blocks)
+        line = _fit(near, summary, blocks, tolerance)
         if line is not None:
-            residual, worst = _residual(line, near, summary, blocks)
-            if worst <= tolerance:
-                step = _twelve_digits(near + line.slope)
-                values = (residual.std, near, step * line.length, line.gaps, 0, summary.digit)
-                return cls(count, step, summary.first, True, *values)
+            return cls._uniform(count, near, line, summary)
         jitter = offsets.std / np.sqrt(2)
         values = (jitter, summary.step, summary.last - summary.first, gaps, repeats, summary.digit)
         return cls(count, summary.step, summary.first, False, *values)
+
+    @classmethod
+    def _uniform(cls, count: int, near: float, line: _Line, summary: _Summary) -> Clock:
+        """Return the clock of stamps that lie on a line."""
+        step = _twelve_digits(near + line.slope)
+        return cls(count, step, summary.first, True, line.std, near, step * line.length, line.gaps, 0, summary.digit)
 
     @property
     def rate_hz(self) -> float:
@@ -202,7 +219,10 @@ class Clock:
 
     def elapsed(self, stamps: Floats, before: float | None = None) -> Floats:
         """Return the elapsed steps before each of the next stamps, (n,); `before` is the stamp before the first one."""
-        out = np.empty(len(stamps))
+        out = np.ones(len(stamps))
+        if self.even:
+            out[:1] = before is not None
+            return out
         if len(stamps):
             out[0] = 0.0 if before is None else stamps[0] - before
             np.subtract(stamps[1:], stamps[:-1], out=out[1:])
@@ -220,7 +240,7 @@ class Clock:
 
 
 class _Summary(NamedTuple):
-    step: float  # median difference of the stamps, in seconds
+    step: float  # median difference of the stamps, in seconds; 0 if most stamps are equal to the stamp before
     first: float  # first stamp, in seconds
     last: float  # last stamp, in seconds
     digit: float  # last digit of the stamps, in seconds; see `last_digit`
@@ -228,10 +248,9 @@ class _Summary(NamedTuple):
 
 class _Line(NamedTuple):
     slope: float  # slope of the offsets from the grid, in seconds per step
-    at: float  # mean of the grid, in steps
-    residual: float  # mean offset of the stamps from the grid, in seconds
     length: float  # number of steps from the first stamp to the last
     gaps: int
+    std: float  # standard deviation of the stamps from the line, in seconds
 
 
 def _walk(blocks: Blocks) -> Iterator[tuple[Floats, Floats]]:
@@ -254,8 +273,8 @@ def _summarise(count: int, blocks: Blocks) -> _Summary:
         rows = "One row has" if count else "0 rows have"
         raise TimeError(f"{rows} no rate; two or more are needed. Give a rate: --rate HZ, or rate_hz=.")
     thinned, samples = Thinned(count - 1), []
-    first, last, row, every = np.nan, np.nan, 0, max(1, count // 1000)
-    with np.errstate(invalid="ignore"):
+    first, last, least, row, every = np.nan, np.nan, np.inf, 0, max(1, count // 1000)
+    with np.errstate(invalid="ignore", over="ignore"):
         for stamps, distances in _walk(blocks):
             if row == 0:
                 first = float(stamps[0])
@@ -264,11 +283,17 @@ def _summarise(count: int, blocks: Blocks) -> _Summary:
                 _refuse(blocks)
             samples.append(stamps[-row % every :: every].copy())  # a view would keep the block
             thinned.add(distances)
+            least = float(distances.min(initial=least, where=distances > 0))
             row += len(stamps)
-    step = float(np.median(thinned.values))
-    if not (np.isfinite(first) and step > 0):
+        mean, step = (last - first) / (count - 1), float(np.median(thinned.values))
+    if not (np.isfinite(first) and first < last):
         _refuse(blocks)
-    return _Summary(step, first, last, last_digit(np.concatenate(samples)))
+    if not (mean <= 1 / SLOWEST_HZ and (step or mean) >= 1 / FASTEST_HZ):
+        raise TimeError(
+            f"Rows are {step or mean:.3g} s apart; {1 / FASTEST_HZ:g} to {1 / SLOWEST_HZ:g} s is needed. {_ADVICE}"
+        )
+    digit = last_digit(np.concatenate(samples))
+    return _Summary(step, first, last, digit if digit < 2 * least else 0.0)  # stamps nearer than a digit have more
 
 
 def _refuse(blocks: Blocks) -> None:
@@ -295,23 +320,26 @@ def _first(where: Booleans) -> int:
     return int(np.flatnonzero(where)[0])
 
 
-def _offsets(summary: _Summary, blocks: Blocks) -> tuple[Moments, int, int]:
-    """Return the moments of all steps except gaps, minus the median step, and the counts of gaps and repeats."""
+def _offsets(step: float, blocks: Blocks) -> tuple[Moments, int, int]:
+    """Return the moments of all distances except gaps, minus the usual step, and the counts of gaps and repeats."""
     offsets, gaps, repeats = Moments(), 0, 0
     for _, distances in _walk(blocks):
-        steps = distances / summary.step
+        steps = distances / step
         far = steps > GAP_STEPS
         gaps += int(np.count_nonzero(far))
         repeats += int(len(distances) - np.count_nonzero(distances))
-        offsets.add((distances if not far.any() else distances[~far]) - summary.step)
+        offsets.add((distances if not far.any() else distances[~far]) - step)
     return offsets, gaps, repeats
 
 
-def _grid(near: float, summary: _Summary, blocks: Blocks) -> Iterator[tuple[Floats, Floats, Floats]]:
-    """Yield whole steps, their running sum (the grid), and the offsets of the stamps from the grid."""
+def _grid(near: float, summary: _Summary, blocks: Blocks, by_row: bool) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Yield whole steps, their running sum (the grid), and the offsets of the stamps from the grid.
+
+    With `by_row` every row is one step after the row before.
+    """
     at = 0.0
     for stamps, distances in _walk(blocks):
-        steps = np.round(distances / near)
+        steps = np.ones(len(distances)) if by_row else np.round(distances / near)
         grid = np.empty(len(stamps))
         grid[: len(stamps) - len(steps)] = 0.0
         np.cumsum(steps, out=grid[len(stamps) - len(steps) :])
@@ -320,26 +348,24 @@ def _grid(near: float, summary: _Summary, blocks: Blocks) -> Iterator[tuple[Floa
         yield steps, grid, (stamps - summary.first) - near * grid
 
 
-def _fit(near: float, summary: _Summary, blocks: Blocks) -> _Line | None:
-    """Fit a line through the stamps as a function of the grid; return None if a step rounds to 0."""
+def _fit(near: float, summary: _Summary, blocks: Blocks, tolerance: float, *, by_row: bool = False) -> _Line | None:
+    """Fit a line through the stamps as a function of the grid.
+
+    Return None if a step rounds to 0, or a stamp is farther than the tolerance from the line.
+    """
     sums, gaps, end = Moments(), 0, 0.0
-    for steps, grid, offset in _grid(near, summary, blocks):
+    for steps, grid, offset in _grid(near, summary, blocks, by_row):
         if steps.min(initial=1.0) < 1:
             return None
         gaps += int(np.count_nonzero(steps > GAP_STEPS))
         sums.add(grid, offset)
         end = float(grid[-1])
-    return _Line(sums.product / sums.scatter, sums.mean, sums.other, end, gaps)
-
-
-def _residual(line: _Line, near: float, summary: _Summary, blocks: Blocks) -> tuple[Moments, float]:
-    """Return the moments of the distances of the stamps from the line, and the largest distance, in seconds."""
-    residuals, worst = Moments(), 0.0
-    for _, grid, offset in _grid(near, summary, blocks):
-        residual = (offset - line.residual) - line.slope * (grid - line.at)
+    slope, residuals, worst = sums.product / sums.scatter, Moments(), 0.0
+    for _, grid, offset in _grid(near, summary, blocks, by_row):
+        residual = (offset - sums.other) - slope * (grid - sums.mean)
         worst = max(worst, float(np.abs(residual).max()))
         residuals.add(residual)
-    return residuals, worst
+    return _Line(slope, end, gaps, residuals.std) if worst <= tolerance else None
 
 
 def _twelve_digits(step_s: float) -> float:
@@ -348,10 +374,11 @@ def _twelve_digits(step_s: float) -> float:
 
 
 def last_digit(some: Floats) -> float:
-    """Return the decimal place that the stamps are rounded to, in seconds; 0 if they are not rounded."""
+    """Return the place that the stamps are rounded to, in seconds: decimal, or the last of float32; 0 for neither."""
     for place in range(_FINEST_DIGIT + 1):
         scaled = some * 10.0**place
         slack = 1e-3 + 4e-16 * np.abs(scaled)
         if np.all(np.abs(scaled - np.round(scaled)) <= slack):
             return float(10.0**-place)
-    return 0.0
+    single = some.astype(np.float32)
+    return float(np.spacing(np.abs(single).max())) if np.array_equal(single, some) else 0.0

@@ -19,17 +19,17 @@ from becalm.core.time.repair import StepStatistics, undo_clock_changes, unwrap
 from becalm.errors import TimeError
 from becalm.files.rows import Spool
 from becalm.files.source import TimeLayout
+from becalm.files.timing.dates import YEAR_FIRST, Dates, days_of, field_of, whole_numbers
 
 DATE_TIME, DATE, TIME_OF_DAY = "date-time", "date", "time of day"  # kinds of times
-YEAR_FIRST, DAY_FIRST, MONTH_FIRST, MIXED = "year first", "day first", "month first", "mixed"  # orders of dates
 
 _SECOND = 1_000_000_000  # in ns
 DAY_NS = 86_400 * _SECOND
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 
 _DATE = r"(?P<a>[0-9]{1,4})(?P<mark>[-/.])(?P<b>[0-9]{1,2}|[A-Za-z]{3})[-/.](?P<c>[0-9]{1,4})"
 _CLOCK = r"(?P<h>[0-9]{1,2}):(?P<m>[0-9]{2})(?::(?P<s>[0-9]{2})(?:[.,:](?P<f>[0-9]{1,9}))?)?"
-_AFTER = r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-][0-9]{2}:?[0-9]{2}|[+-][0-9]{2})?"
+_SPACE = "[\\s\u00a0\u202f]*"  # also spaces that do not break, as English Windows writes them before PM
+_AFTER = rf"{_SPACE}(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-][0-9]{{2}}:?[0-9]{{2}}|[+-][0-9]{{2}})?"
 _PATTERN = rf"^\s*(?:{_DATE})?[T ,;]*(?:{_CLOCK}{_AFTER})?\s*$"
 _COMPILED = re.compile(_PATTERN)
 
@@ -48,16 +48,20 @@ class Instants:
         True where a cell is empty.
     zoned : bool
         Whether cells give a time zone.
+    ahead_ns : (N,) int64 array or None
+        How far each cell's time zone is ahead of UTC, which `ns` already allows for; None for dates.
     """
 
     kind: str
     ns: Integers
     missing: Booleans
     zoned: bool = False
+    ahead_ns: Integers | None = None
 
     def cut(self, start: int, stop: int | None) -> Instants:
         """Return the rows from `start` up to `stop`."""
-        return Instants(self.kind, self.ns[start:stop], self.missing[start:stop], self.zoned)
+        ahead = None if self.ahead_ns is None else self.ahead_ns[start:stop]
+        return Instants(self.kind, self.ns[start:stop], self.missing[start:stop], self.zoned, ahead)
 
 
 def kind_of_text(column: pa.ChunkedArray) -> str:
@@ -89,6 +93,13 @@ class ClockReader:
     column : callable
         Returns the column in blocks; it is called for every pass over the column.
 
+    Attributes
+    ----------
+    note : str
+        A sentence for the user if dates can be read in several orders.
+    dated : bool
+        Whether the order of day, month and year is known; if not, the dates are all equal.
+
     Raises
     ------
     TimeError
@@ -97,12 +108,13 @@ class ClockReader:
 
     def __init__(self, name: str, kind: str, column: Callable[[], Iterable[pa.ChunkedArray]]) -> None:
         self._name, self._kind, self._column = name, kind, column
+        self.note, self.dated = "", True
         self._order = YEAR_FIRST if kind == TIME_OF_DAY or _all_years_first(column()) else ""
         if not self._order:
-            dates = _Dates()
+            dates = Dates()
             for block in column():
                 dates.add(*_parts(block)[1:])
-            self._order = dates.order(name)
+            self._order, self.note, self.dated = dates.order(name)
 
     def blocks(self) -> Iterator[Instants]:
         """Yield the times of the column block by block."""
@@ -111,14 +123,17 @@ class ClockReader:
             text, parts, missing = _parts(block)
             bad = ~missing & np.asarray(pc.is_null(parts))
             ns = np.zeros(len(text), np.int64)
-            zones = _field(parts, "zone")
+            zones, ahead = field_of(parts, "zone"), None
+            if not row:
+                self._refuse_minutes(parts)
             if self._kind != TIME_OF_DAY:
-                days, wrong = _days(parts, ~missing & ~bad, self._order)
+                days, wrong = days_of(parts, ~missing & ~bad, self._order)
                 ns += days * DAY_NS
                 bad |= wrong & ~missing
             if self._kind != DATE:
                 clock, wrong = _time_of_day(parts)
-                ns += clock - _zone_ns(zones)
+                ahead = _zone_ns(zones)
+                ns += clock - ahead
                 bad |= wrong & ~missing
             if bad.any():
                 at = int(np.flatnonzero(bad)[0])
@@ -130,7 +145,16 @@ class ClockReader:
             if self._kind == TIME_OF_DAY:
                 ns = midnights.add_days(ns, missing)
             row += len(text)
-            yield Instants(self._kind, ns, missing, bool(pc.any(pc.not_equal(zones, "")).as_py()))
+            yield Instants(self._kind, ns, missing, bool(pc.any(pc.not_equal(zones, "")).as_py()), ahead)
+
+    def _refuse_minutes(self, parts: pa.Array) -> None:
+        """Refuse elapsed times of two numbers, which may be minutes and seconds."""
+        two = self._kind == TIME_OF_DAY and not pc.any(pc.not_equal(field_of(parts, "s"), "")).as_py()
+        if two and re.search(r"(?i)elapsed|runtime|uptime|reltime|relative|duration", self._name):
+            raise TimeError(
+                f"The times in {self._name!r} have two numbers: hours and minutes, or minutes and seconds?"
+                " Write them as hh:mm:ss, name another column with --time, or count rows with --rate HZ."
+            )
 
 
 def _parts(block: pa.ChunkedArray) -> tuple[pa.Array, pa.Array, Booleans]:
@@ -149,114 +173,16 @@ def _all_years_first(column: Iterable[pa.ChunkedArray]) -> bool:
     return True
 
 
-def _field(parts: pa.Array, name: str) -> pa.Array:
-    return pc.fill_null(pc.struct_field(parts, name), "")
-
-
-def _whole(text: pa.Array, empty: int = 0) -> Integers:
-    """Convert text to whole numbers; an empty text becomes `empty`."""
-    filled = pc.if_else(pc.equal(text, ""), str(empty), text)
-    return np.asarray(filled.cast(pa.int64()))
-
-
-class _Dates:
-    """The evidence in all dates of a column on the order of day, month and year."""
-
-    def __init__(self) -> None:
-        self._named = False  # whether months are written as names
-        self._day_wrong = self._month_wrong = False  # whether a date does not exist if read day or month first
-        self._first_years = self._last_years = False  # whether years come first, or last
-        self._halves = False  # whether AM or PM is written
-        self._same = True  # whether both orders give the same steps between rows
-        self._mark = ""
-        self._last: int | None = None
-
-    def add(self, parts: pa.Array, missing: Booleans) -> None:
-        """Examine the next dates."""
-        present = ~missing & ~np.asarray(pc.is_null(parts))
-        year_first = np.asarray(pc.utf8_length(_field(parts, "a"))) == 4
-        self._mark = self._mark or next((mark for mark in _field(parts, "mark").to_pylist() if mark), "")
-        self._halves = self._halves or bool(pc.any(pc.not_equal(_field(parts, "half"), "")).as_py())
-        self._named = self._named or _month_numbers(_field(parts, "b"))[1]
-        self._first_years = self._first_years or bool(year_first[present].any())
-        self._last_years = self._last_years or not year_first[present].all()
-        if not present.any() or self._first_years:
-            return
-        (days, day_wrong), (months, month_wrong) = (_days(parts, present, order) for order in (DAY_FIRST, MONTH_FIRST))
-        self._day_wrong = self._day_wrong or bool(day_wrong[present].any())
-        self._month_wrong = self._month_wrong or bool(month_wrong[present].any())
-        apart = days[present] - months[present]
-        last = int(apart[0]) if self._last is None else self._last
-        self._same = self._same and bool(np.all(apart == last))
-        self._last = last
-
-    def order(self, name: str) -> str:
-        """Return the order of day, month and year.
-
-        Raises
-        ------
-        TimeError
-            If both orders of day and month are possible and give different steps between rows.
-        """
-        if self._first_years:
-            return MIXED if self._last_years else YEAR_FIRST
-        if self._named or not self._day_wrong:
-            if self._named or self._month_wrong or self._mark == "." or self._same:
-                return DAY_FIRST
-            if self._halves:  # countries that write AM and PM put the month first
-                return MONTH_FIRST
-            raise TimeError(
-                f"The dates in {name!r} can be read day first or month first, and the two differ. "
-                "Write them as YYYY-MM-DD, name another column with --time, or count rows with --rate HZ."
-            )
-        return DAY_FIRST if self._month_wrong else MONTH_FIRST
-
-
-def _days(parts: pa.Array, present: Booleans, order: str) -> tuple[Integers, Booleans]:
-    """Return days since 1970, and a mask of dates that do not exist; a mixed order marks those with the year first."""
-    first, last = _field(parts, "a"), _field(parts, "c")
-    if not present.any():
-        return np.zeros(len(first), np.int64), ~present
-    if order == MIXED:
-        return np.zeros(len(first), np.int64), np.asarray(pc.utf8_length(first)) == 4
-    a, b, c = _whole(first), _whole(_month_numbers(_field(parts, "b"))[0]), _whole(last)
-    if order == YEAR_FIRST:
-        return _civil(a, b, c)
-    c = np.where(c < 100, c + 2000, c)
-    return _civil(c, b, a) if order == DAY_FIRST else _civil(c, a, b)
-
-
-def _month_numbers(middle: pa.Array) -> tuple[pa.Array, bool]:
-    """Return months as digits, 0 for an unknown name, and whether there are names."""
-    lower = pc.utf8_lower(middle)
-    if not pc.any(pc.match_substring_regex(lower, "[a-z]")).as_py():
-        return middle, False
-    for number, month in enumerate(_MONTHS, start=1):
-        lower = pc.if_else(pc.equal(lower, month), str(number), lower)
-    is_number = pc.match_substring_regex(lower, "^[0-9]*$")
-    return pc.if_else(is_number, lower, "0"), True
-
-
-def _civil(year: Integers, month: Integers, day: Integers) -> tuple[Integers, Booleans]:
-    """Return days since 1970 of calendar dates, and a mask of dates that do not exist."""
-    wrong = (month < 1) | (month > 12) | (day < 1) | (day > 31) | (year < 1700) | (year > 2200)
-    safe_year, safe_month = np.where(wrong, 1970, year), np.where(wrong, 1, month)
-    months = (safe_year - 1970).astype("datetime64[Y]").astype("datetime64[M]") + (safe_month - 1)
-    dates = months.astype("datetime64[D]") + (np.where(wrong, 1, day) - 1)
-    wrong |= dates.astype("datetime64[M]") != months
-    return dates.astype(np.int64), wrong
-
-
 def _time_of_day(parts: pa.Array) -> tuple[Integers, Booleans]:
     """Return nanoseconds since midnight, and a mask of times that do not exist."""
-    hour, minute, second = (_whole(_field(parts, part), -1) for part in "hms")
+    hour, minute, second = (whole_numbers(field_of(parts, part), -1) for part in "hms")
     second = np.where(second == -1, 0, second)
     wrong = (hour < 0) | (hour > 23) | (minute < 0) | (minute > 59) | (second > 60)
-    half = pc.utf8_lower(pc.utf8_slice_codeunits(_field(parts, "half"), 0, 1))
+    half = pc.utf8_lower(pc.utf8_slice_codeunits(field_of(parts, "half"), 0, 1))
     afternoon, morning = np.asarray(pc.equal(half, "p")), np.asarray(pc.equal(half, "a"))
     wrong |= (afternoon | morning) & ((hour > 12) | (hour < 1))
     hour = np.where(afternoon | morning, hour % 12, hour) + 12 * afternoon
-    fraction = _whole(pc.utf8_rpad(_field(parts, "f"), 9, "0"))
+    fraction = whole_numbers(pc.utf8_rpad(field_of(parts, "f"), 9, "0"))
     return ((hour * 60 + minute) * 60 + second) * _SECOND + fraction, wrong
 
 
@@ -302,6 +228,7 @@ _NOTES = {
     BURSTS: "The stamps of {} come in bursts, {:.3g} ms (std) about an even {:.6g} Hz, and none is before its sample;"
     " the rows are counted at that rate instead;",
 }
+_SEVERAL_GAPS = 0.01  # share of rows after a gap above which coarse stamps may hide another rate
 _KEEP = "keep them as written with --stamps as-written."
 
 
@@ -392,8 +319,18 @@ def clock_of(times: Times, layout: TimeLayout, as_written: bool = False) -> tupl
             raise
         return on_grid
     if clock.uniform or as_written:
-        return clock, layout
+        return clock, replace(layout, notes=(*layout.notes, *_coarse_notes(clock, layout)))
     return _on_even_grid(times, layout) or (clock, replace(layout, notes=(*layout.notes, *_burst_notes(times, layout))))
+
+
+def _coarse_notes(clock: Clock, layout: TimeLayout) -> list[str]:
+    """Return a note on gaps that may be rounding: many steps of two digits among steps of one."""
+    if clock.gaps <= _SEVERAL_GAPS * clock.count or clock.resolution_s <= clock.step_s / 2:
+        return []
+    return [
+        f"The stamps of {_named(layout)} have one digit a step, and {clock.gaps:,} longer steps are read as lost rows;"
+        " if the rate is only no whole number of digits and hardly a row is lost, count rows with --rate HZ."
+    ]
 
 
 def _burst_notes(times: Times, layout: TimeLayout) -> list[str]:
