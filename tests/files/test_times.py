@@ -164,6 +164,52 @@ def test_day_and_month_that_cannot_be_told_are_refused(tmp_path: Path) -> None:
         source_of(tmp_path, "Date", ["01/02/2022", "02/02/2022", "03/02/2022"])
 
 
+@pytest.mark.parametrize(
+    ("pattern", "start"),
+    [
+        ("%d/%m/%Y %I:%M:%S.{f} %p", "2024-06-05T23:59:59.800"),
+        ("%m/%d/%Y %I:%M:%S.{f} %p", "2024-06-05T23:59:59.800"),
+        ("%d/%m/%Y %H:%M:%S.{f}", "2024-06-05T23:59:59.800"),
+        ("%d/%m/%Y;%H:%M:%S.{f}", "2024-06-05T23:59:59.800"),
+        ("%y/%m/%d %H:%M:%S.{f}", "2024-06-05T23:59:59.800"),
+        ("%y-%m-%d %H:%M:%S.{f}", "2025-03-14T23:59:59.800"),
+        ("%d/%m/%y %H:%M:%S.{f}", "2024-06-05T23:59:59.800"),
+        ("%d.%m.%y %H:%M:%S.{f}", "1999-12-31T23:59:59.800"),
+    ],
+)
+def test_a_midnight_shows_the_order_of_dates(pattern: str, start: str, tmp_path: Path) -> None:
+    source = source_of(tmp_path, "Date;Time" if ";" in pattern else "Time", clocked(pattern, start))
+    assert source.layout.time_start.startswith(start)
+    np.testing.assert_allclose(source.recording.times_s, EVERY_10_MS, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "start", "says"),
+    [
+        ("%m/%d/%Y %H:%M:%S.{f}", "", "day first or month first, so"),
+        ("%m/%d/%Y;%H:%M:%S.{f}", "", "day first or month first, so"),
+        ("%y/%m/%d %H:%M:%S.{f}", "", "year of two digits first, so"),
+        ("%m/%d/%Y %I:%M:%S.{f} %p", "2022-03-07T16:35:15", "because AM or PM"),
+        ("%m/%d/%Y %I:%M:%S.{f}\u202f%p", "2022-03-07T16:35:15", "because AM or PM"),
+        ("%d.%m.%Y %H:%M:%S.{f}", "2022-03-07T16:35:15", ""),
+        ("%m/%d/2007 %H:%M:%S.{f}", "2007-07-07T16:35:15", ""),
+    ],
+)
+def test_one_day_does_not_show_the_order_of_its_date(pattern: str, start: str, says: str, tmp_path: Path) -> None:
+    day = "2022-07-07T16:35:15.000" if "2007" in pattern else "2022-03-07T16:35:15.000"
+    layout = source_of(tmp_path, "Date;Time" if ";" in pattern else "Time", clocked(pattern, day)).layout
+    assert layout.time_start[:19] == start
+    assert says in "".join(layout.notes)
+    assert bool(says) == bool(layout.notes)
+
+
+def test_a_date_beside_a_time_with_a_zone_is_of_that_zone(tmp_path: Path) -> None:
+    stamps = clocked("%Y-%m-%d;%H:%M:%S.{f}+02:00", "2024-06-15T23:59:59.800")
+    source = source_of(tmp_path, "date;time", stamps)
+    assert source.layout.time_start == "2024-06-15T21:59:59.800000000Z"
+    np.testing.assert_allclose(source.recording.times_s, EVERY_10_MS, atol=1e-9)
+
+
 REFUSED = {
     "counter": ("time", [str(i) for i in range(COUNT)], "--rate HZ"),
     "counter from 1": ("index", [str(i + 1) for i in range(COUNT)], "--rate HZ"),
@@ -174,6 +220,7 @@ REFUSED = {
     "bad date": ("Date", ["2022-02-28", "2022-02-30", "2022-03-01"], "Row 2"),
     "bad clock": ("time", ["10:00:00", "10:00:01", "25:00:02"], "Row 3"),
     "mixed": ("time", ["10:00:00", "10:00:01", "soon", "10:00:03"], "soon"),
+    "hours or minutes": ("elapsed", [f"00:{i:02d}" for i in range(COUNT)], "hh:mm:ss"),
     "backwards": ("time_s", ["0.1", "0.2", "0.15", "0.3", "0.4"], "backwards"),
 }
 

@@ -93,7 +93,8 @@ def read_time(raw: RawTable, columns: tuple[str, ...], as_written: bool = False)
 
 def _read_stamps(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeLayout]:
     if len(columns) == 2:
-        return _from_text(raw, columns, clock.DATE_TIME, _date_and_time(raw, *columns))
+        date, time = _reader(raw, columns[0], clock.DATE), _reader(raw, columns[1], clock.TIME_OF_DAY)
+        return _from_text(raw, columns, clock.DATE_TIME, _date_and_time(date, time), date)
     name = columns[0]
     kind = kind_of_column(raw.head.column(name))
     if kind == NUMBERS:
@@ -104,17 +105,18 @@ def _read_stamps(raw: RawTable, columns: tuple[str, ...]) -> tuple[Stamps, TimeL
         if meant_as_numbers(raw, name):
             raise bad_time_error(raw, name)
         raise TimeError(f"The column {name!r} does not hold times; name another with --time, {COUNT}.")
-    return _from_text(raw, columns, kind, _reader(raw, name, kind).blocks())
+    reader = _reader(raw, name, kind)
+    return _from_text(raw, columns, kind, reader.blocks(), reader)
 
 
 def _reader(raw: RawTable, name: str, kind: str) -> clock.ClockReader:
     return clock.ClockReader(name, kind, lambda: raw.column(name))
 
 
-def _date_and_time(raw: RawTable, date: str, time: str) -> Iterator[clock.Instants]:
-    dates, times = _reader(raw, date, clock.DATE).blocks(), _reader(raw, time, clock.TIME_OF_DAY).blocks()
-    for day, of_day in _aligned_blocks(dates, times):
-        ns, missing = day.ns + of_day.ns % clock.DAY_NS, day.missing | of_day.missing
+def _date_and_time(dates: clock.ClockReader, times: clock.ClockReader) -> Iterator[clock.Instants]:
+    for day, of_day in _aligned_blocks(dates.blocks(), times.blocks()):
+        ahead: Any = 0 if of_day.ahead_ns is None else of_day.ahead_ns  # the date is that of the time zone
+        ns, missing = day.ns + (of_day.ns + ahead) % clock.DAY_NS - ahead, day.missing | of_day.missing
         yield clock.Instants(clock.DATE_TIME, ns, missing, of_day.zoned)
 
 
@@ -131,7 +133,7 @@ def _aligned_blocks(
 
 
 def _from_text(
-    raw: RawTable, columns: tuple[str, ...], kind: str, blocks: Iterator[clock.Instants]
+    raw: RawTable, columns: tuple[str, ...], kind: str, blocks: Iterator[clock.Instants], dates: clock.ClockReader
 ) -> tuple[Stamps, TimeLayout]:
     since, zoned = _SinceFirst(1e9), False
 
@@ -142,9 +144,9 @@ def _from_text(
             yield since.seconds(block.ns, block.missing)
 
     stamps = Stamps(Spool(seconds(), raw.count))
-    dated = kind != clock.TIME_OF_DAY and since.first is not None
+    dated = kind != clock.TIME_OF_DAY and since.first is not None and dates.dated
     start = str(np.datetime64(since.first, "ns")) + ("Z" if zoned else "") if dated else ""
-    return stamps, TimeLayout(columns, kind, "", start)
+    return stamps, TimeLayout(columns, kind, "", start, (dates.note,) if dates.note else ())
 
 
 class _SinceFirst:
