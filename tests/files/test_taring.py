@@ -143,6 +143,14 @@ class Blocks:
         return self._blocks
 
 
+def test_a_row_at_the_start_of_an_interval_is_in_it() -> None:
+    raw = RawTable(MemoryRows(pa.table({"a": np.zeros(100)})), 100, "csv")
+    counted = RowTimes(raw, cast(Any, None), None, 100.0)
+    assert rows_between(counted, 0.07, 0.29) == (7, 29)
+    later = SimpleNamespace(count=100, blocks=lambda: iter([86.0 + np.arange(100) / 100]))
+    assert rows_between(counted._replace(stamps=cast(Any, later)), 0.07, 0.29) == (7, 29)
+
+
 def test_a_constant_temperature_is_taken_off(tmp_path: Path) -> None:
     text = BRIDGE.replace('temperature_channel = "T1"', "temperature_degc = 40.0")
     with opened(written(tmp_path, "T1 (degC)", DEGC), text) as source:
@@ -217,6 +225,7 @@ QUIET = "The zero of 'pull' cannot be measured in its tare interval, 1 s to 3 s:
 REFUSED = {
     "a drift": (NOISY + 0.01 * T, QUIET + "The stretch is not quiet: it drifts by"),
     "a knock": (NOISY + np.where(np.abs(T - 2) < 0.1, np.sin(200 * T), 0.0), QUIET + "The stretch is not quiet"),
+    "the end of full scale": (np.maximum(NOISY, 0.5), QUIET + "[0-9]* of its 200 readings reach the end of full scale"),
     "nothing there": (np.where((T > 0.5) & (T < 3.5), np.nan, NOISY), QUIET + "The stretch has 0 readings"),
     "no noise": (np.full(ROWS, 0.5), QUIET + "All 200 readings of the stretch are 0.5 mV.*give zero_uncertainty, in N"),
     "a short log": (NOISY[:250], QUIET + "The rows end after 2.5 s. Give an earlier interval"),
@@ -226,8 +235,9 @@ REFUSED = {
 @pytest.mark.parametrize("kind", REFUSED)
 def test_a_stretch_that_tells_no_zero_is_refused(kind: str, tmp_path: Path) -> None:
     pull, said = REFUSED[kind]
+    ends = "lowest_reading = 0.5\nhighest_reading = 0.6\n" if "full scale" in kind else ""
     with pytest.raises(SensorError, match=said):
-        opened(pulled(tmp_path, pull, T[: len(pull)]), CELL)
+        opened(pulled(tmp_path, pull, T[: len(pull)]), CELL + ends)
 
 
 def test_readings_that_do_not_vary_have_the_uncertainty_that_was_said(tmp_path: Path) -> None:

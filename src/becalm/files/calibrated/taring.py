@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from becalm.core.arrays import Floats
+from becalm.core.reading_verdicts import BEYOND_ANY_SENSOR
 from becalm.errors import SensorError
 from becalm.files.calibrated.calibrated_rows import CalibratedRows, MatchedSensor
 from becalm.files.read_options import ReadOptions
@@ -72,6 +73,7 @@ def _measure_tare(one: MatchedSensor, readings: RawTable, times: RowTimes) -> Ma
         first, stop = rows_between(times, start_s, stop_s)
         if stop - first > MOST_READINGS:
             raise SensorError(f"The interval has {stop - first} rows; at most {MOST_READINGS} are used. Shorten it.")
+        _refuse_clipped(one, times.raw, first, stop)
         value, std, count = zero_of(_read_rows(readings, one.names[0], first, stop))
         tare = Tare(
             start_s,
@@ -87,6 +89,19 @@ def _measure_tare(one: MatchedSensor, readings: RawTable, times: RowTimes) -> Ma
         raise SensorError(
             f"The zero of {channel!r} cannot be measured in its tare interval, {start_s:g} s to {stop_s:g} s: {cause}"
         ) from cause
+
+
+def _refuse_clipped(one: MatchedSensor, raw: RawTable, first: int, stop: int) -> None:
+    """Raise an error if readings of the interval are clipped: the mean of the others is not the zero."""
+    if (full_scale := one.record.full_scale) is None:
+        return
+    raw_readings = _read_rows(raw, one.columns[0], first, stop) * one.sizes[0].factor + one.sizes[0].offset
+    clipped = full_scale.clipped(raw_readings[np.abs(raw_readings) <= BEYOND_ANY_SENSOR])
+    if clipped.any():
+        raise SensorError(
+            f"{int(clipped.sum())} of its {len(clipped)} readings reach the end of full scale, {full_scale.low:g} to"
+            f" {full_scale.high:g} {one.record.raw_unit}. Give an interval in which none does, or the zero itself."
+        )
 
 
 def _temperature(one: MatchedSensor, readings: RawTable, first: int, stop: int) -> float | None:

@@ -40,6 +40,7 @@ PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}  # number of each unit 
 SECONDS = {"min": 60.0, "h": 3600.0, "d": 86_400.0}  # length of each unit in seconds
 
 _DAY_COUNTS = ((2.5e4, 7.5e4), (6.9e5, 7.7e5))  # Excel, MATLAB: years 1968 to 2105, 1889 to 2108
+_SAME_TIME_S = 1e-9  # times that differ by less are equal, but for the rounding of their last digits
 _TEN_SECONDS = 10.0 / 86_400.0  # in days
 EPOCHS = (("s", 9.4e8, 4.2e9), ("ms", 9.4e11, 4.2e12), ("us", 9.4e14, 4.2e15), ("ns", 9.4e17, 4.2e18))
 """Units of counts since 1970, each with the range of plausible counts: those of the years 1999 to 2103."""
@@ -367,10 +368,11 @@ def rows_between(times: RowTimes, start_s: float, stop_s: float) -> tuple[int, i
     count = times.raw.count
     if times.stamps is None:
         rate_hz = times.rate_hz or 1.0
-        first, stop, lasts_s = ceil(start_s * rate_hz), ceil(stop_s * rate_hz), count / rate_hz
+        first, stop = (ceil((at - _SAME_TIME_S) * rate_hz) for at in (start_s, stop_s))
+        lasts_s = count / rate_hz
     else:
         first, stop, lasts_s = _rows_before(times.stamps, start_s, stop_s)
-    if stop > count or lasts_s < stop_s:
+    if stop > count or lasts_s < stop_s - _SAME_TIME_S:
         raise SensorError(f"The rows end after {lasts_s:.6g} s. Give an earlier interval.")
     return first, stop
 
@@ -387,7 +389,7 @@ def _rows_before(stamps: Stamps, start_s: float, stop_s: float) -> tuple[int, in
             begin = finite[0] if np.isnan(begin) else begin
             last_s = float(finite[-1] - begin)
             for which, at in enumerate((start_s, stop_s)):
-                later = np.flatnonzero(block - begin >= at)
+                later = np.flatnonzero(block - begin >= at - _SAME_TIME_S)
                 first_rows[which] = min(first_rows[which], count + int(later[0])) if len(later) else first_rows[which]
         count += len(block)
     return first_rows[0], first_rows[1], last_s * stamps.count / max(1, stamps.count - 1)
