@@ -114,6 +114,15 @@ def test_rest_beyond_the_record_is_refused(coloured: Recording) -> None:
         tune(coloured, wishes=Wishes(still_s=((90.0, 95.0),)))
 
 
+@pytest.mark.parametrize("spike", [3.0, 20.0])
+def test_a_spike_at_rest_is_no_noise(spike: float) -> None:
+    z = np.random.default_rng(7).normal(0, 0.1, 2000)
+    z[500] = spike
+    still = Recording(z, rate_hz=100.0)
+    (channel,) = tune(still, wishes=Wishes(still_s=((0.0, 10.0),))).channel
+    assert channel.noise_std == pytest.approx(0.1, rel=0.08)
+
+
 def test_a_channel_that_does_not_move_at_rest_is_tuned_as_ever(coloured: Recording) -> None:
     stuck = np.where(TIME_S < REST_S, 0.0, coloured.samples[:, 0])
     recording = Recording(stuck, names=["force"], units=["N"], rate_hz=RATE_HZ)

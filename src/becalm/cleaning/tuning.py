@@ -20,7 +20,6 @@ from becalm.cleaning.recipes.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipes.recipe_parts import CalibrationRecipe, GateRecipe, TareRecipe, TimingRecipe
 from becalm.cleaning.recipes.steps import SOON, gate_of, in_seconds, lag_in_rows
 from becalm.core.arrays import Floats
-from becalm.core.reading_verdicts import judge
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import Timebase
 from becalm.errors import RecordingError, UsageError
@@ -281,7 +280,8 @@ def _identify_imm(
 
 def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float]]) -> NoiseModel | None:
     """Return a channel's noise at rest, all of it as white noise if times are uneven; None if it cannot be measured."""
-    readings, elapsed = judge(rest.channel(name)).readings, rest.timebase.elapsed_steps
+    elapsed = rest.timebase.elapsed_steps
+    readings = find_healthy(rest.channel(name), elapsed, rest.timebase.step_s).readings
     parts = [slice(*stretch) for stretch in rests_in_spans(rest, still_s).stretches]
     if not any(np.nanstd(readings[part]) > 0 for part in parts if np.isfinite(readings[part]).any()):
         return None
