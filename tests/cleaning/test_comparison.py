@@ -90,6 +90,14 @@ def test_no_filter_is_given_what_is_no_reading() -> None:
     assert max(errors) < 1
 
 
+def test_no_filter_is_given_a_marker_of_missing_readings() -> None:
+    z, truth = Z[:300].copy(), Recording(TRUTH[:300], rate_hz=RATE_HZ)
+    z[100] = 1e30
+    (channel,) = compare(Recording(z, rate_hz=RATE_HZ), truth=truth, causal=True).channels
+    assert len(channel.contenders) > 1
+    assert max(contender.rms_error or 0.0 for contender in channel.contenders) < 1
+
+
 def test_where_the_truth_is_not_known_no_error_is_told() -> None:
     measured = Recording(Z[:2000], rate_hz=RATE_HZ)
     some, none = TRUTH[:2000].copy(), np.resize([np.nan, np.inf, 1e300], 2000)

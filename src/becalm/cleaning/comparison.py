@@ -13,7 +13,7 @@ from becalm.cleaning.channels.figures import response_of
 from becalm.cleaning.pipeline import Cleaned, clean, in_mode
 from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Floats
-from becalm.core.reading_verdicts import judge
+from becalm.core.reading_verdicts import NOT_READ, Verdict, judge
 from becalm.core.recording import Recording
 from becalm.core.steady.response import Response, decibels
 from becalm.errors import RecordingError, UsageError
@@ -100,8 +100,8 @@ def compare(
     Parameters
     ----------
     recording : Recording
-        Samples (N, m), NaN where missing. Classic filters ignore the times and assume an even rate. Impossible readings
-        count as missing for all filters.
+        Samples (N, m), NaN where missing. Classic filters ignore the times and assume an even rate. Readings that
+        cleaning takes for no readings, such as markers, stuck and clipped ones, count as missing for all filters.
     recipe : Recipe, optional
         As in `clean`.
     truth : Recording, optional
@@ -129,7 +129,8 @@ def compare(
     is_causal, step_s = cleaned.recipe.mode == "causal", recording.timebase.step_s
     comparisons = []
     for place, (channel, report) in enumerate(zip(cleaned.recipe.channel, cleaned.reports, strict=True)):
-        z = judge(np.ascontiguousarray(recording.channel(channel.name))).readings
+        verdicts, possible = cleaned.verdicts[channel.name], judge(recording.channel(channel.name)).readings
+        z = np.where(NOT_READ[verdicts] | (verdicts == Verdict.HOLE), np.nan, possible)
         readings = _Readings(z, None if true is None else true[:, place], step_s)
         response = response_of(channel, report, step_s, is_causal)
         contenders = (
