@@ -16,6 +16,7 @@ from becalm.core.health.outlier_rule import Outliers
 from becalm.core.health.sentinel import Sentinel
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
+from becalm.errors import RecipeError
 
 LIMITS = Limits(outliers=Outliers(low=-10.0, high=10.0))
 ROWS, RATE_HZ = 600, 100.0
@@ -125,3 +126,17 @@ def test_where_readings_go_on_far_away_the_estimate_goes_with_them() -> None:
     out = becalm.clean(becalm.Recording(z, names=["a"], rate_hz=RATE_HZ), runaway_recipe())
     assert (out.verdicts["a"] == Verdict.RUNAWAY).sum() <= 5
     assert np.nanmax(np.abs(out.signal.samples[450:, 0] - z[450:])) < 1.0
+
+
+def test_a_reversed_plausible_range_is_refused() -> None:
+    with pytest.raises(RecipeError, match="plausible_low is not below plausible_high"):
+        Recipe.from_toml(runaway_recipe().to_toml().replace("plausible_low = -30.0", "plausible_low = 40.0"))
+
+
+def test_a_stream_reads_no_value_that_a_mask_hides() -> None:
+    z = np.ma.masked_array(shaken()[:100, np.newaxis], mask=np.arange(100)[:, np.newaxis] == 60)
+    hidden, missing = (
+        StreamCleaner(runaway_recipe(), 1 / RATE_HZ).push(rows, np.ones(100)) for rows in (z, z.filled(np.nan))
+    )
+    assert hidden.verdicts[60, 0] == Verdict.MISSING
+    np.testing.assert_array_equal(hidden.signal, missing.signal)

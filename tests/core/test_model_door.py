@@ -254,6 +254,7 @@ def test_what_a_mask_hides_is_missing() -> None:
     hidden = np.ma.masked_array([0.0, 1e6, 0.0], mask=[False, True, False])
     seen, model = np.array([0.0, np.nan, 0.0]), Model(F=1.0, H=1.0, Q=1.0, R=1.0, x0=[0.0], P0=[[1.0]])
     np.testing.assert_array_equal(Recording(hidden, rate_hz=1.0).samples[:, 0], seen)
+    np.testing.assert_array_equal(Recording([hidden, seen], rate_hz=1.0).samples, [seen, seen])
     np.testing.assert_array_equal(kalman_filter(model, hidden).sigma, kalman_filter(model, seen).sigma)
     assert Online(model).step(np.ma.masked)[1] == Online(model).step(np.nan)[1]
     with pytest.raises(TimeError, match="row 2 is missing"):

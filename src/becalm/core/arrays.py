@@ -27,6 +27,8 @@ def real(values: ArrayLike) -> ArrayLike:
     TypeError
         If the values are complex, text or dates, because a conversion to float64 would change them silently.
     """
+    if isinstance(values, list | tuple) and any(isinstance(row, np.ma.MaskedArray) for row in values):
+        values = np.ma.array(values)
     kind = np.asarray(values).dtype.kind
     if kind in "cSUMm":
         raise TypeError(f"real numbers are needed, {np.asarray(values).dtype} came")

@@ -179,6 +179,9 @@ class LimitsRecipe(FrozenSettings):
     def _in_order(self) -> Self:
         if self.low is not None and self.high is not None and self.low >= self.high:
             raise ValueError("low is not below high; give a low that is less than high")
+        plausible = self.plausible_low, self.plausible_high
+        if plausible[0] is not None and plausible[1] is not None and plausible[0] >= plausible[1]:
+            raise ValueError("plausible_low is not below plausible_high; give a plausible_low that is less")
         if self.far_from_0 and not (self.outlier_distance or self.causal_outlier_distance):
             raise ValueError("far_from_0 came alone; give outlier_distance or causal_outlier_distance as well")
         return self

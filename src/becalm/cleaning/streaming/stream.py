@@ -19,7 +19,7 @@ from becalm.cleaning.cleaner import ReadyRows
 from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.recipes.steps import lag_in_rows
 from becalm.cleaning.streaming.stream_modes import NO_MODES, count_modes, mode_probabilities, with_modes
-from becalm.core.arrays import Codes, Floats, input_of
+from becalm.core.arrays import Codes, Floats, input_of, real
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
 from becalm.core.snapshot_bytes import packed, unpacked
@@ -248,9 +248,9 @@ class StreamCleaner:
 
 
 def _numbers(name: str, given: object) -> Any:
-    """Return an array of numbers unchanged; raise a ModelError for anything else."""
+    """Return an array of numbers, with NaN where it is masked; raise a ModelError for anything else."""
     if isinstance(given, np.ndarray) and given.dtype.kind in "fiub":
-        return given
+        return real(given)
     raise ModelError(f"{name} is not an array of numbers; give float64, as np.asarray(rows, float) does.")
 
 
