@@ -129,6 +129,14 @@ def test_a_rate_that_is_none_is_not_taken(above: str, tmp_path: Path) -> None:
         read_source(path)
 
 
+@pytest.mark.parametrize("above", ["Sampling rate: 1,000 Hz", "rate = 12,800", "# Sample interval: 1,5 ms"])
+def test_a_rate_with_a_comma_among_commas_is_not_taken(above: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(above + "\na (V),b (g)\n" + pair(","))
+    with pytest.raises(InputError, match=r"no time column.*give --rate HZ"):
+        read_source(path)
+
+
 def test_times_count_more_than_a_rate_above(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text("Sample rate: 50 Hz\n\nTime (s),a,b\n" + table(","))

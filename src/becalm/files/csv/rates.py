@@ -27,6 +27,8 @@ _AGREE = 1e-9  # largest relative difference of rates that count as equal
 def rate_above(lines: Sequence[str], separator: str) -> float | None:
     """Return the rate in Hz that the lines above a table give; None if there is none, or if rates differ.
 
+    A number with a comma, as in `Sample rate: 1,000 Hz` or `Sample interval: 1,5 ms`, gives no rate.
+
     Parameters
     ----------
     lines : sequence of str
@@ -36,7 +38,7 @@ def rate_above(lines: Sequence[str], separator: str) -> float | None:
     """
     split_lines = [split(line.strip("#%/; \t"), separator) for line in lines]
     rows = [[cell.strip().strip('"') for cell in row] for row in split_lines if row]
-    rates = [rate for row in rows for rate in _rates_in(row)]
+    rates = [rate for row in rows if not (separator == "," and _is_cut(row)) for rate in _rates_in(row)]
     rates += [rate for upper, lower in pairwise(rows) for rate in _rates_below(upper, lower)]
     return rates[0] if rates and max(rates) <= min(rates) * (1.0 + _AGREE) else None
 
@@ -48,6 +50,13 @@ def with_rate(raw: RawTable, rate_hz: float | None) -> RawTable:
     time = next(name for number in range(len(raw.names) + 1) if (name := TIME + "_" * number) not in raw.names)
     rows = RowsWithTime(raw.rows, time, rate_hz)
     return replace(raw, rows=rows, units={time: "s", **raw.units}, time=FormatTime(time, rate_hz))
+
+
+def _is_cut(row: Sequence[str]) -> bool:
+    """Return whether a comma that separates cells may be one inside the number behind a name."""
+    return any(
+        re.search(r"[:=]\s*[-+]?[0-9]+$", cell) is not None and after[:1].isdigit() for cell, after in pairwise(row)
+    )
 
 
 def _rates_in(row: Sequence[str]) -> Iterator[float]:
