@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import numpy as np
@@ -16,8 +19,10 @@ import pytest
 from becalm.live.block import Loss, LossKind, Output
 from becalm.live.journal import rolling
 from becalm.live.journal.checking import faults
+from becalm.live.journal.database import transaction
 from becalm.live.journal.parquet_files import prune
 from becalm.live.journal.reading import open_journal
+from becalm.live.protocols import StorageFullError
 from journal_writer import STEPS, writing
 from journals import EPOCH_S, HEAD, assert_rows, checkpoint_at, fill, journal_in, rows_of, table_of
 
@@ -46,6 +51,30 @@ def test_hours_become_files_and_the_open_one_stays(tmp_path: Path) -> None:
     stamps = pq.read_table(tmp_path / "2023-11-14/23.parquet")["time_s"].to_numpy()
     assert len(stamps) == HOUR_ROWS
     assert stamps[0] == 1_700_002_800.0
+
+
+def test_a_commit_that_failed_after_it_reached_the_file_records_its_hour_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def failing(*told: Any) -> Iterator[None]:
+        with transaction(*told):
+            yield
+        raise StorageFullError("disk I/O error")
+
+    start_s = EPOCH_S + 2795  # an hour begins after 50 rows
+    with journal_in(tmp_path) as journal:
+        fill(journal, 2, 100, start_s)
+        assert journal._roller is not None
+        assert journal._roller.wait_until_rolled(30)
+        assert len(journal._roller.done()) == 1
+        with monkeypatch.context() as patch:
+            patch.setattr("becalm.live.journal.journal.transaction", failing)
+            with pytest.raises(StorageFullError):
+                fill(journal, 1, 100, start_s)
+        fill(journal, 2, 100, start_s)
+    assert list(faults(tmp_path)) == []
+    assert_rows(tmp_path, 400, start_s)
 
 
 def test_files_have_units_and_recipe_and_every_reader_reads_them(tmp_path: Path) -> None:

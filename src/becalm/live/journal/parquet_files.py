@@ -19,8 +19,14 @@ _REMOVED = """DELETE FROM blocks WHERE number IN
 
 
 def record(connection: sqlite3.Connection, done: Iterable[Rolled]) -> None:
-    """Record files within a transaction; their blocks are no longer used."""
+    """Record files within a transaction; their blocks are no longer used.
+
+    A file that is recorded already, by a transaction that seemed to fail, is passed over.
+    """
+    recorded = last_rolled_block(connection)
     for rolled in done:
+        if rolled.row.last_block <= recorded:
+            continue
         (last,) = connection.execute("SELECT max(number) FROM rolls").fetchone()
         put(connection, rolled.row._replace(number=(last or 0) + 1))
         for hole in rolled.holes:
