@@ -11,7 +11,8 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
-from becalm.cli.commands.journal import moment_of
+from becalm.cli.commands.journal import JournalOptions, moment_of
+from becalm.cli.commands.journal import run as export
 from becalm.errors import UsageError
 from becalm.live.block import Loss, LossKind
 from journals import HEAD, checkpoint_at, fill, journal_in, rows_of
@@ -157,3 +158,21 @@ def test_a_date_is_utc_unless_it_says_otherwise() -> None:
     assert moment_of("--from", None, 7.0) == 7.0
     with pytest.raises(UsageError, match="is not a time"):
         moment_of("--to", "nan", 0.0)
+
+
+@pytest.mark.parametrize(("text", "date"), [("20231115", "2023-11-15"), ("2026", "2026-01-01")])
+def test_what_could_be_seconds_or_a_date_is_refused(text: str, date: str) -> None:
+    with pytest.raises(UsageError, match=f"write {text}.0 for seconds, or {date}"):
+        moment_of("--from", text, 0.0)
+    assert moment_of("--from", f"{text}.0", 0.0) == float(text)
+    assert moment_of("--from", date, 0.0) > 1e9
+    assert moment_of("--from", "3600", 0.0) == 3600.0
+
+
+def test_an_export_into_the_journal_is_refused(tmp_path: Path) -> None:
+    with journal_in(tmp_path) as journal:
+        fill(journal, 1)
+    output = tmp_path / "x" / ".." / "2023-11-14" / "22.parquet"
+    with pytest.raises(UsageError, match="in the journal"):
+        export(tmp_path, "export", JournalOptions(output, None, None, None), as_json=False)
+    assert not output.exists()

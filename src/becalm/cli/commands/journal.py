@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -25,6 +26,8 @@ from becalm.live.tables import table_schema
 
 DAMAGED = 3
 """Exit code for a damaged journal."""
+
+_BARE_DATE = re.compile(r"(?:19|20)[0-9]{2}(?:(?:0[1-9]|1[0-2])(?:0[1-9]|[12][0-9]|3[01]))?")  # 2026, 20260501
 
 _stdout = Console(highlight=False, soft_wrap=True, markup=False, width=1000)
 
@@ -133,6 +136,8 @@ def _export(folder: Path, options: JournalOptions) -> bool:
     from_s, to_s = moment_of("--from", options.start, -inf), moment_of("--to", options.stop, inf)
     rows = 0
     with open_journal(folder) as journal:
+        if options.output.resolve().is_relative_to(folder.resolve()):
+            raise UsageError(f"{options.output} is in the journal {folder}; write elsewhere: -o {options.output.name}")
         head = journal.head()
         if head is None:
             raise UsageError(f"The journal in {folder} has no rows yet; there is nothing to export.")
@@ -164,10 +169,13 @@ def moment_of(option: str, text: str | None, default: float) -> float:
     Raises
     ------
     UsageError
-        If the text is not a date or a finite number.
+        If the text is not a date or a finite number, or could be both.
     """
     if text is None:
         return default
+    if _BARE_DATE.fullmatch(text):
+        year, day = text[:4], f"{text[4:6] or '01'}-{text[6:8] or '01'}"
+        raise UsageError(f"{option} {text} could be seconds or a date; write {text}.0 for seconds, or {year}-{day}.")
     try:
         seconds = float(text)
     except ValueError:
