@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 import socket
 import threading
@@ -14,6 +15,7 @@ import pytest
 from becalm.errors import InputError, UsageError
 from becalm.live.address import Address
 from becalm.live.brokers import nats_link, nats_pull
+from becalm.live.brokers.remote import Remote
 from becalm.live.protocols import AwayError, Source
 from becalm.live.sinks import broker as broker_sink
 from becalm.live.sinks.nats import NatsSink
@@ -133,3 +135,16 @@ def test_creds_need_their_library(server: Broker, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(UsageError, match="pip install nkeys"):
         source_of(server.port, "&creds=/nowhere").open("")
+
+
+@pytest.mark.parametrize(("host", "url"), [("[::1]", "nats://[::1]:4222"), ("127.0.0.1", "nats://127.0.0.1:4222")])
+def test_a_number_of_ip_version_6_has_brackets(host: str, url: str) -> None:
+    urls: list[str] = []
+
+    class Client:
+        async def connect(self, url: str, **_: object) -> None:
+            urls.append(url)
+
+    link = nats_link.NatsLink(Remote.parsed(Address.parsed(f"nats://{host}/S"), 4222, 4222))
+    asyncio.run(link._connect_client(Client(), {}))  # type: ignore[arg-type]
+    assert urls == [url]

@@ -229,8 +229,9 @@ class NatsLink:
         async def closed() -> None:
             self.end(self._remote.away(f"the connection ended ({self._last_error() or 'without an error'})"))
 
+        host = f"[{self._remote.host}]" if ":" in self._remote.host else self._remote.host  # brackets for IPv6
         await client.connect(
-            f"nats://{self._remote.host}:{self._remote.port}",
+            f"nats://{host}:{self._remote.port}",
             error_cb=failed,
             closed_cb=closed,
             allow_reconnect=False,
