@@ -176,7 +176,7 @@ def test_a_size_is_read(text: str, size: int) -> None:
     assert bytes_of(text) == size
 
 
-@pytest.mark.parametrize("text", ["", "2", "GB", "-1GB", "0GB", "nanMB", "1e3MB", "2GiB", "0.0001kB"])
+@pytest.mark.parametrize("text", ["", "2", "GB", "-1GB", "0GB", "nanMB", "1e3MB", "2GiB", "0.0001kB", "9" * 400 + "tb"])
 def test_what_is_no_size_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="--upload-limit"):
         bytes_of(text)

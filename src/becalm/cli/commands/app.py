@@ -9,6 +9,7 @@ import socket
 import sys
 import threading
 import webbrowser
+from math import inf
 from pathlib import Path
 from types import FrameType
 from typing import NamedTuple
@@ -70,10 +71,10 @@ def bytes_of(text: str) -> int:
         If the text is not a positive number with a unit.
     """
     match = _SIZE.fullmatch(text.strip())
-    limit = int(float(match["number"]) * _BYTES[match["unit"].lower()]) if match else 0
-    if limit < 1:
+    limit = float(match["number"]) * _BYTES[match["unit"].lower()] if match else 0.0
+    if not 1 <= limit < inf:
         raise UsageError(f"--upload-limit {text} is not a size; write a number and then kB, MB or GB, such as 2GB.")
-    return limit
+    return int(limit)
 
 
 def run(place: TunerFolder, where: PageAddress, limit_bytes: int, *, browser: bool) -> None:
