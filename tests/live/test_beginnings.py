@@ -103,6 +103,7 @@ def test_the_resolution_of_stamps_is_that_of_the_first_rows_however_cut() -> Non
     for first in (1, 5, 19, 20, 500):
         cuts = [slice(0, first), slice(first, 600)]
         blocks = [Block(("ax", "ay"), ("", ""), stamps[cut], VALUES[cut]) for cut in cuts]
+        blocks[1] = replace(blocks[1], losses=(Loss(LossKind.GARBLED, 1, "Noise."),))  # so that they are not joined
         kept.append(MemoryKeeper())
         runner_of(ListSource(lambda _, blocks=blocks: list(blocks)), kept[-1], recipe).run()  # type: ignore[misc]
         np.testing.assert_array_equal(kept[-1].sigma, kept[0].sigma)

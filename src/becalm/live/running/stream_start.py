@@ -70,7 +70,7 @@ class StreamStarter:
         Raises
         ------
         UsageError
-            If the checkpoint belongs to a stream of another source, or has another lag or other channels than asked for.
+            If the checkpoint belongs to a stream of another source, or has not the lag or channels that are asked for.
         BecalmError
             If the checkpoint is damaged, or the recipe does not fit the stream.
         """
