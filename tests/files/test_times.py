@@ -220,6 +220,12 @@ REFUSED = {
     "bad date": ("Date", ["2022-02-28", "2022-02-30", "2022-03-01"], "Row 2"),
     "bad clock": ("time", ["10:00:00", "10:00:01", "25:00:02"], "Row 3"),
     "mixed": ("time", ["10:00:00", "10:00:01", "soon", "10:00:03"], "soon"),
+    "digits of a clock": (
+        "UTC",
+        [f"1159{59 + i / 10:04.1f}" if i < 10 else f"1200{i / 10 - 1:04.1f}" for i in range(COUNT)],
+        "hhmmss",
+    ),
+    "fractions of a day": ("time", [f"{0.4 + i / 86_400:.9f}" for i in range(COUNT)], "days"),
     "hours or minutes": ("elapsed", [f"00:{i:02d}" for i in range(COUNT)], "hh:mm:ss"),
     "backwards": ("time_s", ["0.1", "0.2", "0.15", "0.3", "0.4"], "backwards"),
 }
@@ -271,6 +277,12 @@ def test_a_rate_counts_rows_and_the_time_passes_through(tmp_path: Path) -> None:
 def test_a_nearly_even_first_column_is_time_whatever_its_name(tmp_path: Path) -> None:
     source = source_of(tmp_path, "x", [f"{t + 1e-4 * (i % 3):.4f}" for i, t in enumerate(EVERY_10_MS)])
     assert source.layout.time_columns == ("x",)
+
+
+def test_a_fast_log_of_seconds_is_not_of_days(tmp_path: Path) -> None:
+    assert source_of(tmp_path, "t", [f"{0.1 + i / 1e5:.9f}" for i in range(COUNT)]).recording.rate_hz == pytest.approx(
+        1e5
+    )
 
 
 def test_a_gap_stays_a_gap(tmp_path: Path) -> None:

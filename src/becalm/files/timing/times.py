@@ -286,7 +286,13 @@ def _refuse_unknown_unit(name: str, statistics: ColumnStatistics) -> None:
         return  # the time base refuses such stamps with a message of its own
     median = float(np.median(steps))
     first = statistics.first
-    if any(low <= first <= high for low, high in _DAY_COUNTS) and 0.0 < median < _TEN_SECONDS:
+    if _are_clock_digits(statistics.values, steps):
+        raise TimeError(
+            f"The time column {name!r} has no unit and looks like hours, minutes and seconds (hhmmss.ss: {first:g})."
+            f" Write it as hh:mm:ss.ss, or name it '{name} (s)' if it is seconds, {COUNT}."
+        )
+    dates = any(low <= first <= high for low, high in _DAY_COUNTS) and 0.0 < median < _TEN_SECONDS
+    if dates or _are_day_fractions(statistics.values, steps):
         raise TimeError(
             f"The time column {name!r} has no unit and looks like days (an Excel or MATLAB date: {first:.6f})."
             f" Write it as YYYY-MM-DD hh:mm:ss.fff, or name it '{name} (s)' if it is seconds, {COUNT}."
@@ -296,6 +302,23 @@ def _refuse_unknown_unit(name: str, statistics: ColumnStatistics) -> None:
             f"The time column {name!r} has no unit and steps of {median:.6g}: seconds, milliseconds or ticks?"
             f" Put the unit in its name (as in '{name} (ms)'), {COUNT}."
         )
+
+
+def _are_clock_digits(values: Floats, steps: Floats) -> bool:
+    """Return whether numbers are times of day as hhmmss.ss, which leap by 40 at full minutes."""
+    leaps = steps[steps > 30.0] - np.median(steps)
+    minutes = np.isclose(leaps, 40.0, atol=0.01) | np.isclose(leaps, 4040.0, atol=0.01)
+    digits = bool(np.all((values >= 0.0) & (values % 1e2 < 60.0) & (values % 1e4 < 6e3)))
+    return digits and len(leaps) > 0 and bool(minutes.all())
+
+
+def _are_day_fractions(values: Floats, steps: Floats) -> bool:
+    """Return whether numbers are fractions of a day, in steps of whole seconds or in whole numbers of hertz."""
+    if not (values[0] > 0.0 and values[-1] < 1.0 and np.all(steps > 0.0)):
+        return False
+    hertz = 1.0 / (86_400.0 * float(np.mean(steps)))
+    whole = hertz if hertz > 1.0 else 1.0 / hertz
+    return 0.1 < hertz < 100.0 and abs(whole - round(whole)) < 1e-3
 
 
 # Determine the time of a table's rows: from the format, from a given rate, or from a time column.
