@@ -1,8 +1,9 @@
-"""The installed version of becalm, the environment for its subprocesses, and imports to do before threads start."""
+"""The installed version of becalm, its subprocesses and typed commands, and imports to do before threads start."""
 
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from functools import cache
 from importlib import metadata
@@ -26,6 +27,15 @@ def version() -> str:
 def load_scipy() -> None:
     """Import the shared parts of SciPy before threads do, because threads could see partly imported modules."""
     import scipy.optimize  # noqa: F401
+
+
+def typed(*words: str) -> str:
+    """Return words as they are typed on a command line of this system, quoted where needed."""
+    if os.name == "nt":
+        from subprocess import list2cmdline
+
+        return list2cmdline(words)
+    return shlex.join(words)
 
 
 def environment() -> dict[str, str]:

@@ -238,3 +238,11 @@ def test_an_odd_first_stamp_does_not_tell_what_numbers_count(tmp_path: Path) -> 
 def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere is not a folder"):
         lake_shape(str(tmp_path / "nowhere"), PLAN)
+
+
+@pytest.mark.parametrize(
+    ("uri", "path"),
+    [("file:/lake/a b", "/lake/a b"), ("file:///lake/a%20b", "/lake/a%20b"), ("file:///C:/lake/a", "C:/lake/a")],
+)
+def test_a_path_is_as_spark_names_it(uri: str, path: str) -> None:
+    assert stream_lake._path_of(uri) == Path(path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from shlex import quote
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -18,6 +17,7 @@ from becalm.files.source import CHANNEL, PASSED_THROUGH, TIME, ColumnLayout, Raw
 from becalm.files.text.cells import bad_cell, find_bad_cells, is_text, to_numbers
 from becalm.files.timing.time_column import NUMBERS, kind_of_column, named_column, numbers
 from becalm.files.units.unit_spelling import on_sensor, parse_header, tidy_unit
+from becalm.installation import typed
 
 SIGMA = "_sigma"  # the ending of the name of a column of uncertainties
 _COVARIANCE = re.compile(r".*_covariance_[0-9]+")  # a ROS driver writes its sensor's covariance with each reading
@@ -183,7 +183,7 @@ def _exclusion_hint(raw: RawTable, name: str, times: Sequence[str]) -> str:
     others = [n for n in raw.names if n not in (name, *times) and kind_of_column(raw.head.column(n)) == NUMBERS]
     if len(others) > _MOST_NAMED:
         return ", or leave the column out: name all others with --channels"
-    return f", or leave the column out by naming the others: --channels {quote(','.join(others))}" if others else ""
+    return f", or leave the column out by naming the others: --channels {typed(','.join(others))}" if others else ""
 
 
 def refuse_no_numbers(raw: RawTable, name: str, times: Sequence[str]) -> None:

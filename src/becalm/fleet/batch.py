@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +28,7 @@ from becalm.fleet.recipes import RecipeBook
 from becalm.fleet.sensor_cleaning import clean_whole, report_lost_sensor
 from becalm.fleet.spark_tasks import run_tasks
 from becalm.fleet.stretching.cleaning import clean_long
+from becalm.installation import typed
 from becalm.report.fleet.fleet_order import summary
 from becalm.report.fleet.fleet_page import FleetFacts, fleet_page
 from becalm.report.fleet.fleet_rows import FleetRow
@@ -118,7 +118,7 @@ def clean(
     layout = find_sensor_layout(lake, asked.by)
     make_folder(output / ABOUT)
     by = FILE if asked.by == FILE else FOLDER  # the output has a folder for each sensor even if a column names it
-    tune = "tune FILE -o R.toml" if isinstance(layout, MultiSensorLake) else f"fleet tune {quote(str(lake))} -o DIR"
+    tune = "tune FILE -o R.toml" if isinstance(layout, MultiSensorLake) else f"fleet tune {typed(str(lake))} -o DIR"
     job = Job(str(lake), str(output), book.by_hash, by, asked.causal, asked.stretch_rows, f"becalm {tune}")
     with lock_output(output, output / ABOUT / "lock"):
         by_name = sorted(_clean_sensors(spark, job, layout, book), key=lambda outcome: outcome.sensor)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
-from shlex import quote
 from typing import NamedTuple
 
 from becalm.errors import InputError, UsageError
@@ -14,6 +13,7 @@ from becalm.files.lake.listing import is_partition, parquet_files
 from becalm.files.lake.partitions import is_time_partition, sensor_of
 from becalm.files.parquet import read_parquet
 from becalm.fleet.names import folder_name, keys_of, values_in
+from becalm.installation import typed
 
 FOLDER, FILE = "folder", "file"
 """What identifies a sensor, if no column does: a folder, or each file."""
@@ -132,7 +132,7 @@ def _sensor_folder(lake: Path, folder: Path) -> Path:
         parts.pop()
     if above := [part for part in parts if is_partition(part) and is_time_partition(part)]:
         keys = ",".join(values_in(Path(*sensor_of(Path(*parts)))))
-        way = f"becalm fleet clean {quote(str(lake))} -o OUT --recipe R.toml --by {quote(keys)}" if keys else ""
+        way = f"becalm fleet clean {typed(str(lake))} -o OUT --recipe R.toml --by {typed(keys)}" if keys else ""
         raise UsageError(
             f"{lake} has folders of times above its sensors, as in {above[0]}/.../{parts[-1]}, so that the rows of a"
             " sensor are scattered. "

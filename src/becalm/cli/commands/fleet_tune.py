@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from shlex import quote
 
 import typer
 
@@ -13,6 +12,7 @@ from becalm.errors import NOT_DESCRIBED
 from becalm.fleet.lake import FILE
 from becalm.fleet.tuning.lake import LakeTuningOptions, TunedLake, chosen_in, tune
 from becalm.fleet.tuning.tuning_output import values_of
+from becalm.installation import typed
 from becalm.report.fleet.fleet_rows import counted
 
 
@@ -52,6 +52,6 @@ def _print_results(lake: Path, output: Path, options: LakeTuningOptions, tuned: 
     by = " --by file" if options.by == FILE else ""
     typer.echo(
         f"Wrote {counted(len(tuned.recipes), 'recipe', 'recipes')} into {output} and a report, {tuned.report}. Use them"
-        f" with: becalm fleet clean {quote(str(lake))} -o OUT --recipes {quote(str(output))}{by}",
+        f" with: becalm fleet clean {typed(str(lake))} -o OUT --recipes {typed(str(output))}{by}",
         err=True,
     )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from shlex import quote
 
 from becalm.errors import InputError
 from becalm.files.lake.listing import is_partition
+from becalm.installation import typed
 
 _TIME = re.compile(
     r"(?:.*_)?(?:year|yr|quarter|month|week|day|date|datetime|dt|ds|hour|hr|minute|second|time|timestamp|ts)", re.DOTALL
@@ -44,8 +44,8 @@ def refuse_several(folder: Path, files: Iterable[Path]) -> None:
     one = next(sensor for sensor in sensors if sensor)
     raise InputError(
         f"{folder} holds several sensors: {names[0]}, {names[1]}{more}; name one: becalm clean"
-        f" {quote(str(folder / _path_up_to(one[-1], sensors[one])))} -o OUT.parquet, or all of them with: becalm fleet"
-        f" clean {quote(str(folder))} -o OUT"
+        f" {typed(str(folder / _path_up_to(one[-1], sensors[one])))} -o OUT.parquet, or all of them with: becalm fleet"
+        f" clean {typed(str(folder))} -o OUT"
     )
 
 

@@ -7,6 +7,7 @@ preserved; Spark has no type for nanoseconds.
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -89,7 +90,7 @@ def read_files(lake: str, shape: StreamSchema, batches: Iterator[pa.RecordBatch]
     gathering = SensorBlockBuffer(len(shape.channels))
     for batch in batches:
         for uri in batch.column(0).to_pylist():
-            path = Path(uri.removeprefix("file://").removeprefix("file:"))
+            path = _path_of(uri)
             sensor = _key_in(Path(lake), path, shape.key)
             try:
                 for piece in _pieces(path, shape, gathering, sensor):
@@ -192,6 +193,11 @@ def _files(lake: Path) -> Iterator[Path]:
     for path in lake.rglob("*"):
         if path.name.lower().endswith(PARQUET_ENDINGS) and not any(map(is_hidden, path.relative_to(lake).parts)):
             yield path
+
+
+def _path_of(uri: str) -> Path:
+    """Return the path of a file that Spark names: `file:/lake/a`, `file:///lake/a` or, on Windows, `file:///C:/lake/a`."""
+    return Path(re.sub(r"^/(?=[A-Za-z]:)", "", uri.removeprefix("file://").removeprefix("file:")))
 
 
 def _key_in(lake: Path, path: Path, key: str) -> str | None:

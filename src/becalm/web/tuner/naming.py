@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import shlex
 import unicodedata
 from pathlib import Path
 
 from becalm.files.registry import ENDINGS
+from becalm.installation import typed
 
 _FORMAT = re.compile(r"(\.(csv|txt|tsv|dat|log))?\.gz$|\.[^.]*$", re.IGNORECASE)
 _UNTYPED = ("Cc", "Cf", "Cs")  # Unicode categories of characters that a terminal interprets, hides or cannot show
@@ -39,5 +39,5 @@ def command(file: Path, group: str | None) -> str:
         f"./{name}" if name.startswith("-") else name for name in names
     )  # a leading - would be an option
     words = ["becalm", "clean", read, "-o", written, "--recipe", recipe]
-    typed = shlex.join([*words, *([] if group is None else ["--group", group])])
-    return "" if any(unicodedata.category(letter) in _UNTYPED for letter in typed) else typed
+    command = typed(*words, *([] if group is None else ["--group", group]))
+    return "" if any(unicodedata.category(letter) in _UNTYPED for letter in command) else command
