@@ -101,8 +101,20 @@ def test_first_rows_of_other_channels_are_left_out_and_counted() -> None:
     rows, one = rows_of(100), walker()
     one.take(entries([Encoder("json").message({"time": rows.time_s[:5], "z": rows.time_s[:5]})]))
     one.take(entries([message(part(rows, slice(5, 100)))], 2))
-    assert ("garbled", 5) in [(event.kind, event.rows) for event in one.events]
+    assert ("garbled", 1) in [(event.kind, event.rows) for event in one.events]  # a message
     assert_same_bits(one.said, by_stream(part(rows, slice(5, 100))))
+
+
+@pytest.mark.parametrize("cut", [2, 3, 4])
+@pytest.mark.parametrize("odd", ['"battery": 3.7', '"a": 1, "b": 2, "units": {"a": "km"}'])
+def test_an_odd_message_is_garbled_alone_wherever_a_micro_batch_begins(odd: str, cut: int) -> None:
+    rows, one = rows_of(150), walker()
+    payloads = messages(rows, 30)
+    payloads.insert(3, f'{{"time": {float(rows.time_s[0])}, {odd}}}'.encode())
+    one.take(entries(payloads[:cut]))
+    one.take(entries(payloads[cut:], 1 + cut))
+    assert [event.rows for event in one.events if event.kind == "garbled"] == [1]
+    assert_same_bits(one.said, by_stream(rows))
 
 
 def test_a_clock_that_is_set_back_is_followed_as_live_follows_it() -> None:

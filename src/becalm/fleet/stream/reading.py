@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from becalm.cleaning.recipes.recipe import Recipe
 from becalm.core.arrays import Booleans, Floats
 from becalm.core.time.live_clock import AGREEING
 from becalm.fleet.stream.blocks import SensorRows, UnreadableInput
@@ -56,10 +57,15 @@ def read_rows(entries: Sequence[Entry], channels: Sequence[str], held: Block) ->
 
 
 def read_messages(
-    entries: Sequence[Entry], address: Address, held: Block, state: Mapping[str, Any]
+    entries: Sequence[Entry], address: Address, held: Block, state: Mapping[str, Any], recipe: Recipe | None
 ) -> tuple[Block, Mapping[str, Any]]:
-    """Return the waiting rows, then those of messages in the broker's order; and the new state of the numbering."""
-    stream = MessageStream(address)
+    """Return the waiting rows, then those of messages in the broker's order; and the new state of the numbering.
+
+    The recipe, if there is one, says which channels messages have. Otherwise the first message of a micro-batch would,
+    and the result would depend on where it begins.
+    """
+    channels = {} if recipe is None else {channel.name: channel.unit for channel in recipe.channel}
+    stream = MessageStream(address, channels=channels)
     stream.resume(state)
     stream.take_many([(entry.batch, entry.stored_s) for entry in sorted(entries)])
     block = stream.block()

@@ -83,7 +83,8 @@ class SensorStreamProcessor:
         """
         state, back, timer_ms = self._with_rows_received(before, now_ms)
         stream = None if state.stream is None else Stream.resumed(state.stream)
-        block, numbers = self._read(entries, state, -np.inf if stream is None else stream.last_stamp_s)
+        recipe = _current_recipe(self._plan, sensor)[0] if stream is None else stream.recipe
+        block, numbers = self._read(entries, state, -np.inf if stream is None else stream.last_stamp_s, recipe)
         unchanged = state = replace(state, messages=numbers, held=Block.of_losses())
         if not sensor and not len(block):  # there are only losses, of an unknown sensor
             return SensorStep(None, None, _events(block.losses))
@@ -140,12 +141,12 @@ class SensorStreamProcessor:
         return state, (Event("back", None, says),) if before.is_silent else (), timer_ms
 
     def _read(
-        self, entries: Sequence[Entry], state: SensorState, last_stamp_s: float
+        self, entries: Sequence[Entry], state: SensorState, last_stamp_s: float, recipe: Recipe | None
     ) -> tuple[Block, Mapping[str, Any]]:
         if self._plan.messages is None:
             rows = drop_unstamped(read_rows(entries, self._channels, state.held))
             return drop_late(rows, last_stamp_s, state.heard_ms / 1000), state.messages
-        block, numbers = read_messages(entries, self._plan.messages, state.held, state.messages)
+        block, numbers = read_messages(entries, self._plan.messages, state.held, state.messages, recipe)
         return drop_unstamped(block) if block.elapsed is None else block, numbers
 
     def _split(self, block: Block) -> tuple[Block, Block]:

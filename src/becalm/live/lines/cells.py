@@ -140,8 +140,10 @@ def _number_stamps(name: str, unit: str, first: float) -> NumberStamps:
 
 
 def place_named(name: str, names: Sequence[str]) -> int | None:
-    """Return the index of the column with this name, with or without its unit; None if there is none, or several."""
+    """Return the index of the column with this name, with or without a unit on one side; None if not exactly one."""
     if name in names:
         return names.index(name)
-    matches = [index for index, column in enumerate(names) if parse_header(column)[0] == name]
+    bare, unit = parse_header(name)
+    headers = [parse_header(column) for column in names]
+    matches = [at for at, (own, its_unit) in enumerate(headers) if own in (name, bare) and not (unit and its_unit)]
     return matches[0] if len(matches) == 1 else None

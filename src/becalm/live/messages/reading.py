@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -75,9 +75,12 @@ class MessageReader:
     ----------
     options : LineOptions
         Columns, time, rate and channels from the address.
+    units : iterable of str
+        Units of the channels in `options`, if they are known.
     """
 
-    def __init__(self, options: LineOptions) -> None:
+    def __init__(self, options: LineOptions, units: Iterable[str] = ()) -> None:
+        self._known_units = tuple(units)
         self._finder = RoleFinder(options)
         self._arrow: ArrowMessages | None = None
         self._garbled = 0
@@ -155,6 +158,8 @@ class MessageReader:
             raise UnreadableMessageError("which has several rows and no stamps (give the rate: ?rate=HZ)")
         shape = (message.seq is not None, message.time_s is not None)
         if self._shape is None:
+            if self._known_units:
+                _check_units(message.units, self._known_units, message.names)
             self.names, self.units, self._shape = message.names, message.units, shape
         if shape != self._shape:
             raise UnreadableMessageError("which differs from the first message in having stamps or row numbers")
@@ -172,11 +177,11 @@ class MessageReader:
         return MessageRows(message.seq, message.time_s, values, arrived_s)
 
 
-def _check_units(units: Sequence[str], first: Sequence[str], names: Sequence[str]) -> None:
-    """Raise UnreadableMessageError for a unit that differs from the first message's; "" is no statement."""
-    for unit, known, name in zip(units, first, names, strict=True):
+def _check_units(units: Sequence[str], known_units: Sequence[str], names: Sequence[str]) -> None:
+    """Raise UnreadableMessageError for a unit that differs from the known one; "" is no statement."""
+    for unit, known, name in zip(units, known_units, names, strict=True):
         if unit not in ("", known):
-            raise UnreadableMessageError(f"whose {name[:40]!r} is in {unit[:20]!r}, not in {known[:20]!r} as at first")
+            raise UnreadableMessageError(f"whose {name[:40]!r} is in {unit[:20]!r}, not in {known[:20] or 'no unit'!r}")
 
 
 def _check(message: ParsedMessage) -> None:

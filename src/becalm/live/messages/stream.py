@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -31,6 +33,9 @@ class MessageStream:
     reorder : int
         Largest number of messages that wait for a delayed one; 0 for a transport that keeps the order, so that a
         position never has to include waiting messages.
+    channels : mapping of str to str, optional
+        Names and units of the channels, if they are known and the address names none; by default, the first readable
+        message determines them.
 
     Attributes
     ----------
@@ -40,11 +45,15 @@ class MessageStream:
 
     OPTIONS = ("columns", "channels", "time", "rate")
 
-    def __init__(self, address: Address, *, reorder: int = 0) -> None:
+    def __init__(
+        self, address: Address, *, reorder: int = 0, channels: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         options = LineOptions.of(address)
+        if options.channels:
+            channels = {}
         self.rate_hz = options.rate_hz
         self._reorder = reorder
-        self._reader = MessageReader(options)
+        self._reader = MessageReader(replace(options, channels=options.channels or tuple(channels)), channels.values())
         self._sequence = Sequence(self._reorder, self.rate_hz or 0.0)
         self._ready: list[MessageRows] = []
         self._arrived_s = 0.0
