@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import NAMES, OF_TABLE, UNITS, VARIABLES, folder_name, variables
+from becalm.files.column_arrays import metadata_of, refuse_strange_types, unit_of_field, whole_column
 from becalm.files.groups import GROUP
-from becalm.files.outputs.column_arrays import metadata_of, refuse_strange_types, unit_of_field, whole_column
 
 _HEAD = b"MATLAB 5.0 MAT-file, written by becalm".ljust(116)  # without a date, so that equal data give equal bytes
 _MOST_BYTES = (1 << 31) - (1 << 16)  # largest size of a variable in version 5
@@ -97,7 +97,7 @@ class _ArrayRows(ABC):
 
 def _folder(table: pa.Table, metadata: Mapping[str, str]) -> _Folder:
     names = variables(table.column_names)
-    arrays = {name: whole_column(column) for name, column in zip(names, table.columns, strict=True)}
+    arrays = {name: whole_column(name, column) for name, column in zip(names, table.columns, strict=True)}
     units = [unit_of_field(field) for field in table.schema]
     lists = {VARIABLES: list(names), NAMES: table.column_names, UNITS: units}
     return _Folder(arrays, lists | _texts(metadata))

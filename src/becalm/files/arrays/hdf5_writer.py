@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import FLAG, NAME, OF_TABLE, folder_name, variables
-from becalm.files.groups import GROUP
-from becalm.files.outputs.column_arrays import (
+from becalm.files.column_arrays import (
     FillValues,
     is_text,
     metadata_of,
@@ -23,6 +22,7 @@ from becalm.files.outputs.column_arrays import (
     texts_of,
     unit_of_field,
 )
+from becalm.files.groups import GROUP
 
 _CHUNK_ROWS = 1 << 15  # largest number of rows in a chunk
 _FEWEST = 16  # smallest number of rows in a chunk

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from becalm.errors import OutputError
-from becalm.files.outputs.column_arrays import unit_of_field
+from becalm.files.column_arrays import unit_of_field
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.units.unit_spelling import time_unit
 

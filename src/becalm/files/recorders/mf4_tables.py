@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from becalm.core.arrays import Floats
 from becalm.errors import OutputError
+from becalm.files.column_arrays import is_text, numbers_of, texts_of, unit_of_field
 from becalm.files.groups import TIME
-from becalm.files.outputs.column_arrays import is_text, numbers_of, texts_of, unit_of_field
 from becalm.files.recorders.mf4_columns import NO_START
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.timing.times import PER_SECOND, SECONDS

@@ -15,8 +15,8 @@ import pyarrow as pa
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import OF_TABLE
 from becalm.files.atomic_file import removed_afterwards
+from becalm.files.column_arrays import metadata_of, refuse_strange_types
 from becalm.files.groups import GROUP, START
-from becalm.files.outputs.column_arrays import metadata_of, refuse_strange_types
 from becalm.files.recorders.mf4_tables import MdfTable
 from becalm.installation import version
 

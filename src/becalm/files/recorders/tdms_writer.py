@@ -12,8 +12,7 @@ import pyarrow as pa
 
 from becalm.errors import OutputError
 from becalm.files.arrays.array_labels import OF_TABLE
-from becalm.files.groups import GROUP
-from becalm.files.outputs.column_arrays import (
+from becalm.files.column_arrays import (
     FillValues,
     is_text,
     metadata_of,
@@ -22,6 +21,7 @@ from becalm.files.outputs.column_arrays import (
     texts_of,
     unit_of_field,
 )
+from becalm.files.groups import GROUP
 
 FILL = "_FillValue"
 """Property of a channel: the whole number that marks a missing value."""

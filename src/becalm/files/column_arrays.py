@@ -128,12 +128,23 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
     return dtype.type(limits.max if dtype.kind == "u" else limits.min)
 
 
-def whole_column(column: pa.ChunkedArray) -> NDArray[Any]:
-    """Return a column as one array, (N,): text as "U", whole numbers and flags with missing cells as float64."""
+def whole_column(name: str, column: pa.ChunkedArray) -> NDArray[Any]:
+    """Return a column as one array, (N,): text as "U", whole numbers and flags with missing cells as float64.
+
+    Raises
+    ------
+    OutputError
+        If float64 cannot hold the whole numbers beside missing cells.
+    """
     if is_text(column.type):
         texts = texts_of(column)
         return texts.astype(f"U{max((len(text) for text in texts), default=0) or 1}")
     values, missing = numbers_of(column)
     if missing.any() and values.dtype.kind != "f":
+        if values.dtype.kind in "iu" and (values.astype(np.float64).astype(values.dtype) != values).any():
+            raise OutputError(
+                f"Column {name!r} has missing cells and whole numbers that float64 rounds; write .h5, .parquet or .csv"
+                " instead."
+            )
         return np.where(missing, np.nan, values.astype(np.float64))
     return values
