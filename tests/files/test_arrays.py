@@ -8,11 +8,12 @@ from typing import Any
 
 import h5py
 import numpy as np
+import pyarrow as pa
 import pytest
 from scipy.io import savemat
 
-from becalm.errors import InputError
-from becalm.files import ReadOptions, open_source, read
+from becalm.errors import InputError, OutputError
+from becalm.files import ReadOptions, open_source, read, write_table
 from becalm.files.registry import read_tables
 from becalm.files.source import RawTable
 from becalm.files.units.named_rates import hertz_of
@@ -316,3 +317,53 @@ def test_scales_fill_values_and_dates_of_netcdf_are_used_once(tmp_path: Path) ->
         expected = np.where(raw == -999, np.nan, raw.astype(float) * 0.01 + 5.0)
         np.testing.assert_array_equal(source.recording().channel("level"), expected)
         assert source.units == ("m",)
+
+
+FILLED: dict[str, tuple[Any, dict[str, Any], list[float | None]]] = {
+    "a wider fill": (np.array([1.5, -999.9, 2.5], "f4"), {"missing_value": -999.9}, [1.5, None, 2.5]),
+    "several fills": (np.array([1.0, -1.0, -2.0]), {"missing_value": [-1.0, -2.0]}, [1.0, None, None]),
+    "limits": (np.array([1.0, -0.5, 9.0]), {"valid_range": [0.0, 8.0]}, [1.0, None, None]),
+    "one limit": (np.array([1, -5, 9], "i2"), {"valid_min": np.int16(0)}, [1, None, 9]),
+    "limits of scaled numbers": (
+        np.array([10, 400, 900], "i2"),
+        {"scale_factor": 0.5, "valid_range": [10.0, 300.0]},
+        [None, 200.0, None],
+    ),
+    "unsigned": (np.array([1, -2, -1], "i1"), {"_Unsigned": "true", "_FillValue": np.int8(-1)}, [1, 254, None]),
+    "long whole numbers": (
+        np.array([2**60 + 1, -1, 5]),
+        {"_FillValue": np.int64(-1)},
+        [2**60 + 1, None, 5],
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", FILLED)
+def test_missing_numbers_by_attributes(kind: str, tmp_path: Path) -> None:
+    values, attributes, expected = FILLED[kind]
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file["a"] = values
+        file["a"].attrs.update(attributes)
+    (table,) = read_tables(tmp_path / "a.nc")
+    (block,) = table.blocks(["a"])
+    found = [None if one != one else one for one in block["a"].to_pylist()]
+    assert found == expected
+    table.rows.close()
+
+
+def test_a_missing_whole_number_of_time_is_no_instant(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.nc", "w") as file:
+        file["time"] = np.array([0, -1, 2, 3, 4])
+        file["time"].attrs.update({"units": "seconds since 2024-05-01", "_FillValue": np.int64(-1)})
+        file["a"] = np.arange(5.0) ** 2
+    (table,) = read_tables(tmp_path / "a.nc")
+    (block,) = table.blocks(["time"])
+    assert block["time"].null_count == 1
+    table.rows.close()
+
+
+@pytest.mark.parametrize("ending", ["mat", "npz"])
+def test_whole_numbers_that_a_missing_one_would_round_are_refused(ending: str, tmp_path: Path) -> None:
+    table = pa.table({"time_s": [0.0, 0.1, 0.2], "id": pa.array([2**60 + 1, None, 5], pa.int64())})
+    with pytest.raises(OutputError, match="'id' has missing cells"):
+        write_table(tmp_path / f"a.{ending}", table)

@@ -86,6 +86,8 @@ class FileArrays:
         Texts, and lists of texts, by path.
     numbers : dict
         Single numbers, by path.
+    lists : dict
+        Attributes of a few numbers, (n,), by path, in their own type.
     notes : list of str
         Sentences for the user on what is not read, and on what is missing.
     """
@@ -93,6 +95,7 @@ class FileArrays:
     leaves: list[Leaf] = field(default_factory=list)
     words: dict[Path, tuple[str, ...]] = field(default_factory=dict)
     numbers: dict[Path, float] = field(default_factory=dict)
+    lists: dict[Path, NDArray[Any]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
     def add(self, leaf: Leaf) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickletools
 import re
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,20 +12,11 @@ from numpy.typing import NDArray
 
 from becalm.files.arrays.array_labels import FLAG
 from becalm.files.arrays.arrays import FileArrays, Key, Leaf, Path
+from becalm.files.units.unit_spelling import TIME_UNITS
 
-_FILLS = ("_FillValue", "missing_value")  # attributes whose value marks missing values
+_FILLS = ("_FillValue", "missing_value")  # attributes whose values mark missing values
+_SIGNS = {"true": "u", "false": "i"}  # kinds of whole numbers by the attribute _Unsigned
 _SINCE = re.compile(r"(\w+) since (.+)")
-_STEPS = {
-    "ns": ("nanosecond", "nanoseconds", "ns"),
-    "us": ("microsecond", "microseconds", "us"),
-    "ms": ("millisecond", "milliseconds", "msec", "ms"),
-    "s": ("second", "seconds", "sec", "secs", "s"),
-    "m": ("minute", "minutes", "min", "mins"),
-    "h": ("hour", "hours", "h", "hr"),
-    "D": ("day", "days", "d"),
-}
-"""NumPy's units of time, and their names in netCDF."""
-
 _NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
 """The attribute NAME of a dataset that is only a dimension, and has no values, begins with this text."""
 
@@ -42,34 +34,77 @@ def _netcdf(contents: FileArrays, leaf: Leaf) -> Leaf:
     if (*leaf.path, FLAG) in contents.numbers and leaf.type.kind == "u":
         flags = leaf.take
         return leaf._replace(type=np.dtype(bool), take=lambda key: flags(key).astype(np.bool_))
-    fills = [contents.numbers[path] for name in _FILLS if (path := (*leaf.path, name)) in contents.numbers]
-    scale, offset = (contents.numbers.get((*leaf.path, name)) for name in ("scale_factor", "add_offset"))
-    if leaf.type.kind in "iuf" and (fills or scale is not None or offset is not None):
-        leaf = _scaled(leaf, fills, 1.0 if scale is None else scale, offset or 0.0)
+    if leaf.type.kind in "iuf":
+        leaf = _scaled(contents, leaf)
     for name in ("units", "unit"):
         if leaf.type.kind in "iuf" and (match := _SINCE.fullmatch(contents.word((*leaf.path, name)))):
             return _since(contents, leaf, match[1], match[2], (*leaf.path, name))
     return leaf
 
 
-def _scaled(leaf: Leaf, fills: list[float], scale: float, offset: float) -> Leaf:
-    def take(key: Key) -> NDArray[Any]:
-        raw = leaf.take(key)
-        values = np.asarray(raw, np.float64) * scale + offset
-        return np.where(np.isin(np.asarray(raw, np.float64), fills), np.nan, values)
+def _scaled(contents: FileArrays, leaf: Leaf) -> Leaf:
+    """Apply the sign, the scale, the fill values and the limits in an array's attributes.
 
-    return leaf._replace(type=np.dtype(np.float64), take=take)
+    Whole numbers without a scale stay whole numbers, because float64 would round long ones; missing ones are masked.
+    """
+    stored = leaf.type.newbyteorder("=")
+    kind = stored
+    if stored.kind in "iu" and (sign := _SIGNS.get(contents.word((*leaf.path, "_Unsigned")).lower())):
+        kind = np.dtype(f"{sign}{stored.itemsize}")
+    fills = [fill for name in _FILLS for fill in _in_type(contents.lists.get((*leaf.path, name), ()), stored)]
+    scale, offset = (contents.numbers.get((*leaf.path, name)) for name in ("scale_factor", "add_offset"))
+    limits = _limits(contents, leaf.path)
+    plain = scale is None and offset is None
+    if plain and not fills and not limits and kind == stored:
+        return leaf
+
+    def take(key: Key) -> NDArray[Any]:
+        raw = np.asarray(leaf.take(key)).astype(stored, copy=False)
+        values = raw.astype(kind, copy=False)
+        scaled = values if plain else values.astype(np.float64) * (1.0 if scale is None else scale) + (offset or 0.0)
+        missing = np.isin(raw, fills)
+        for beyond, limit in limits:
+            if limit.dtype.kind == "f" and stored.kind in "iu":  # a limit of scaled values
+                missing |= beyond(scaled, limit)
+            else:
+                missing |= beyond(values, limit.astype(stored).astype(kind))
+        if plain and kind.kind in "iu":
+            return np.ma.masked_array(values, missing) if fills or limits else values
+        return np.where(missing, np.nan, scaled.astype(np.float64, copy=False))
+
+    return leaf._replace(type=kind if plain and kind.kind in "iu" else np.dtype(np.float64), take=take)
+
+
+def _in_type(values: Sequence[Any] | NDArray[Any], kind: np.dtype[Any]) -> Iterator[Any]:
+    """Yield the values that an array of a type can hold, in this type: -999.9 in float64 is no float32."""
+    for value in values:
+        with np.errstate(invalid="ignore", over="ignore"):
+            cast = value.astype(kind)
+            if kind.kind == "f" or cast.astype(value.dtype) == value:
+                yield cast
+
+
+def _limits(contents: FileArrays, path: Path) -> list[tuple[np.ufunc, Any]]:
+    """Return the limits in an array's attributes, each with the comparison that tells values beyond it."""
+    listed: Any = contents.lists.get((*path, "valid_range"), ())
+    limits: list[tuple[np.ufunc, Any]] = []
+    if len(listed) == 2:
+        limits += [(np.less, listed[0]), (np.greater, listed[1])]
+    for name, beyond in (("valid_min", np.less), ("valid_max", np.greater)):
+        limits += [(beyond, limit) for limit in contents.lists.get((*path, name), ())]
+    return limits
 
 
 def _since(contents: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -> Leaf:
     """Convert a count since a date, such as "days since 2000-01-01", to instants; leave other arrays unchanged."""
-    step = next((step for step, words in _STEPS.items() if word.lower() in words), None)
+    unit_of_time = TIME_UNITS.get(word.lower(), "")
+    step = {"min": "m", "d": "D"}.get(unit_of_time, unit_of_time)
     plain = re.sub(r"(?:\s*UTC|Z|[+-]00:?00|\s*\+0:00)$", "", text.strip()).replace(" ", "T", 1)
     try:
         first = np.datetime64(plain, "ns") if step else None
     except ValueError:
         first = None
-    if first is None or step is None:
+    if first is None:
         return leaf
     del contents.words[unit]
     ns = np.array(1, f"m8[{step}]").astype("m8[ns]").astype(np.int64)
@@ -80,7 +115,8 @@ def _since(contents: FileArrays, leaf: Leaf, word: str, text: str, unit: Path) -
             finite = np.isfinite(raw)
             ticks = np.round(np.where(finite, raw, 0.0) * float(ns)).astype(np.int64).astype("m8[ns]")
             return np.where(finite, first + ticks, np.datetime64("NaT", "ns"))
-        return np.asarray(first + (raw.astype(np.int64) * ns).astype("m8[ns]"))
+        ticks = (np.ma.getdata(raw).astype(np.int64) * ns).astype("m8[ns]")
+        return np.where(np.ma.getmaskarray(raw), np.datetime64("NaT", "ns"), first + ticks)
 
     return leaf._replace(type=np.dtype("M8[ns]"), take=take)
 

@@ -17,6 +17,7 @@ DEEPEST = 64
 """Deepest nesting of groups that is read."""
 
 _ATTRIBUTE_BYTES = 1 << 20  # larger attributes are ignored
+_MOST_NUMBERS = 64  # longer lists in attributes are ignored
 _HIDDEN = (b"TINDEX", b"INDEX")  # classes of groups for internal use by PyTables
 _FIELD_UNITS = ("units", "unit")  # attributes with a unit for each field of a dataset
 
@@ -121,7 +122,9 @@ class Tree:
         values = as_text(np.asarray(value)) if text else np.asarray(value)
         if text and values.size and values.ndim < 2:
             self.contents.words[(*path, name)] = tuple(str(one).strip() for one in values.ravel())
-        elif not text and values.size == 1:
+        elif not text and 0 < values.size <= _MOST_NUMBERS:
+            self.contents.lists[(*path, name)] = values.ravel()
+        if not text and values.size == 1:
             self.contents.numbers[(*path, name)] = float(values.ravel()[0])
 
     def collect_dataset(self, dataset: Any, path: Path) -> None:

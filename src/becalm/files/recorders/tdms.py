@@ -135,10 +135,10 @@ def _columns(channel: Any) -> Iterator[tuple[str, Column]]:
     unit, fill = _unit(channel.properties), channel.properties.get(FILL)
     if kind.kind in "iu" and fill is not None:
 
-        def with_missing(values: NDArray[Any]) -> NDArray[np.float64]:
-            return np.where(values == fill, np.nan, values.astype(np.float64))
+        def with_missing(values: NDArray[Any]) -> NDArray[Any]:
+            return np.ma.masked_array(values.astype(kind), values == fill)
 
-        yield channel.name, Column(pa.float64(), _reader(channel, with_missing), unit)
+        yield channel.name, Column(pa.from_numpy_dtype(kind), _reader(channel, with_missing), unit)
         return
     if kind.kind in "iufb":
         yield (
