@@ -256,3 +256,27 @@ def test_long_whole_numbers_keep_all_digits(separator: str, tmp_path: Path) -> N
     lines = [separator.join((f"{row / 100}", f"{row % 7}.25", str(one))) for row, one in enumerate(ids)]
     text = separator.join(("time_s", "a", "id")) + "\n" + "\n".join(lines) + "\n"
     assert read_source(save(tmp_path, text), ReadOptions(channels=("a",))).table["id"].to_pylist() == ids
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "kept"),
+    [
+        ("12345678901234567890", "12345678901234567891", None),
+        ("1700000000000000003", "1700000000000000005.5", None),
+        ("+1700000000000000003", "+1700000000000000005", [1_700_000_000_000_000_003, 1_700_000_000_000_000_005]),
+        ("10000000000000000000", "2.5e20", [1e19, 2.5e20]),
+    ],
+)
+def test_whole_numbers_are_never_rounded(first: str, second: str, kept: list[float] | None, tmp_path: Path) -> None:
+    rows = "".join(f"{row / 4},{second if row % 2 else first},{row % 3}.5\n" for row in range(6))
+    source = read_source(save(tmp_path, "time_s,id,a\n" + rows))
+    assert source.table["id"].to_pylist()[:2] == ([first, second] if kept is None else kept)
+    assert "a" in source.recording.names
+    if kept is None:
+        assert source.layout.columns[1].why == "whole numbers that float64 would round"
+
+
+def test_a_time_that_would_be_rounded_is_refused(tmp_path: Path) -> None:
+    rows = "".join(f"{17 * 10**17 + 10**7 * row + 3}{'.5' if row == 3 else ''},{row % 3}.5\n" for row in range(6))
+    with pytest.raises(InputError, match="would round"):
+        read(save(tmp_path, "timestamp_ns,a\n" + rows))

@@ -170,6 +170,8 @@ def _why_not_numbers(raw: RawTable, name: str, times: Sequence[str]) -> str:
     if is_text(kind):
         if raw.format == "csv" and not kind_of_column(raw.head.column(name)):
             bad = find_bad_cells(raw, name)
+            if bad.few and not bad.cells:
+                return "whole numbers that float64 would round"
             if bad.few:
                 raise bad_cell(raw, name, bad, _exclusion_hint(raw, name, times))
         return "text"

@@ -31,7 +31,7 @@ from becalm.files.text.cells import (
 from becalm.files.text.csv_header import unique_names
 
 _EXACT = 1e15  # float64 is exact for whole numbers up to this, and for some larger ones
-_LARGEST_INT = 2.0**63
+_LONG_WHOLE = "^[+-]?[0-9]{16,}$"
 NUMERIC = (NUMBER, MISSING_CELL)  # kinds of columns that are numbers, as far as the first rows show
 
 
@@ -177,7 +177,7 @@ def exact(table: pa.Table) -> pa.Table:
             ends = pc.min_max(column)
             if max(-(ends["min"].as_py() or 0.0), ends["max"].as_py() or 0.0) >= _EXACT:
                 sizes = np.abs(column.to_numpy())
-                if np.any((sizes >= _EXACT) & (sizes < _LARGEST_INT)):
+                if np.any((sizes >= _EXACT) & np.isfinite(sizes)):
                     raise pa.ArrowInvalid("conversion error: long whole numbers")
     return table
 
@@ -225,6 +225,7 @@ class NumericTypeDetector:
         self.possible = True
         self._has_numbers = False
         self._all_integers = True
+        self._rounded = False  # whether float64 would round a whole number
         self._largest = 0.0
 
     def add(self, text: pa.ChunkedArray) -> None:
@@ -237,16 +238,22 @@ class NumericTypeDetector:
         values = np.asarray(numbers.fill_null(0.0))
         finite = np.where(np.isfinite(values), values, 0.0)
         self._largest = max(self._largest, float(np.abs(finite).max(initial=0.0)))
+        self._rounded = self._rounded or (self._largest >= _EXACT and _has_rounded(text))
         self._all_integers = (
             self._all_integers and bool(np.all(finite == np.round(finite))) and _to_int64(text, numbers) is not None
         )
 
     @property
     def type(self) -> pa.DataType | None:
-        """Return int64 for whole numbers with 16 digits or more, float64 for other numbers, None for text."""
+        """Return int64 for whole numbers with 16 digits or more, float64 for other numbers, None for text.
+
+        Whole numbers that neither type can hold, such as numbers of 20 digits, stay text.
+        """
         if not self.possible or not (self._has_numbers or self._kind in NUMERIC):
             return None
-        return pa.int64() if self._all_integers and self._largest >= _EXACT else pa.float64()
+        if self._all_integers and self._largest >= _EXACT:
+            return pa.int64()
+        return None if self._rounded else pa.float64()
 
 
 def numbers_of(text: pa.ChunkedArray, decimal: str, kind: pa.DataType) -> pa.Array:
@@ -255,9 +262,20 @@ def numbers_of(text: pa.ChunkedArray, decimal: str, kind: pa.DataType) -> pa.Arr
     return _to_int64(text, numbers) if pa.types.is_integer(kind) else numbers
 
 
+def _without_plus(text: pa.ChunkedArray) -> pa.Array:
+    return pc.replace_substring_regex(pc.utf8_trim_whitespace(text.combine_chunks()), r"^\+", "")
+
+
+def _has_rounded(text: pa.ChunkedArray) -> bool:
+    """Return whether float64 would round a whole number among cells."""
+    trimmed = _without_plus(text)
+    long = trimmed.filter(pc.match_substring_regex(trimmed, _LONG_WHOLE)).to_pylist()
+    return any(int(cell) != float(cell) for cell in long)
+
+
 def _to_int64(text: pa.ChunkedArray, numbers: pa.Array) -> pa.Array | None:
     """Convert text to int64 without rounding; return None if some cells are not whole numbers."""
-    trimmed = pc.utf8_trim_whitespace(text.combine_chunks())
+    trimmed = _without_plus(text)
     try:
         return pc.if_else(pc.is_valid(numbers), trimmed, pa.scalar(None, pa.string())).cast(pa.int64())
     except pa.ArrowInvalid:

@@ -129,7 +129,12 @@ def _has_bad_cells(raw: RawTable, name: str) -> bool:
 
 def bad_time_error(raw: RawTable, name: str) -> InputError:
     """Return the error that names the first cell of a time column that is not a number."""
-    return bad_cell(raw, name, find_bad_cells(raw, name), f", name another time column with --time, {COUNT}")
+    bad = find_bad_cells(raw, name)
+    if not bad.cells:
+        return InputError(
+            f"The time column {name!r} holds whole numbers that 64 bits would round. Write fewer digits, {COUNT}."
+        )
+    return bad_cell(raw, name, bad, f", name another time column with --time, {COUNT}")
 
 
 def _first_column(raw: RawTable, kinds: dict[str, str]) -> list[tuple[str, ...]]:
