@@ -175,3 +175,11 @@ def test_a_stamp_in_the_messages_is_no_signal(tmp_path: Path) -> None:
     with open_source(json_log(tmp_path / "a", messages)) as source:
         assert source.names == ("x",)
         assert [column.why for column in source.columns if column.name == "timestamp"] == ["another time"]
+
+
+def test_a_number_beyond_all_floats_is_left_out(tmp_path: Path) -> None:
+    messages = [(EPOCH_NS + row * 10**7, {"x": row, "y": 10**400 if row == 3 else 1}) for row in range(9)]
+    (table,) = by_name(json_log(tmp_path / "a", messages)).values()
+    assert whole(table)["x"].to_pylist() == list(range(9))
+    assert [one for one in whole(table)["y"].to_pylist() if one == one] == [1] * 8
+    assert any("left out: y" in note for note in table.notes)

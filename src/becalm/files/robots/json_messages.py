@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+_BEYOND = 1 << 1023  # whole numbers that no float holds
 _LONGEST = 64  # longest list that becomes columns
 _DEEPEST = 16  # levels of nesting that become columns
 _SECOND = 1_000_000_000  # in nanoseconds
@@ -21,7 +22,7 @@ class JsonDecoder:
     units : mapping of str to str
         Empty, because JSON messages have no units.
     left_out : set of str
-        Names of texts, of lists too long for columns, and of what is nested too deeply.
+        Names of texts, of numbers that no float holds, of lists too long for columns, and of what is nested too deeply.
     """
 
     def __init__(self) -> None:
@@ -42,7 +43,7 @@ class JsonDecoder:
         return _stamp(message), self._numbers(message, "", 0)
 
     def _numbers(self, value: Any, name: str, depth: int) -> Iterator[tuple[str, float]]:
-        if isinstance(value, (bool, int, float)):
+        if isinstance(value, (bool, float)) or (isinstance(value, int) and abs(value) < _BEYOND):
             yield name, value
         elif isinstance(value, dict) and depth < _DEEPEST:
             for key, inner in value.items():
