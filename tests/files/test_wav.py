@@ -128,6 +128,14 @@ def test_a_recorder_that_was_not_stopped(length: int, tmp_path: Path) -> None:
     assert any("50 rows are whole" in note for note in table.notes)
 
 
+@pytest.mark.parametrize("length", [0, 0xFFFFFFFF])
+def test_what_a_recorder_wrote_behind_its_samples_is_no_sound(length: int, tmp_path: Path) -> None:
+    data = packed(np.arange(50, dtype="<i2").tobytes(), 2, length=length)
+    more = b"LIST" + struct.pack("<I", 12) + b"INFOISFT\0\0\0\0" + b"id3 " + struct.pack("<I", 3) + b"abc\0"
+    (table,) = read_tables(written(tmp_path, data + more))
+    assert table.count == 50
+
+
 BAD = {
     "packed": (packed(bytes(64), 1, tag=7), "Save it as PCM"),
     "no samples": (packed(b"", 2), "no channel with rows"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,10 @@ from becalm.files.source import FormatTime, RawTable
 
 _PCM, _FLOAT, _EXTENSIBLE = 1, 3, 0xFFFE  # codings of samples; with the last, a later field has the coding
 _UNKNOWN = (0, 0xFFFFFFFF)  # lengths written by a recorder that was not stopped, or that writes to a pipe
+_BEHIND = re.compile(rb"LIST|bext|iXML|id3 |ID3 |cue |fact|smpl|inst|axml|chna|JUNK|junk|PAD |peak|PEAK|umid|_PMX")
+"""Names of the chunks that may follow samples."""
+
+_TAIL_BYTES = 1 << 20  # bytes at the end in which such chunks are searched
 _MOST_FORMAT = 1024  # most bytes of the format that are read; it has 16 to 40
 _SCALE = "Samples are fractions of full scale, 1.0; a WAV file does not contain the sensor's unit and scale."
 
@@ -107,9 +112,23 @@ def _header(library_file: LibraryFile) -> _Sound:
                 claimed = long_length if length == 0xFFFFFFFF and long_length else length
                 available = size - start
                 unknown = claimed in _UNKNOWN
-                held = available if unknown else min(claimed, available)
+                held = _samples_bytes(file, order, start, size) if unknown else min(claimed, available)
                 return _Sound(order, form, start, held, not unknown and claimed <= available)
     raise ValueError("there are no samples in it")
+
+
+def _samples_bytes(file: BinaryIO, order: str, start: int, size: int) -> int:
+    """Return the bytes of samples whose length is unknown: up to the chunks that reach to the end, or to the end."""
+    first = max(start, size - _TAIL_BYTES)
+    file.seek(first)
+    tail = file.read()
+    for found in _BEHIND.finditer(tail):
+        at = found.start()
+        while at + 8 <= len(tail) and tail[at : at + 4].isascii():
+            at += 8 + (length := int(struct.unpack_from(order + "I", tail, at + 4)[0])) + length % 2
+        if at in (len(tail), len(tail) + 1):  # the last byte that evens a length may be missing
+            return first + found.start() - start
+    return size - start
 
 
 def _chunks(file: BinaryIO, order: str, size: int) -> Iterator[tuple[bytes, int, int]]:
