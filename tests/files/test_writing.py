@@ -271,6 +271,13 @@ def test_looking_twice_at_once_is_no_trouble(tmp_path: Path, monkeypatch: pytest
     assert left_in(tmp_path) == []
 
 
+@pytest.mark.parametrize("kind", [pa.large_binary(), pa.binary(2), pa.binary_view()], ids=str)
+@pytest.mark.parametrize("name", ["out.csv", "out.h5", "out.npz"])
+def test_bytes_are_no_text(name: str, kind: pa.DataType, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="'raw' holds"):
+        refuse_columns(tmp_path / name, pa.schema([("x", pa.float64()), ("raw", kind)]))
+
+
 @pytest.mark.parametrize("name", ["out.csv", "out.csv.gz", "out.parquet"])
 def test_columns_are_refused_before_a_row_is_there(name: str, tmp_path: Path) -> None:
     plain_ones = pa.schema({"time": pa.timestamp("ns"), "a": pa.float64(), "n": pa.null(), "words": pa.string()})

@@ -12,6 +12,13 @@ from numpy.typing import NDArray
 
 from becalm.errors import OutputError
 
+_BYTES = (
+    pa.types.is_binary,
+    pa.types.is_large_binary,
+    pa.types.is_fixed_size_binary,
+    pa.types.is_binary_view,
+)
+
 
 def refuse_strange_types(schema: pa.Schema, form: str) -> None:
     """Refuse nested and binary columns, which array formats cannot store.
@@ -29,9 +36,9 @@ def refuse_strange_types(schema: pa.Schema, form: str) -> None:
         If there is such a column.
     """
     for field in schema:
-        if pa.types.is_nested(field.type) or pa.types.is_binary(field.type) or pa.types.is_large_binary(field.type):
+        if pa.types.is_nested(field.type) or any(is_bytes(field.type) for is_bytes in _BYTES):
             raise OutputError(
-                f"Column {field.name!r} holds {field.type}, which {form} cannot store; write .parquet instead."
+                f"Column {field.name!r} holds {field.type}, which {form} cannot hold; write .parquet instead."
             )
 
 

@@ -12,8 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from becalm.errors import OutputError
-from becalm.files.column_arrays import unit_of_field
+from becalm.files.column_arrays import refuse_strange_types, unit_of_field
 from becalm.files.timing.time_column import is_time_name
 from becalm.files.units.unit_spelling import time_unit
 
@@ -49,7 +48,7 @@ class CsvRows:
         if not self._has_header:
             self._file.write(_header([_named_with_unit(field) for field in table.schema]))
             self._has_header = True
-        _refuse_strange_types(table.schema)
+        refuse_strange_types(table.schema, "CSV")
         for start in range(0, table.num_rows, _ROWS):
             _write_block(table.slice(start, _ROWS), self._file)
 
@@ -88,14 +87,6 @@ def _header(names: list[str]) -> bytes:
     dialect: type[csv.Dialect] = csv.unix_dialect if like_comment else csv.excel
     csv.writer(text, dialect, lineterminator="\n").writerow(names)
     return text.getvalue().encode("utf-8")
-
-
-def _refuse_strange_types(schema: pa.Schema) -> None:
-    for field in schema:
-        if pa.types.is_nested(field.type) or pa.types.is_binary(field.type):
-            raise OutputError(
-                f"Column {field.name!r} holds {field.type}, which CSV cannot hold; write .parquet instead."
-            )
 
 
 def _write_block(table: pa.Table, file: Any) -> None:
