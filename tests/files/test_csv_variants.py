@@ -280,3 +280,15 @@ def test_a_time_that_would_be_rounded_is_refused(tmp_path: Path) -> None:
     rows = "".join(f"{17 * 10**17 + 10**7 * row + 3}{'.5' if row == 3 else ''},{row % 3}.5\n" for row in range(6))
     with pytest.raises(InputError, match="would round"):
         read(save(tmp_path, "timestamp_ns,a\n" + rows))
+
+
+def test_a_column_of_lists_does_not_divide_the_rows(tmp_path: Path) -> None:
+    text = "device,load,flags\n" + "".join(f"rig A,{row % 7}.25,0;1;0;2;2;1\n" for row in range(20))
+    recording = read(save(tmp_path, text), rate_hz=1.0)
+    assert recording.names == ("load",)
+    assert recording.samples[3, 0] == 3.25
+
+
+def test_lines_that_end_in_cr_only_may_be_separated_by_spaces(tmp_path: Path) -> None:
+    text = "time_s force\r" + "".join(f"  {row / 8}   {row % 7}.5  \r" for row in range(20))
+    assert read(save(tmp_path, text.encode())).samples[:2, 0].tolist() == [0.5, 1.5]

@@ -191,5 +191,5 @@ def rows_of_text(blocks: Iterable[bytes], separator: str) -> Iterator[bytes]:
 def _joined_spaces(block: bytes, separator: str) -> bytes:
     if separator != " ":
         return block
-    block = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", block)
+    block = re.sub(rb"(?:^|(?<=[\r\n]))[ \t]+|[ \t]+(?=[\r\n]|\Z)", b"", block)
     return re.sub(rb"[ \t]+", b" ", block)

@@ -136,7 +136,17 @@ def _separator(path: Path, plain: Sequence[str]) -> str:
         raise InputError(f"{path} holds text but no column of numbers; a header and rows of numbers are needed.")
     if best == "," and scores[""] == scores[","]:
         return _one_or_two(path, plain)
+    if best and not _has_names(plain, later, best):  # a column of lists may hold more numbers than all others
+        named = [one for one in _SEPARATORS if one.strip() and scores[one] > 0 and _has_names(plain, later, one)]
+        return max(named, key=lambda separator: scores[separator], default=best)
     return best
+
+
+def _has_names(plain: Sequence[str], later: Sequence[str], separator: str) -> bool:
+    """Return whether a separator splits a line above the data into words, one for each column."""
+    width = _width([split(line, separator) for line in later])
+    above = (split(line, separator) for line in plain[: len(plain) // 2])
+    return any(len(row) == width and all(kind_of(cell) == WORDS for cell in row) for row in above)
 
 
 def _score(lines: Sequence[str], separator: str) -> float:
