@@ -15,6 +15,7 @@ from becalm.cleaning.recipes.recipe_parts import CalibrationRecipe, ColouredNois
 from becalm.errors import RecipeError
 
 positive = st.floats(min_value=0, exclude_min=True, allow_nan=False, allow_infinity=False)
+uncertainty = st.floats(min_value=0, max_value=1e100, exclude_min=True)
 text = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=12)
 
 
@@ -29,7 +30,7 @@ coloured = st.builds(
     ColouredNoiseRecipe,
     rate_hz=positive,
     coefficients=st.lists(st.floats(-2, 2), min_size=1, max_size=3).map(tuple),
-    std=positive,
+    std=uncertainty,
 )
 
 
@@ -47,7 +48,7 @@ def channels(draw: st.DrawFn, name: str) -> ChannelRecipe:
         tone=tuple(draw(st.lists(tones, max_size=3))),
         coloured_noise=draw(st.none() | coloured),
         tuning_spread=draw(positive | st.just(0.0)),
-        calibration=draw(st.none() | st.builds(CalibrationRecipe, relative_std=positive, offset_std=positive)),
+        calibration=draw(st.none() | st.builds(CalibrationRecipe, relative_std=uncertainty, offset_std=uncertainty)),
     )
 
 

@@ -4,15 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from becalm.core.reading_verdicts import AGREE, AT_MOST
+from becalm.core.reading_verdicts import AGREE, AT_MOST, BEYOND_ANY_SENSOR
 from becalm.core.time.clock import GAP_STEPS
 
 # "strict" refuses values that are not numbers, such as true and "1.0".
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+
+
+def _squarable(value: float) -> float:
+    if value > BEYOND_ANY_SENSOR:
+        raise ValueError(f"{value:g} is too large; give {BEYOND_ANY_SENSOR:g} or less")
+    return value
+
+
+Uncertainty = Annotated[NotNegative, AfterValidator(_squarable)]
+PositiveUncertainty = Annotated[Positive, AfterValidator(_squarable)]
 
 _MOST_REJECTS = 1 << 31  # largest `at_most`: no stream has so many rejected readings in a row
 
@@ -59,7 +69,7 @@ class ColouredNoiseRecipe(FrozenSettings):
 
     rate_hz: Positive
     coefficients: Annotated[tuple[float, ...], Field(min_length=1, max_length=64)]  # each adds a state
-    std: Positive
+    std: PositiveUncertainty
 
 
 class HoleRecipe(FrozenSettings):
@@ -160,7 +170,7 @@ class LimitsRecipe(FrozenSettings):
     low: Finite | None = None
     high: Finite | None = None
     resolution: Positive | None = None
-    rounding_std: Positive | None = None
+    rounding_std: PositiveUncertainty | None = None
     stuck_readings: Annotated[int, Field(ge=2)] | None = None
     even_time: bool | None = None
     gap_steps: Annotated[float, Field(ge=GAP_STEPS, allow_inf_nan=False)] | None = None
@@ -229,8 +239,8 @@ class CalibrationRecipe(FrozenSettings):
         The measured zero; None if the zero is from the data sheet.
     """
 
-    relative_std: NotNegative = 0.0
-    offset_std: NotNegative = 0.0
+    relative_std: Uncertainty = 0.0
+    offset_std: Uncertainty = 0.0
     tare: TareRecipe | None = None
 
 
@@ -247,8 +257,8 @@ class TimingRecipe(FrozenSettings):
         at rest.
     """
 
-    std_s: Positive
-    included_std: NotNegative = 0.0
+    std_s: PositiveUncertainty
+    included_std: Uncertainty = 0.0
 
 
 # The tables of a recipe for a filter with several modes (IMM).
