@@ -168,7 +168,7 @@ def test_what_is_not_a_step_is_refused(step_s: float) -> None:
 
 
 def test_a_negative_variance_and_an_unknown_form_are_refused() -> None:
-    with pytest.raises(ModelError, match=r"^R is not a covariance"):
+    with pytest.raises(ModelError, match=r"^noise_variance = -1.0 is not a variance; give a number in unit\^2 or 0"):
         level().to_model(1.0, -1.0)
     unknown: Any = "tustin"
     with pytest.raises(ModelError, match=r"^discretisation = 'tustin' is not known"):
@@ -247,7 +247,7 @@ def test_noise_of_very_different_densities_keeps_its_digits() -> None:
         (lambda: gauss_markov(1e-320), "Gauss-Markov noise leave the range of float64"),
         (lambda: gauss_markov(1.0, None), "std = None"),  # type: ignore[arg-type]
         (lambda: level(10**400), "noise_density = 1000"),
-        (lambda: level().to_model("1", 1.0), "step_s = '1' is not a step"),
+        (lambda: level().to_model("1", 1.0), "step_s = '1' is not a step"),  # type: ignore[arg-type]
     ],
 )
 def test_impossible_numbers_are_refused(make: Any, says: str) -> None:

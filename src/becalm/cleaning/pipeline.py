@@ -10,11 +10,12 @@ import numpy as np
 from becalm.cleaning.channels.report import ChannelReport
 from becalm.cleaning.cleaner import Cleaner
 from becalm.cleaning.recipes.recipe import Recipe
+from becalm.cleaning.recipes.steps import checked_lag_s
 from becalm.cleaning.tuning import Wishes, as_list, refuse_causal_lag, refuse_empty, tune
 from becalm.core.arrays import Codes
 from becalm.core.recording import Recording
 from becalm.core.rows import EstimatedRows
-from becalm.errors import RecipeError
+from becalm.errors import RecipeError, UsageError
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,8 @@ class Cleaned:
     signal : Recording
         The clean channels, (N, m), with the names, units and times of the recording.
     sigma : Recording
-        Standard uncertainty (k = 1) of each sample, in the same units; NaN where it is unknown.
+        Standard uncertainty (k = 1) of each sample, in the same units; NaN where it is unknown, inf before the first
+        reading of a causal filter.
     recipe : Recipe
         Recipe that was used; it makes the cleaning repeatable.
     reports : tuple of ChannelReport
@@ -89,6 +91,7 @@ def clean(  # noqa: PLR0913  (keyword options of the main function)
         If a causal filter is given a lag, or the lag is shorter than one step or too long.
     """
     refuse_empty(recording)
+    refuse_causal_lag(causal, lag_s)
     if not (recipe is None or isinstance(recipe, Recipe)):
         raise RecipeError(f"A Recipe is needed; {recipe!r:.60} came. Load one: becalm.Recipe.load('recipe.toml').")
     if recipe is None:
@@ -139,10 +142,13 @@ def in_mode(recipe: Recipe, causal: bool | None = None, lag_s: float | None = No
     Raises
     ------
     UsageError
-        If a causal filter is given a lag.
+        If a causal filter is given a lag, or the lag is not a number above 0.
     """
     refuse_causal_lag(causal, lag_s)
     if lag_s is not None:
+        lag_s = checked_lag_s(lag_s)
+        if not lag_s > 0:
+            raise UsageError(f"lag_s = {lag_s:.6g} is not a lag; give seconds above 0, as in lag_s=0.01.")
         return recipe.model_copy(update={"mode": "lagged", "lag_s": lag_s})
     if causal is None:
         return recipe

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,8 +19,9 @@ from becalm.cleaning.errors_in_holes import measure_hole_corrections
 from becalm.cleaning.recipes.limits_entry import with_rounding
 from becalm.cleaning.recipes.recipe import ChannelRecipe, Mode, Origin, Recipe
 from becalm.cleaning.recipes.recipe_parts import CalibrationRecipe, GateRecipe, TareRecipe, TimingRecipe
-from becalm.cleaning.recipes.steps import SOON, gate_of, in_seconds, lag_in_rows
+from becalm.cleaning.recipes.steps import SOON, checked_lag_s, gate_of, in_seconds, lag_in_rows
 from becalm.core.arrays import Floats
+from becalm.core.model.parts import checked_number
 from becalm.core.recording import Recording
 from becalm.core.time.timebase import Timebase
 from becalm.errors import RecordingError, UsageError
@@ -90,6 +92,7 @@ def _with_timing(channel: ChannelRecipe, std_s: float, rms_slope: float) -> Chan
     return channel.model_copy(update={"timing": timing})
 
 
+_LEAST_SPREAD = 1e-120  # least difference of readings that is not lost when it is squared, in any unit
 _NEARLY_EMPTY = 64  # a channel with fewer readings raises no error if too few of them are at rest
 
 Progress = Callable[[str], None]
@@ -195,8 +198,8 @@ def explore(
     refuse_empty(recording)
     chosen = recording if channels is None else recording.select(as_list(channels))
     refuse_empty(chosen)
-    if not isinstance(wishes, Wishes):
-        raise UsageError(f"Wishes are needed; {wishes!r:.60} came. Make some: becalm.Wishes(lag_s=0.01).")
+    refuse_causal_lag(causal, None)
+    wishes = _checked_wishes(wishes, chosen.timebase)
     _refuse_contradictions(wishes, chosen)
     as_filter = tuned_as_filter(causal, wishes.lag_s, chosen.timebase.step_s)
     one = partial(_tune_channel, chosen, as_filter, wishes, progress or _ignore_progress)
@@ -231,6 +234,11 @@ def _identify_channel(recording: Recording, causal: bool, wishes: Wishes, name: 
     gate_recipe, elapsed = GateRecipe(), time.elapsed_steps
     gate = gate_of(gate_recipe, time.step_s)
     readings, outliers, limits = find_healthy(recording.channel(name), elapsed, time.step_s, causal=causal)
+    spread = float(np.nanmax(readings) - np.nanmin(readings)) if np.isfinite(readings).any() else 0.0
+    if 0 < spread < _LEAST_SPREAD:
+        raise RecordingError(
+            f"{name}: the readings differ by {spread:.3g} at most, whose square is beyond float64; give another unit."
+        )
     choice, gated = choose_gated(readings, elapsed, gate, causal, prior)
     evidence = Evidence.of(readings, elapsed)
     if choice.tuning is None or choice.motion is None:
@@ -297,6 +305,37 @@ def _rest_noise(rest: Recording, name: str, still_s: Sequence[tuple[float, float
     return NoiseModel(noise.white_variance + noise.coloured.variance, None, noise.drift_density, noise.count)
 
 
+def _checked_wishes(wishes: Wishes, time: Timebase) -> Wishes:
+    """Return the wishes with numbers as float; raise an error if one of them is of a wrong type or impossible."""
+    if not isinstance(wishes, Wishes):
+        raise UsageError(f"Wishes are needed; {wishes!r:.60} came. Make some: becalm.Wishes(lag_s=0.01).")
+    dial: object = wishes.dial
+    if dial is not None and not (isinstance(dial, Dial) and isinstance(dial.value, Real)):
+        raise UsageError(f"dial = {dial!r:.60} is not a Dial; give one, as in Dial('bandwidth_hz', 5.0).")
+    if wishes.rest is not None:
+        refuse_empty(wishes.rest)
+    try:
+        still_s = tuple((float(from_s + 0.0), float(to_s + 0.0)) for from_s, to_s in wishes.still_s)
+    except (TypeError, ValueError, OverflowError) as cause:
+        raise UsageError(
+            f"still_s = {wishes.still_s!r:.60} is not a tuple of stretches; give from and to of each, in seconds, as in"
+            " still_s=((0, 10),)."
+        ) from cause
+    try:
+        removed_hz = tuple(float(frequency_hz + 0.0) for frequency_hz in wishes.removed_hz)
+    except (TypeError, ValueError, OverflowError) as cause:
+        raise UsageError(
+            f"removed_hz = {wishes.removed_hz!r:.60} is not a tuple of frequencies; give them as in removed_hz=(50.0,)."
+        ) from cause
+    std_s, longest_s = wishes.time_std_s, max(time.duration_s, time.step_s)
+    if std_s is not None:
+        std_s = checked_number("time_std_s", std_s, "an uncertainty of times", "a number of seconds", zero=True)
+        if std_s > longest_s:
+            raise UsageError(f"time_std_s = {std_s:.6g} is longer than the record, {longest_s:.6g} s; give seconds.")
+    lag_s = None if wishes.lag_s is None else checked_lag_s(wishes.lag_s)
+    return wishes._replace(still_s=still_s, removed_hz=removed_hz, time_std_s=std_s, lag_s=lag_s)
+
+
 def _refuse_contradictions(wishes: Wishes, recording: Recording) -> None:
     removed, rate_hz = wishes.removed_hz, recording.rate_hz
     if wishes.robust and (wishes.dial is not None or wishes.still_s or removed):
@@ -348,7 +387,9 @@ def tuned_as_filter(causal: bool, lag_s: float | None, step_s: float) -> bool:
 
 
 def refuse_causal_lag(causal: bool | None, lag_s: float | None) -> None:
-    """Raise a UsageError if a causal filter is given a lag."""
+    """Raise a UsageError if a causal filter is given a lag, or `causal` is neither True nor False."""
+    if not (causal is None or isinstance(causal, bool | np.bool_)):
+        raise UsageError(f"causal = {causal!r:.60} came; give causal=True, or causal=False for a smoother.")
     if causal and lag_s is not None:
         raise UsageError("A causal filter uses no later reading; give a lag, or choose a causal filter, not both.")
 
@@ -367,7 +408,10 @@ def refuse_empty(recording: Recording) -> None:
 
 def as_list(channels: Sequence[str]) -> list[str]:
     """Return names as a list; a str is a single name."""
-    return [channels] if isinstance(channels, str) else list(channels)
+    try:
+        return [channels] if isinstance(channels, str) else list(channels)
+    except TypeError as cause:
+        raise RecordingError(f"channels = {channels!r:.60} is no list of names; give one, as in ['ax'].") from cause
 
 
 def _ignore_progress(_: str) -> None:

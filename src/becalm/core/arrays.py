@@ -26,12 +26,19 @@ def real(values: ArrayLike) -> ArrayLike:
     ------
     TypeError
         If the values are complex, text or dates, because a conversion to float64 would change them silently.
+    ValueError
+        If a whole number is beyond the range of float64.
     """
     if isinstance(values, list | tuple) and any(isinstance(row, np.ma.MaskedArray) for row in values):
         values = np.ma.array(values)
     kind = np.asarray(values).dtype.kind
     if kind in "cSUMm":
         raise TypeError(f"real numbers are needed, {np.asarray(values).dtype} came")
+    if kind == "O":
+        try:
+            values = np.asarray(values, dtype=np.float64)
+        except OverflowError as cause:
+            raise ValueError(str(cause)) from cause
     return np.ma.filled(np.ma.asarray(values, dtype=np.float64), np.nan) if np.ma.isMaskedArray(values) else values
 
 

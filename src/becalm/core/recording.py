@@ -123,10 +123,17 @@ def _checked_samples(samples: ArrayLike) -> Floats:
     return own
 
 
+def _texts(name: str, given: Sequence[str]) -> tuple[str, ...]:
+    try:
+        return tuple(map(str, given))
+    except TypeError as cause:
+        raise RecordingError(f"{name} = {given!r:.60} is not a list of texts; give one for each channel.") from cause
+
+
 def _checked_names(names: Sequence[str] | None, width: int) -> tuple[str, ...]:
     if isinstance(names, str):
         names = (names,)
-    own = tuple(f"channel_{i}" for i in range(width)) if names is None else tuple(map(str, names))
+    own = tuple(f"channel_{i}" for i in range(width)) if names is None else _texts("names", names)
     if len(own) != width:
         raise RecordingError(f"{len(own)} names came for {width} channels: {own}.")
     if not all(own):
@@ -139,7 +146,7 @@ def _checked_names(names: Sequence[str] | None, width: int) -> tuple[str, ...]:
 def _checked_units(units: Sequence[str] | None, width: int) -> tuple[str, ...]:
     if isinstance(units, str):
         units = (units,)
-    own = ("",) * width if units is None else tuple(map(str, units))
+    own = ("",) * width if units is None else _texts("units", units)
     if len(own) != width:
         raise RecordingError(f"{len(own)} units came for {width} channels: {own}.")
     return own

@@ -45,8 +45,9 @@ class TomlKind(NamedTuple):
         """
         try:
             return Path(path).read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as cause:
-            reason = getattr(cause, "strerror", None) or "it is not UTF-8 text"
+        except (OSError, UnicodeDecodeError, TypeError) as cause:
+            is_path = not isinstance(cause, TypeError)
+            reason = getattr(cause, "strerror", None) or ("it is not UTF-8 text" if is_path else "it is not a path")
             raise self.error(f"The {self.name} {path} cannot be read: {reason}. {advice}") from cause
 
     def parse(self, model: type[Document], text: str, source: str, advice: str) -> Document:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from itertools import pairwise
 from numbers import Real
@@ -67,12 +68,13 @@ def in_steps(tuned: TunedMotion, step_s: float) -> Tuning:
     with np.errstate(all="ignore"):
         variance = float(np.float64(tuned.noise_std) ** 2)
         density = float(np.float64(tuned.process_noise_density) * np.float64(step_s) ** (2 * tuned.order - 1))
-    possible = 1e-250 < variance < 1e250 and (density == 0 or _LEAST_RATIO < density / variance < _GREATEST_RATIO)
+    representable = 1e-250 < variance < 1e250
+    possible = representable and (density == 0 or _LEAST_RATIO < density / variance < _GREATEST_RATIO)
     if not possible or (density == 0 and tuned.process_noise_density > 0):
+        advice = "tune one on this recording" if representable else "give the readings in another unit"
         raise RecipeError(
             f"process_noise_density = {tuned.process_noise_density:.3g} and noise_std = {tuned.noise_std:.3g} do"
-            f" not make a valid filter at {1 / step_s:.6g} Hz; correct them in the recipe, or tune one on"
-            " this recording."
+            f" not make a valid filter at {1 / step_s:.6g} Hz; correct them in the recipe, or {advice}."
         )
     _refuse_equal_tones(tuned.tones)
     tones = tuple(_tone_in_steps(tone, variance, step_s) for tone in tuned.tones)
@@ -106,15 +108,21 @@ def lag_in_rows(lag_s: float, step_s: float) -> int:
     UsageError
         If the lag is shorter than one step, longer than `LONGEST_LAG` readings, or not a number.
     """
-    if not isinstance(lag_s, Real):
-        raise UsageError(f"lag_s = {lag_s!r} is not a number; give seconds, as in lag_s=0.01.")
-    rows = np.floor(float(lag_s) / step_s + _WHOLE)
+    rows = np.floor(checked_lag_s(lag_s) / step_s + _WHOLE)
     if not 1 <= rows <= LONGEST_LAG:
         raise UsageError(
             f"lag_s = {lag_s:.6g} is {rows:.6g} readings at {1 / step_s:.6g} Hz; give {step_s:.6g} to"
             f" {LONGEST_LAG * step_s:.6g} s, or use a causal filter or a smoother."
         )
     return int(rows)
+
+
+def checked_lag_s(lag_s: object) -> float:
+    """Return a lag in seconds as float; raise a UsageError if it is not a number."""
+    if isinstance(lag_s, Real) and not isinstance(lag_s, bool):
+        with suppress(OverflowError):
+            return float(lag_s)
+    raise UsageError(f"lag_s = {lag_s!r} is not a number; give seconds, as in lag_s=0.01.")
 
 
 def _refuse_equal_tones(tones: Sequence[ToneRecipe]) -> None:

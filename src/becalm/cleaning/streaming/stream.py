@@ -20,6 +20,7 @@ from becalm.cleaning.recipes.recipe import Recipe
 from becalm.cleaning.recipes.steps import lag_in_rows
 from becalm.cleaning.streaming.stream_modes import NO_MODES, count_modes, mode_probabilities, with_modes
 from becalm.core.arrays import Codes, Floats, input_of, real
+from becalm.core.model.parts import checked_step
 from becalm.core.reading_verdicts import Verdict
 from becalm.core.rows import EstimatedRows
 from becalm.core.snapshot_bytes import packed, unpacked
@@ -92,6 +93,9 @@ class StreamCleaner:
     """
 
     def __init__(self, recipe: Recipe, step_s: float) -> None:
+        if not isinstance(recipe, Recipe):
+            raise RecipeError(f"A Recipe is needed; {recipe!r:.60} came. Load one: becalm.Recipe.load('recipe.toml').")
+        step_s = checked_step(step_s)
         self.lag_rows = 0 if recipe.lag_s is None else lag_in_rows(recipe.lag_s, step_s)
         self._recipe, self._step_s, self._rows = recipe, step_s, 0
         self._recipe_hash = _hash_of(recipe)
@@ -261,6 +265,8 @@ def _hash_of(recipe: Recipe) -> Codes:
 
 def _read(blob: bytes) -> dict[str, Any]:
     """Return the arrays of a snapshot; raise a ModelError if it is damaged or of another version."""
+    if not isinstance(blob, bytes):
+        raise ModelError(f"{_NOT_A_SNAPSHOT}: {type(blob).__name__} came; give what `snapshot` returned.")
     try:
         arrays = unpacked(blob)
         version = int(arrays["told"][0])

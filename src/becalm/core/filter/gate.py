@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 
 from becalm.core.model.model import Model
+from becalm.core.model.parts import checked_number
 from becalm.core.reading_verdicts import AGREE, AT_MOST
 from becalm.errors import ModelError
 from becalm.native.library import CONSTANTS
@@ -49,8 +50,7 @@ def threshold_for(false_alarms_per_hour: float, readings_per_second: float) -> f
     from scipy.special import ndtri
 
     for name, value in (("false_alarms_per_hour", false_alarms_per_hour), ("readings_per_second", readings_per_second)):
-        if not 0 < value < np.inf:
-            raise ModelError(f"{name} = {value} is not a rate; give a positive number.")
+        checked_number(name, value, "a rate", "a positive number")
     share = false_alarms_per_hour / (3600 * readings_per_second)
     return max(LEAST_THRESHOLD, float(-ndtri(max(min(share, 1.0) / 2, np.finfo(float).tiny))))
 
@@ -84,10 +84,7 @@ class Gate:
 
     def __post_init__(self) -> None:
         """Raise a ModelError if a value is not possible."""
-        if not (isinstance(self.threshold, Real) and 0 < self.threshold < np.inf):
-            raise ModelError(
-                f"threshold = {self.threshold!r} is not a threshold; give a positive number, as threshold_for does."
-            )
+        checked_number("threshold", self.threshold, "a threshold", "a positive number, as threshold_for does")
         whole = isinstance(self.agree, Integral) and isinstance(self.at_most, Integral)
         if not (whole and 2 <= self.agree <= self.at_most):
             raise ModelError(

@@ -84,6 +84,9 @@ class InteractingModels:
 
     def __post_init__(self) -> None:
         """Raise a ModelError if a value is not possible."""
+        given: object = self.modes
+        if not isinstance(given, tuple) or not all(isinstance(mode, Mode) for mode in given):
+            raise ModelError(f"modes = {given!r:.60} is not a tuple of modes; give 1 to {MOST_MODES} of them.")
         names = [mode.name for mode in self.modes]
         if not 1 <= len(names) <= MOST_MODES or len(set(names)) != len(names):
             raise ModelError(f"The modes {names} came; give 1 to {MOST_MODES} modes with different names.")

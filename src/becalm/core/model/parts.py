@@ -164,6 +164,8 @@ class Component:
 
     def __add__(self, other: Component) -> Component:
         """Join two independent components; their outputs add."""
+        if not isinstance(other, Component):
+            raise ModelError(f"{other!r:.60} is not a Component; add one, as motion(2, 1.0) + bias(1.0).")
         return Component(
             frozen(block_diagonal(self.drift, other.drift)),
             frozen(block_diagonal(self.noise_input, other.noise_input)),
@@ -192,7 +194,6 @@ class Component:
                 F[own], Q[own] = discretise(self.drift[states, states], W[states, states], steps_s)
         return F, Q
 
-    @lru_cache(maxsize=256)  # noqa: B019  (a few hundred small matrices; a filter, its gate and its gap limit use the same)
     def to_model(
         self, step_s: float, noise_variance: float, discretisation: Literal["exact", "euler"] = "exact"
     ) -> Model:
@@ -215,7 +216,11 @@ class Component:
             If the step is not positive, the variance is negative or the discretisation has another name; or if a part
             has even steps, and `step_s` is not a whole number of them or the discretisation is "euler".
         """
-        step_s = checked_step(step_s)
+        variance = checked_number("noise_variance", noise_variance, "a variance", "a number in unit^2", zero=True)
+        return self._model(checked_step(step_s), variance, str(discretisation))
+
+    @lru_cache(maxsize=256)  # noqa: B019  (a few hundred small matrices; a filter, its gate and its gap limit use the same)
+    def _model(self, step_s: float, noise_variance: float, discretisation: str) -> Model:
         R = [[noise_variance]]
         if discretisation == "euler":
             self._refuse_recursions()

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from becalm.core.arrays import Complexes, Floats, frozen
+from becalm.core.arrays import Complexes, Floats, frozen, real
 from becalm.core.model.covariances import covariance_after
 from becalm.core.model.model import Model
 from becalm.errors import ModelError
@@ -235,6 +235,8 @@ def steady(model: Model, output: ArrayLike | None = None) -> SteadyFilter:
     Anderson, Int. J. Control 28 (1978) 295: each iteration doubles the number of steps. The method is accurate even for
     the small process noise of high rates, for which eigenvalue methods fail.
     """
+    if not isinstance(model, Model):
+        raise ModelError(f"A Model is needed; {type(model).__name__} came. Make one: becalm.Model(F=, H=, Q=, R=).")
     if model.channels != 1:
         raise ModelError(f"Only a model of one channel has a response; this model has {model.channels}.")
     R = float(model.R[0, 0])
@@ -297,7 +299,10 @@ def _solve_riccati(model: Model, R: float) -> Floats:
 def _output_row(model: Model, output: ArrayLike | None) -> Floats:
     if output is None:
         return model.H
-    row = frozen(np.atleast_2d(np.asarray(output, dtype=np.float64)))
+    try:
+        row = frozen(np.atleast_2d(np.asarray(real(output), dtype=np.float64)))
+    except (TypeError, ValueError) as cause:
+        raise ModelError(f"output is not a row of numbers ({cause}); give {model.states}, one per state.") from cause
     if row.shape != (1, model.states):
         raise ModelError(f"output has shape {np.shape(output)}; give {model.states} numbers, one per state.")
     if not np.isfinite(row).all() or not row.any():

@@ -73,7 +73,7 @@ class Timebase:
         """
         try:
             stamps = np.asarray(real(times_s), dtype=np.float64)
-        except (TypeError, ValueError) as cause:
+        except (TypeError, ValueError, OverflowError) as cause:
             raise TimeError(f"times_s is not an array of numbers, in seconds ({cause}).") from cause
         if stamps.ndim != 1:
             raise TimeError(f"times_s has shape {stamps.shape}; one stamp per sample, (N,), is needed.")

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from becalm.core.arrays import Floats, Integers, frozen, real
+from becalm.core.model.parts import checked_number
 from becalm.core.time.clock import FASTEST_HZ, SLOWEST_HZ
 from becalm.errors import RecordingError, UsageError
 
@@ -105,11 +106,15 @@ def allan_deviation(
     the type is that of the longest cluster time with 128 or more, or white if there is none.
     """
     x = _column(readings)
-    if not (SLOWEST_HZ <= rate_hz <= FASTEST_HZ):
+    if (
+        not SLOWEST_HZ
+        <= checked_number("rate_hz", rate_hz, "a rate", "the number of readings per second")
+        <= FASTEST_HZ
+    ):
         raise UsageError(
             f"rate_hz = {rate_hz} is not a rate; give the number of readings per second, for instance 100.0."
         )
-    if not (0 < confidence < 1):
+    if not checked_number("confidence", confidence, "between 0 and 1", "for instance 0.95") < 1:
         raise UsageError(f"confidence = {confidence} is not between 0 and 1; give for instance 0.95.")
     series = cluster_times_s if isinstance(cluster_times_s, str) else None
     sizes = _series(series, len(x)) if series else _whole_steps(cluster_times_s, rate_hz, len(x))

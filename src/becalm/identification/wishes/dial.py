@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -41,7 +41,8 @@ def tune_by_dial(tuning: Tuning, dial: Dial, step_s: float, causal: bool) -> Tun
     Raises
     ------
     UsageError
-        If no filter of this order fulfils the wish, or a lag is wanted for a smoother or is longer than the record.
+        If no filter of this order fulfils the wish, or a lag is wanted for a smoother, or a lag that the filter exceeds
+        is longer than the record.
     ModelError
         If the step is not positive.
     """
@@ -74,6 +75,8 @@ def ratio_for(order: int, dial: Dial, step_s: float, causal: bool = True) -> flo
         If the order is not 1 to 5, or the step is not positive.
     """
     kind, value = dial
+    if kind not in get_args(Kind):
+        raise UsageError(f"{kind!r} is not a dial; give one of {', '.join(map(repr, get_args(Kind)))}.")
     if kind == "bandwidth_hz":
         return ratio_for_bandwidth(order, value, step_s, causal)
     if kind == "noise_gain_db":

@@ -69,15 +69,18 @@ def waiting_curve(
     Raises
     ------
     UsageError
-        If the ratio or the variance is not positive, or a wait is negative.
+        If the ratio or the variance is not positive, or a wait is negative or not whole.
     ModelError
         If there is no such order, or the step is not positive.
     """
     step_s = checked_step(step_s)
     if not 0 < ratio < np.inf:
         raise UsageError(f"ratio = {ratio} is not a q/r; give a positive number, variance over variance.")
-    if any(not wait >= 0 for wait in waits or ()):
+    given = () if waits is None else waits
+    if not all(wait >= 0 for wait in given):
         raise UsageError(f"waits = {waits} contains a negative wait; give numbers of readings, 0 or more.")
+    if not all(float(wait).is_integer() for wait in given):
+        raise UsageError(f"waits = {waits} contains a part of a reading; give whole numbers, 0 or more.")
     check_noise_variance(noise_variance)
     steady_filter = motion_filter(order, ratio)
     steps = np.unique(np.round(_WAITS / ratio_to_cutoff(order, ratio))) if waits is None else np.sort(np.asarray(waits))

@@ -135,13 +135,13 @@ def trade_off_curve(
     check_noise_variance(noise_variance)
     if len(orders) == 0 or (ratios is not None and len(ratios) == 0):
         raise UsageError("A trade-off curve needs an order and a ratio; leave them out to use the defaults.")
-    wrong = [ratio for ratio in ratios or () if not 0 < ratio < np.inf]
+    wrong = [ratio for ratio in (() if ratios is None else ratios) if not 0 < ratio < np.inf]
     if wrong:
         raise UsageError(f"ratios holds {wrong[0]}; each q/r must be positive.")
     points = [
         _point(order, ratio, noise_variance, step_s)
         for order in orders
-        for ratio in sorted(ratios or (cutoff_to_ratio(order, float(cutoff)) for cutoff in _CUTOFFS))
+        for ratio in sorted((cutoff_to_ratio(order, float(one)) for one in _CUTOFFS) if ratios is None else ratios)
     ]
     return TradeOffCurve(noise_variance, step_s, tuple(points))
 
