@@ -243,6 +243,8 @@ def test_scipy_numpy_and_h5py_see_groups_as_theirs(tmp_path: Path) -> None:
     [
         ("t (ms)", np.arange(4) * 250, np.arange(4) / 4),
         ("Time", np.arange(4) / 8, np.arange(4) / 8),
+        ("t (days)", np.arange(4) / 86_400, np.arange(4.0)),
+        ("timestamp", 1_700_000_000_000 + np.arange(4) * 250, 1_700_000_000 + np.arange(4) / 4),
         ("a", np.arange(4.0), None),
     ],
 )

@@ -15,7 +15,7 @@ from becalm.files.column_arrays import is_text, numbers_of, texts_of, unit_of_fi
 from becalm.files.groups import TIME
 from becalm.files.recorders.mf4_columns import NO_START
 from becalm.files.timing.time_column import is_time_name
-from becalm.files.timing.times import PER_SECOND, SECONDS
+from becalm.files.timing.times import EPOCHS, PER_SECOND, SECONDS
 from becalm.files.units.unit_spelling import time_unit
 
 _MOST_WORDS = 1 << 16  # distinct words of a channel; their codes have 16 bits
@@ -107,6 +107,7 @@ class MdfTable:
             if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
                 unit = time_unit(name, unit_of_field(table.schema.field(name)))
                 values = numbers_of(column)[0].astype(np.float64)
+                unit = unit or next((one for one, low, high in EPOCHS if len(values) and low <= values[0] <= high), "")
                 seconds = values * SECONDS[unit] if unit in SECONDS else values / PER_SECOND.get(unit, 1.0)
                 return seconds, _TIME, name if name in (TIME, first) and name.rstrip("_") == TIME else ""
         return np.arange(self._rows, self._rows + table.num_rows, dtype=np.float64), _INDEX, ""
