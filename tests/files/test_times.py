@@ -49,6 +49,7 @@ NUMERIC = {
     "mS of a time": ("Time (mS)", 1e3, "ms"),
     "words": ("t [mSec]", 1e3, "ms"),
     "long words": ("Time (Microseconds)", 1e6, "us"),
+    "short with a dot": ("Time (min.)", 1 / 60, "min"),
     "days": ("time (days)", 1 / 86_400, "d"),
     "hr": ("time_hr", 1 / 3600, "h"),
     "in minutes": ("Time in minutes", 1 / 60, "min"),

@@ -316,7 +316,7 @@ def time_unit(header: str, unit: str = "") -> str:
         The unit that the file gives separately from the name.
     """
     bare, own = parse_header(header)
-    unit = (tidy_unit(unit) or own).partition(" since ")[0]
+    unit = (tidy_unit(unit) or own).partition(" since ")[0].rstrip(".")
     last = (re.findall(r"(?:[A-Z]?[a-z]+|[A-Z]+)$", bare) or [""])[0]
     before = bare.removesuffix(last).rstrip(" _-.")
     if not unit and (_TIME.fullmatch(before) or (not before and len(last) > 2)):
