@@ -96,7 +96,7 @@ _FINEST_DIGIT = 9  # largest number of decimal places of a stamp
 _ROUNDING = 0.55  # largest rounding error of a stamp, over its last digit: a half, and a margin for the fit
 _ADVICE = "Correct the column, name another with --time, or give --rate HZ to count rows instead."
 _FEWEST_UNEVEN = 10  # least number of gaps and repeats that may be rounding; fewer fall on a line by chance
-_UNLIKE = 0.05  # least share of stamps with another number of rows, if rows share stamps; see `even_grid`
+_UNLIKE = 0.05  # least share of stamps that are not shared by two rows, if most are; see `even_grid`
 _FLOAT_ERROR = 1e-6  # error of floating-point stamps that were not rounded to a digit, over the step
 
 
@@ -183,16 +183,14 @@ class Clock:
         """
         summary = _summarise(count, blocks)
         mean = (summary.last - summary.first) / (count - 1)
-        offsets, gaps, repeats = _offsets(summary.step or mean, blocks)
+        offsets, gaps, repeats = _offsets(summary.step, blocks)
         spacing = float(np.spacing(max(abs(summary.first), abs(summary.last))))
-        tolerance = max(_ROUNDING * summary.digit, _FLOAT_ERROR * (summary.step or mean)) + 2 * spacing
-        rows = max(summary.digit, spacing) / mean  # that share a stamp
-        if gaps + repeats >= _FEWEST_UNEVEN and not (repeats and abs(rows - round(rows)) < _UNLIKE):
+        tolerance = max(_ROUNDING * summary.digit, _FLOAT_ERROR * summary.step) + 2 * spacing
+        pairs = abs(max(summary.digit, spacing) / mean - 2.0) < _UNLIKE  # of rows share a stamp, and may be sampled so
+        if gaps + repeats >= _FEWEST_UNEVEN and not pairs:
             even = _fit(mean, summary, blocks, tolerance - spacing, by_row=True)
             if even is not None:
                 return cls._uniform(count, mean, even, summary)
-        if not summary.step > 0:
-            _refuse(blocks)
         near = summary.step + offsets.mean
         line = _fit(near, summary, blocks, tolerance)
         if line is not None:
@@ -240,7 +238,7 @@ class Clock:
 
 
 class _Summary(NamedTuple):
-    step: float  # median difference of the stamps, in seconds; 0 if most stamps are equal to the stamp before
+    step: float  # median difference of the stamps, in seconds
     first: float  # first stamp, in seconds
     last: float  # last stamp, in seconds
     digit: float  # last digit of the stamps, in seconds; see `last_digit`
@@ -286,12 +284,10 @@ def _summarise(count: int, blocks: Blocks) -> _Summary:
             least = float(distances.min(initial=least, where=distances > 0))
             row += len(stamps)
         mean, step = (last - first) / (count - 1), float(np.median(thinned.values))
-    if not (np.isfinite(first) and first < last):
+    if not (np.isfinite(first) and step > 0):
         _refuse(blocks)
-    if not (mean <= 1 / SLOWEST_HZ and (step or mean) >= 1 / FASTEST_HZ):
-        raise TimeError(
-            f"Rows are {step or mean:.3g} s apart; {1 / FASTEST_HZ:g} to {1 / SLOWEST_HZ:g} s is needed. {_ADVICE}"
-        )
+    if not (mean <= 1 / SLOWEST_HZ and step >= 1 / FASTEST_HZ):
+        raise TimeError(f"Rows are {step:.3g} s apart; {1 / FASTEST_HZ:g} to {1 / SLOWEST_HZ:g} s is needed. {_ADVICE}")
     digit = last_digit(np.concatenate(samples))
     return _Summary(step, first, last, digit if digit < 2 * least else 0.0)  # stamps nearer than a digit have more
 
@@ -321,7 +317,7 @@ def _first(where: Booleans) -> int:
 
 
 def _offsets(step: float, blocks: Blocks) -> tuple[Moments, int, int]:
-    """Return the moments of all distances except gaps, minus the usual step, and the counts of gaps and repeats."""
+    """Return the moments of all steps except gaps, minus the median step, and the counts of gaps and repeats."""
     offsets, gaps, repeats = Moments(), 0, 0
     for _, distances in _walk(blocks):
         steps = distances / step
