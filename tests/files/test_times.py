@@ -55,6 +55,7 @@ NUMERIC = {
     "in minutes": ("Time in minutes", 1 / 60, "min"),
     "the name is the unit": ("milliseconds", 1e3, "ms"),
     "last word": ("timestampMs", 1e3, "ms"),
+    "behind a slash": ("time/ms", 1e3, "ms"),
 }
 
 

@@ -318,7 +318,7 @@ def time_unit(header: str, unit: str = "") -> str:
     bare, own = parse_header(header)
     unit = (tidy_unit(unit) or own).partition(" since ")[0].rstrip(".")
     last = (re.findall(r"(?:[A-Z]?[a-z]+|[A-Z]+)$", bare) or [""])[0]
-    before = bare.removesuffix(last).rstrip(" _-.")
+    before = bare.removesuffix(last).rstrip(" _-./,:")
     if not unit and (_TIME.fullmatch(before) or (not before and len(last) > 2)):
         return TIME_UNITS.get(last.lower(), "")
     spelt = unit.lower() if len(unit) > 2 or _TIME.fullmatch(bare) else unit  # an mS is a siemens, except of a time
