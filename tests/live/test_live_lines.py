@@ -234,6 +234,7 @@ def test_after_a_break_a_half_line_is_left_out() -> None:
         ({"channels": ("z",)}, b"time,a\n1,2\n", "names 'z', which is not a column"),
         ({}, b"time,utc,a\n1,2,3\n", "2 columns could be the time"),
         ({}, b"time,a\n12:00:01,2\n", "have no ISO date"),
+        ({"time": "time"}, b"time (ticks),a\n1,2\n", "the unit .ticks., which is not one of time"),
     ],
 )
 def test_what_was_said_must_fit(told: dict[str, Any], text: bytes, said: str) -> None:

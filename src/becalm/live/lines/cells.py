@@ -15,7 +15,7 @@ from becalm.core.arrays import Floats
 from becalm.errors import UsageError
 from becalm.files.text.cells import MISSING, TIME, kind_of
 from becalm.files.timing.times import EPOCHS, PER_SECOND, SECONDS
-from becalm.files.units.unit_spelling import parse_header, time_unit
+from becalm.files.units.unit_spelling import TIME_UNITS, parse_header, time_unit
 
 Cell = object
 """Text of CSV, or a value of JSON: a float, None, text or anything else."""
@@ -113,7 +113,7 @@ def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
     Raises
     ------
     UsageError
-        If the cell is a time without a date.
+        If the cell is a time without a date, or the unit is not one of time.
     """
     value = number_of(first)
     if value is not None:
@@ -132,6 +132,11 @@ def stamp_reader(name: str, unit: str, first: Cell) -> StampReader | None:
 
 def _number_stamps(name: str, unit: str, first: float) -> NumberStamps:
     unit = time_unit(name, unit)
+    if unit not in ("", *TIME_UNITS.values()):
+        raise UsageError(
+            f"The times in column {name!r} have the unit {unit!r}, which is not one of time; choose another column with"
+            " ?time=COLUMN, or stamp rows when they arrive with ?time=arrival."
+        )
     if unit in SECONDS:
         return NumberStamps(factor=SECONDS[unit])
     if unit not in PER_SECOND:
