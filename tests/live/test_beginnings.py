@@ -97,9 +97,10 @@ def test_a_first_stamp_beyond_all_counting_after_a_restart_is_a_gap_of_unknown_r
     assert keeper.losses == [("gap", None)]
 
 
-def test_the_resolution_of_stamps_is_that_of_the_first_rows_however_cut() -> None:
-    stamps = np.round(np.arange(600) / 300, 3) + 1.7e9
-    recipe, kept = recipe_of(tuned_on=Origin(rate_hz=300.0)), []
+@pytest.mark.parametrize("rate_hz", [300.0, 1.5])
+def test_the_resolution_of_stamps_is_that_of_the_first_rows_however_cut(rate_hz: float) -> None:
+    stamps = np.round(np.arange(600) / rate_hz, 3) + 1.7e9
+    recipe, kept = recipe_of(tuned_on=Origin(rate_hz=rate_hz)), []
     for first in (1, 5, 19, 20, 500):
         cuts = [slice(0, first), slice(first, 600)]
         blocks = [Block(("ax", "ay"), ("", ""), stamps[cut], VALUES[cut]) for cut in cuts]
@@ -108,6 +109,14 @@ def test_the_resolution_of_stamps_is_that_of_the_first_rows_however_cut() -> Non
         runner_of(ListSource(lambda _, blocks=blocks: list(blocks)), kept[-1], recipe).run()  # type: ignore[misc]
         np.testing.assert_array_equal(kept[-1].sigma, kept[0].sigma)
         np.testing.assert_array_equal(kept[-1].signal, kept[0].signal)
+
+
+@pytest.mark.parametrize(("rate_hz", "first"), [(100.0, 20), (1 / 60, 1)])
+def test_a_slow_stream_does_not_wait_for_the_resolution_of_its_stamps(rate_hz: float, first: int) -> None:
+    start = StreamStarter(recipe_of(tuned_on=Origin(rate_hz=rate_hz)), Learner(2.0))
+    for rows in range(1, 21):
+        early = early_of([np.arange(rows) / rate_hz], [1.0])
+        assert (start._stream_of(early, None, ended=False) is not None) == (rows >= first)
 
 
 def test_few_rows_are_all_kept() -> None:

@@ -19,6 +19,8 @@ from becalm.live.running.reader import BackOff
 from becalm.live.stream import Stream
 from becalm.live.watching.watch import Watch
 
+_LONGEST_WAIT_S = 10.0  # longest time that a stream with a recipe waits for the resolution of its stamps
+
 Result = TypeVar("Result")
 
 
@@ -138,12 +140,15 @@ class StreamStarter:
         """Make a stream from the first blocks; return None if they are not enough yet.
 
         The resolution of stamps is that of the first rows, however many come with them, so that any cut gives the same.
+        A stream slower than 2 Hz does not wait for them; the rounding of its stamps is small against its steps.
         """
         is_timed = early.steps is not None  # by the source, and not by stamps
-        if self.recipe is not None and (early.rows >= FEW_STAMPS or (early.rows and (ended or is_timed))):
-            stamps = np.concatenate([one.time_s for one in early.blocks])[:FEW_STAMPS]
-            resolution_s = 0.0 if is_timed else resolution_of(stamps)
-            return Stream(self.recipe, 1 / (rate_hz or self.recipe.nominal_rate_hz), resolution_s)
+        if self.recipe is not None:
+            step_s = 1 / (rate_hz or self.recipe.nominal_rate_hz)
+            needed = FEW_STAMPS if FEW_STAMPS * step_s <= _LONGEST_WAIT_S else 1
+            if early.rows >= needed or (early.rows and (ended or is_timed)):
+                stamps = np.concatenate([one.time_s for one in early.blocks])[:needed]
+                return Stream(self.recipe, step_s, 0.0 if is_timed else resolution_of(stamps))
         if self.recipe is None and ((ended and early.rows) or self.learner.is_enough(early, rate_hz)):
             learned = self.learner.learn(early.blocks, rate_hz)
             self.on_learned(learned.recipe)
