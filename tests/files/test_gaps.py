@@ -38,6 +38,19 @@ def test_what_nobody_wrote_is_missing(kind: str, packed: dict[str, object], tmp_
     table.rows.close()
 
 
+def test_long_whole_numbers_beside_what_nobody_wrote_keep_their_digits(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"] = np.arange(ROWS) / 10
+        for name in ("a", "b"):
+            file.create_dataset(name, (ROWS,), "i8", chunks=(10,))[10:] = 2**60 + np.arange(10, ROWS)
+        file["b"].attrs["_FillValue"] = np.int64(2**60 + 12)
+    (table,) = read_tables(tmp_path / "a.h5")
+    (block,) = table.blocks(["a", "b"])
+    assert block["a"].to_pylist() == [None] * 10 + [2**60 + row for row in range(10, ROWS)]
+    assert block["b"].to_pylist() == [None] * 10 + [None if row == 12 else 2**60 + row for row in range(10, ROWS)]
+    table.rows.close()
+
+
 def test_columns_fields_and_texts_have_gaps_of_their_own(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         both = file.create_dataset("b", (ROWS, 3), "f8", chunks=(30, 2))

@@ -59,17 +59,18 @@ def _scaled(contents: FileArrays, leaf: Leaf) -> Leaf:
         return leaf
 
     def take(key: Key) -> NDArray[Any]:
-        raw = np.asarray(leaf.take(key)).astype(stored, copy=False)
+        held = leaf.take(key)  # masked where it was never written
+        raw = np.ma.getdata(held).astype(stored, copy=False)
         values = raw.astype(kind, copy=False)
         scaled = values if plain else values.astype(np.float64) * (1.0 if scale is None else scale) + (offset or 0.0)
-        missing = np.isin(raw, fills)
+        missing = np.isin(raw, fills) | np.ma.getmaskarray(held)
         for beyond, limit in limits:
             if limit.dtype.kind == "f" and stored.kind in "iu":  # a limit of scaled values
                 missing |= beyond(scaled, limit)
             else:
                 missing |= beyond(values, limit.astype(stored).astype(kind))
         if plain and kind.kind in "iu":
-            return np.ma.masked_array(values, missing) if fills or limits else values
+            return np.ma.masked_array(values, missing) if missing.any() else values
         return np.where(missing, np.nan, scaled.astype(np.float64, copy=False))
 
     return leaf._replace(type=kind if plain and kind.kind in "iu" else np.dtype(np.float64), take=take)

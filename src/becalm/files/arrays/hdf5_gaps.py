@@ -58,8 +58,11 @@ class WrittenChunks:
         return int(self._present.size - np.count_nonzero(self._present))
 
     def nullable_type(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
-        """Return a type for values of this type and for a missing value; integers and flags become float64."""
-        return np.dtype(np.float64) if dtype.kind in "biu" else dtype
+        """Return a type for values of this type and for a missing value.
+
+        Integers and flags become float64; integers of 64 bits, which float64 would round, stay, and are masked.
+        """
+        return np.dtype(np.float64) if dtype.kind in "biu" and dtype.itemsize < 8 else dtype
 
     def mark_missing(self, values: NDArray[Any], key: Key) -> NDArray[Any]:
         """Return values with those of missing chunks replaced by the missing value.
@@ -71,4 +74,6 @@ class WrittenChunks:
         present = self._present[np.ix_(*chunks)].reshape([len(one) for one in axes if isinstance(one, range)])
         present = present.reshape(present.shape + (1,) * (values.ndim - present.ndim))
         kind = self.nullable_type(values.dtype)
+        if kind.kind in "iu":
+            return np.ma.masked_array(values, np.broadcast_to(~present, values.shape))
         return np.where(present, values.astype(kind, copy=False), np.array(_ABSENT.get(kind.kind, np.nan), kind))

@@ -128,7 +128,7 @@ class _MatlabTree(Tree):
     def in_writer_order(self, leaf: Leaf) -> Leaf:
         """Return the array with its axes reversed."""
         turned = leaf._replace(shape=leaf.shape[::-1], claimed=leaf.claimed[::-1])
-        return turned._replace(take=lambda key: np.asarray(leaf.take(key[::-1])).T)
+        return turned._replace(take=lambda key: leaf.take(key[::-1]).T)
 
 
 def _is_number(dataset: Any) -> bool:
