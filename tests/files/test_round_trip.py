@@ -284,6 +284,15 @@ def test_the_master_of_a_cleaned_file_is_its_own_clock(
         np.testing.assert_allclose(log.get_master(0), begin + np.arange(9) / 100, atol=1e-12)
 
 
+@pytest.mark.parametrize("ending", ["h5", "mf4", "tdms"])
+def test_long_whole_numbers_beside_a_missing_one_keep_their_digits(ending: str, tmp_path: Path, tables: Tables) -> None:
+    ids = [2**60 + 1, None, 2**60 + 3]
+    path = tmp_path / f"a.{ending}"
+    write_table(path, pa.table({"time_s": [0.0, 0.1, 0.2], "id": pa.array(ids, pa.int64()), "x": [1.5, 2.5, 0.5]}))
+    (found,) = tables(path)
+    assert next(iter(found.blocks(["id"])))["id"].to_pylist() == ids
+
+
 def test_words_that_come_late_are_told_too(tmp_path: Path, tables: Tables) -> None:
     words = [pa.array(texts).dictionary_encode() for texts in (["a", None], ["späte", "a"])]
     with open_output(tmp_path / "a.mf4") as out:
