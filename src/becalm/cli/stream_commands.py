@@ -28,9 +28,7 @@ Sinks = Annotated[
     ),
 ]
 Learn = Annotated[str, typer.Option("--learn", metavar="30s", help="Duration of tuning if there is no recipe.")]
-LiveChannels = Annotated[
-    str | None, typer.Option("--channels", metavar="a,b", help="Filter these channels only.")
-]
+LiveChannels = Annotated[str | None, typer.Option("--channels", metavar="a,b", help="Filter these channels only.")]
 Queue = Annotated[
     int, typer.Option("--queue", metavar="64", help="Largest number of blocks that wait for the filters.")
 ]
