@@ -29,7 +29,9 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave Spark out where there is no Java, but not in CI, where there must be."""
+    """Begin with files that wait long; leave Spark out where there is no Java, but not in CI, where there must be."""
+    files = {mark: {item.path for item in items if item.get_closest_marker(mark)} for mark in ("spark", "slow")}
+    items.sort(key=lambda item: (item.path not in files["spark"], item.path not in files["slow"]))
     if shutil.which("java") or {"CI", "JAVA_HOME"} & os.environ.keys():
         return
     for item in items:
