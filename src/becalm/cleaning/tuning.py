@@ -314,7 +314,7 @@ def _checked_wishes(wishes: Wishes, time: Timebase) -> Wishes:
         raise UsageError(f"dial = {dial!r:.60} is not a Dial; give one, as in Dial('bandwidth_hz', 5.0).")
     if wishes.rest is not None:
         refuse_empty(wishes.rest)
-    try:
+    try:  # + 0.0 refuses text, which float would read
         still_s = tuple((float(from_s + 0.0), float(to_s + 0.0)) for from_s, to_s in wishes.still_s)
     except (TypeError, ValueError, OverflowError) as cause:
         raise UsageError(

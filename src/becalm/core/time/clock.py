@@ -186,7 +186,7 @@ class Clock:
         offsets, gaps, repeats = _offsets(summary.step, blocks)
         spacing = float(np.spacing(max(abs(summary.first), abs(summary.last))))
         tolerance = max(_ROUNDING * summary.digit, _FLOAT_ERROR * summary.step) + 2 * spacing
-        pairs = abs(max(summary.digit, spacing) / mean - 2.0) < _UNLIKE  # of rows share a stamp, and may be sampled so
+        pairs = abs(max(summary.digit, spacing) / mean - 2.0) < _UNLIKE  # two rows a stamp may be meant
         if gaps + repeats >= _FEWEST_UNEVEN and not pairs:
             even = _fit(mean, summary, blocks, tolerance - spacing, by_row=True)
             if even is not None:

@@ -106,11 +106,8 @@ def allan_deviation(
     the type is that of the longest cluster time with 128 or more, or white if there is none.
     """
     x = _column(readings)
-    if (
-        not SLOWEST_HZ
-        <= checked_number("rate_hz", rate_hz, "a rate", "the number of readings per second")
-        <= FASTEST_HZ
-    ):
+    rate_hz = checked_number("rate_hz", rate_hz, "a rate", "the number of readings per second")
+    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise UsageError(
             f"rate_hz = {rate_hz} is not a rate; give the number of readings per second, for instance 100.0."
         )
